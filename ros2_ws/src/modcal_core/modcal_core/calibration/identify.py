@@ -1,0 +1,178 @@
+"""Identification: the parameters that make the model meet the samples, with their uncertainty.
+
+Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–Marquardt). The columns are scaled to unit
+length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as wide
+as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every step
+(see :mod:`modcal_core.calibration.noise`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread, excess_spread, robust_spread, robust_weights, standard_score
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+MAX_ITERATIONS = 60
+CONVERGED = 1e-5  # no combination of parameters moves by more than this fraction of its standard deviation
+EQUATIONS_PER_PARAMETER = 1.25
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model and what is known of it.
+
+    model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
+    covariance (P, P): [m, rad]. spread: what the model does not explain, per axis. weights: (N,) in [0, 1], of the
+    samples it was fitted to; 0 is rejected. information: JᵀWJ of the data alone, (P, P). iterations: steps taken.
+    """
+
+    model: Model
+    start: Model
+    parameters: tuple[Parameter, ...]
+    values: Array
+    covariance: Array
+    spread: Spread
+    weights: Array
+    information: Array
+    iterations: int
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the values, (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def value(self, name: str) -> float:
+        """The value of the named parameter [m or rad]."""
+        return float(self.values[self._index(name)])
+
+    def deviation(self, name: str) -> float:
+        """The standard deviation of the named parameter [m or rad]."""
+        return float(self.std[self._index(name)])
+
+    def _index(self, name: str) -> int:
+        for i, parameter in enumerate(self.parameters):
+            if parameter.name == name:
+                return i
+        raise KeyError(f"no parameter '{name}'; there are {', '.join(p.name for p in self.parameters)}")
+
+
+def identify(
+    start: Model, samples: Samples, parameters: Sequence[Parameter], distances: Sequence[Distance] = (), robust: bool = True
+) -> Fit:
+    """The fit of these parameters, about this model, to the samples.
+
+    Raises NotEnoughData when the readings are too few for the parameters.
+    """
+    _enough(samples, parameters, distances)
+    known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
+    pose = samples.is_pose
+    dimensions = np.where(pose, 6.0, 3.0)
+    prior = np.array([p.prior_std for p in parameters])
+
+    values = np.zeros(len(parameters))
+    damping = 0.0
+    at = linearise(start, parameters, values, samples)
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(parameters), robust)
+        row_weight = _row_weights(weights, pose, spread, known_p, known_r)
+        H_data, g = _normal_equations(at, row_weight)
+        if distances:
+            rows = distance_rows(start, parameters, values, distances)
+            H_data += (rows.J / rows.std**2) @ rows.J.T
+            g += (rows.J / rows.std**2) @ rows.residual
+        H, g = H_data + np.diag(prior**-2.0), g - values * prior**-2.0
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        while True:
+            step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
+            new = linearise(start, parameters, values + step, samples)
+            if _cost(new, row_weight) <= _cost(at, row_weight) * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
+                break
+            damping = max(10.0 * damping, 1e-4)
+        values, at = values + step, new
+        if damping == 0.0 and float(step @ H @ step) <= CONVERGED**2:
+            break
+        damping = 0.0 if damping < 1e-3 else damping / 10.0
+
+    weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(parameters), robust)
+    covariance = np.outer(scale, scale) * _solve(H * np.outer(scale, scale), np.eye(len(values)), 0.0)
+    model = apply_deviations(start, deviations(parameters, values, start.chain.n, len(start.frames)))
+    return Fit(model, start, tuple(parameters), values, covariance, spread, weights, H_data, iteration)
+
+
+def _enough(samples: Samples, parameters: Sequence[Parameter], distances: Sequence[Distance]) -> None:
+    equations = 3 * len(samples) + 3 * int(samples.is_pose.sum()) + len(distances)
+    need = EQUATIONS_PER_PARAMETER * len(parameters)
+    if equations < need:
+        per_station = equations / max(samples.stations, 1)
+        raise NotEnoughData(
+            f"{samples.stations} stations to fit {len(parameters)} parameters",
+            f"they give {equations} equations, {int(np.ceil(need))} are the least",
+            f"record at least {int(np.ceil(need / max(per_station, 1.0)))} stations for the fit, or fix parameters",
+        )
+
+
+def _known(sigma: Array) -> Array:
+    return np.where(np.isfinite(sigma), sigma, 0.0)
+
+
+def _weigh(
+    at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, dimensions: Array, parameters: int, robust: bool
+) -> tuple[Array, Spread]:
+    """Robust weights of the samples and the spread left, at these residuals."""
+    square_p = np.einsum("ij,ij->j", at.position, at.position)
+    square_r = np.einsum("ij,ij->j", at.rotation, at.rotation)
+    weights = np.ones(len(square_p))
+    if robust:
+        rough = robust_spread(at.position, at.rotation)
+        total = square_p / (rough.position**2 + known_p**2)
+        if len(square_r):
+            total[pose] += square_r / (rough.rotation**2 + known_r**2)
+        weights = robust_weights(standard_score(total, dimensions))
+    rows = 3.0 * len(square_p) + 3.0 * len(square_r)
+    spread = Spread(
+        excess_spread(at.position, known_p, weights, parameters * 3.0 * len(square_p) / rows),
+        excess_spread(at.rotation, known_r, weights[pose], parameters * 3.0 * len(square_r) / rows),
+    )
+    return weights, spread
+
+
+def _row_weights(weights: Array, pose: np.ndarray, spread: Spread, known_p: Array, known_r: Array) -> Array:
+    """Weight of each row of J, (3 N + 3 M,)."""
+    w_p = weights / (spread.position**2 + known_p**2)
+    w_r = weights[pose] / (spread.rotation**2 + known_r**2)
+    return np.concatenate([np.tile(w_p, 3), np.tile(w_r, 3)])
+
+
+def _normal_equations(at: Linearised, row_weight: Array) -> tuple[Array, Array]:
+    root = np.sqrt(row_weight)
+    J = at.J * root
+    return J @ J.T, J @ (at.residual * root)
+
+
+def _cost(at: Linearised, row_weight: Array) -> float:
+    return float(row_weight @ at.residual**2)
+
+
+def _slack(distances: Sequence[Distance]) -> float:
+    return np.inf if distances else 0.0
+
+
+def _solve(H: Array, g: Array, damping: float) -> Array:
+    """Solution of the scaled, damped system; a tiny ridge where it is singular to rounding."""
+    for ridge in (0.0, 1e-12, 1e-10, 1e-8):
+        try:
+            return cho_solve(cho_factor(H + (damping + ridge) * np.eye(len(H)), lower=True), g)
+        except np.linalg.LinAlgError:
+            continue
+    return np.linalg.lstsq(H, g, rcond=1e-12)[0]

@@ -1,0 +1,125 @@
+"""Where base and tool are, before anything is known of them: closed forms that need no starting guess.
+
+For poses this is the robot-world / hand-eye problem ``T_frame_base FK(q) T_tip_tool = reading``. The rotations obey a
+linear system whose null vector is found by SVD (Kronecker form, Shah 2013) and projected to rotations; the positions
+then follow linearly. Points and fixed points give up the orientation of the tool and are linear in the tool's position
+once the orientation of the base is known, so the two are improved in turn from several starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import forward
+
+MOST_ROWS = 500  # a start needs no more; spread over the recording
+
+
+def locate(model: Model, samples: Samples) -> Model:
+    """The model with base frames and tool placed so that the readings are roughly met.
+
+    Raises NotEnoughData where a frame has fewer than 3 readings.
+    """
+    T_base_tip = forward(model.chain, samples.q)
+    counts = {f: int((samples.frame == i).sum()) for i, f in enumerate(model.frames)}
+    for name, count in counts.items():
+        if count < 3:
+            raise NotEnoughData(f"frame '{name}'", f"{count} readings, 3 are the least", "record more stations in it")
+    order = sorted(range(len(model.frames)), key=lambda f: -_knowledge(samples, f))
+    T_frame_base = np.array(model.T_frame_base)
+    tool: Array | None = None
+    if all(samples.is_same_point(f) for f in order):
+        tool, T_frame_base = _fixed_points(samples, T_base_tip)
+        order = []
+    for f in order:
+        rows = _spread(np.flatnonzero(samples.frame == f))
+        A = T_base_tip[rows]
+        if samples.is_pose[rows].all():
+            base, found = _hand_eye(A, se3.transform(samples.R[rows], samples.position[rows]))
+            tool = found if tool is None else tool
+        elif tool is None or samples.is_same_point(f):
+            base, point = _point_tool(A, samples.position[rows])
+            tool = se3.transform(p=point) if tool is None else tool
+        else:
+            base = _procrustes((A @ tool)[:, :3, 3], samples.position[rows])
+        T_frame_base[f] = base
+    assert tool is not None
+    return replace(model, T_frame_base=T_frame_base, T_tip_tool=tool)
+
+
+def _knowledge(samples: Samples, frame: int) -> int:
+    """How much a frame says of the tool: poses before points, then the number of readings."""
+    rows = samples.frame == frame
+    return int(rows.sum()) * (1000 if samples.is_pose[rows].all() else 1)
+
+
+def _spread(rows: np.ndarray) -> np.ndarray:
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).astype(int)]
+
+
+def _hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
+    """(Y, X) with ``B ≈ Y A X`` for poses A, B (N, 4, 4)."""
+    Ra, Rb = A[:, :3, :3], B[:, :3, :3]
+    # R_b Z = Y R_a with Z = R_xᵀ: rows of (R_b ⊗ I) z − (I ⊗ R_aᵀ) y, row-major
+    K = np.sum([np.kron(b.T, a.T) for a, b in zip(Ra, Rb, strict=True)], axis=0)  # z = Kᵀ-aligned with y
+    U, _, Vt = np.linalg.svd(K)
+    z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
+    sign = np.sign(np.linalg.det(y))
+    Ry, Rx = so3.nearest_rotation(sign * y), so3.nearest_rotation(sign * z).T
+    # positions: p_b = Y p_a + Y R_a x + t
+    G = np.concatenate([Ry @ Ra, np.broadcast_to(np.eye(3), Ra.shape)], axis=2).reshape(-1, 6)
+    h = (B[:, :3, 3] - A[:, :3, 3] @ Ry.T).reshape(-1)
+    x, t = np.split(np.linalg.lstsq(G, h, rcond=1e-9)[0], 2)
+    return se3.transform(Ry, t), se3.transform(Rx, x)
+
+
+def _procrustes(a: Array, b: Array) -> Array:
+    """The transform T with ``b ≈ T a`` for points a, b (N, 3) (Kabsch)."""
+    ca, cb = a.mean(axis=0), b.mean(axis=0)
+    R = so3.nearest_rotation((b - cb).T @ (a - ca))
+    return se3.transform(R, cb - R @ ca)
+
+
+def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:
+    """(Y, x) with ``y ≈ Y (A x)`` for tip poses A and points y (N, 3): tool point and base in turn, several starts."""
+    reach = np.linalg.norm(A[:, :3, 3], axis=1).mean()
+    starts = np.concatenate([np.zeros((1, 3)), 0.25 * reach * np.r_[np.eye(3), -np.eye(3)]])
+    best: tuple[float, Array, Array] | None = None
+    for x in starts:
+        for _ in range(60):
+            Y = _procrustes(se3.apply(A, x), y)
+            G = np.concatenate([Y[:3, :3] @ A[:, :3, :3], np.broadcast_to(np.eye(3), A[:, :3, :3].shape)], axis=2)
+            h = (y - A[:, :3, 3] @ Y[:3, :3].T).reshape(-1)
+            new = np.linalg.lstsq(G.reshape(-1, 6), h, rcond=1e-9)[0][:3]
+            step, x = np.linalg.norm(new - x), new
+            if step < 1e-6:
+                break
+        Y = _procrustes(se3.apply(A, x), y)
+        gap = y - se3.apply(Y, se3.apply(A, x))
+        cost = float(np.median(np.linalg.norm(gap, axis=1)))
+        if best is None or cost < best[0] - 1e-9:
+            best = (cost, Y, x)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _fixed_points(samples: Samples, T_base_tip: Array) -> tuple[Array, Array]:
+    """Tool and frames where every frame shows one fixed point: linear in the tool point and the points' positions."""
+    F, N = len(samples.frames), len(samples)
+    G = np.zeros((N, 3, 3 + 3 * F))
+    G[:, :, :3] = T_base_tip[:, :3, :3]
+    for f in range(F):
+        G[samples.frame == f, :, 3 + 3 * f : 6 + 3 * f] = -np.eye(3)
+    x = np.linalg.lstsq(G.reshape(-1, 3 + 3 * F), -T_base_tip[:, :3, 3].reshape(-1), rcond=1e-9)[0]
+    T_frame_base = np.tile(np.eye(4), (F, 1, 1))
+    for f in range(F):
+        reading = samples.position[np.flatnonzero(samples.frame == f)[0]]
+        T_frame_base[f, :3, 3] = reading - x[3 + 3 * f : 6 + 3 * f]
+    return se3.transform(p=x[:3]), T_frame_base

@@ -1,0 +1,166 @@
+"""Residuals and their derivatives, for every parameter at once.
+
+Everything is seen from the *root*: the frame of the first joint before it moves, its axis along z. A reading in frame f
+is carried there by the frame's current pose; the tool is carried there by the chain. With ``p`` the tool's position and
+(R_k, p_k) the frame of place k,
+
+    residual  r = y − p            (positions, m)      r = log(R_y Rᵀ)   (orientations, rad)
+    ∂p/∂θ_j   = R_k v_j + (R_k ω_j) × (p − p_k)        ∂rot/∂θ_j = R_k ω_j
+
+where (v_j, ω_j) is the twist, in the frame of its place, that parameter j makes per unit. Distances between places
+do not change with the root, so isotropic noise stays isotropic. The derivative of the logarithm is taken as the
+identity: its transpose maps r to itself, so the gradient Jᵀr is exact and only the curvature is rounded.
+
+Arrays are component-major, (3, N): ``J[j]`` holds all x, y, z of the positions and then of the orientations, so each
+parameter is written in contiguous sweeps and the normal equations are one matrix product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import frames as chain_frames
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Residuals of N samples and their derivatives at one set of values.
+
+    position: [m], (3, N). rotation: [rad], (3, M) for the M pose samples. J: (P, 3 N + 3 M), d(prediction)/d(parameter).
+    """
+
+    position: Array
+    rotation: Array
+    J: Array
+
+    @property
+    def residual(self) -> Array:
+        """All residuals in the order of J's columns, (3 N + 3 M,)."""
+        return np.concatenate([self.position.ravel(), self.rotation.ravel()])
+
+
+def error_transform(twist: Array) -> Array:
+    """``Trans(t) Rot(exp ω)`` (4, 4) of an error's six values (t, ω) [m, rad]."""
+    return se3.transform(so3.exp(twist[3:]), twist[:3])
+
+
+def local_twists(twist: Array) -> Array:
+    """The twists (6, 6) that each of the six values makes per unit, in the frame after the error; one per row.
+
+    ``E(x + dx) = E(x) exp(sum dx_d · row_d)``: a shift is seen from the turned frame, and a turn through the right
+    Jacobian of the exponential.
+    """
+    R = so3.exp(twist[3:])
+    out = np.zeros((6, 6))
+    out[:3, :3] = R  # row d is Rᵀ e_d
+    out[3:, 3:] = np.linalg.inv(so3.left_jacobian_inverse(-twist[3:])).T
+    return out
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Six error values at every place: frames (F, 6) in front of the arm, places (n, 6) for places 1 … n."""
+
+    frames: Array
+    places: Array
+
+
+def deviations(parameters: Sequence[Parameter], values: Array, n: int, frames: int) -> Deviations:
+    """The errors at every place that these parameter values stand for."""
+    out = Deviations(np.zeros((frames, 6)), np.zeros((n, 6)))
+    for parameter, value in zip(parameters, values, strict=True):
+        if parameter.place == 0:
+            out.frames[parameter.frame, parameter.direction] += value
+        else:
+            out.places[parameter.place - 1, parameter.direction] += value
+    return out
+
+
+def apply_deviations(model: Model, errors: Deviations) -> Model:
+    """The model with these errors put in: frames moved, constants of the chain changed, tool moved."""
+    chain = model.chain
+    A = se3.transform(chain.joint_basis)
+    origins = np.array(chain.origins)
+    for k in range(1, chain.n):
+        origins[k] = origins[k] @ A[k] @ error_transform(errors.places[k - 1]) @ se3.inverse(A[k])
+    T_base_root = chain.origins[0] @ A[0]
+    E = np.stack([error_transform(e) for e in errors.frames])
+    T_frame_base = model.T_frame_base @ T_base_root @ E @ se3.inverse(T_base_root)
+    T_tip_tool = model.T_tip_tool @ error_transform(errors.places[-1])
+    return Model(chain.with_origins(origins), model.frames, T_frame_base, T_tip_tool)
+
+
+def linearise(
+    model: Model, parameters: Sequence[Parameter], values: Array, samples: Samples, jacobian: bool = True
+) -> Linearised:
+    """Residuals of the samples, and derivatives, with the parameters at these values about the given model."""
+    chain, n, N = model.chain, model.chain.n, len(samples)
+    errors = deviations(parameters, values, n, len(model.frames))
+    now = apply_deviations(model, errors)
+
+    # readings from the root, (3, N)
+    T_root_frame = se3.inverse(now.T_frame_base @ (chain.origins[0] @ se3.transform(chain.joint_basis[0])))
+    if len(model.frames) == 1:
+        y = T_root_frame[0, :3, :3] @ samples.position.T + T_root_frame[0, :3, 3:]
+    else:
+        y = se3.apply(T_root_frame[samples.frame], samples.position).T
+
+    # the chain from the root to the tool, so that frame n is the tool itself
+    rooted = np.array(now.chain.origins)
+    rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
+    rooted[n] = rooted[n] @ now.T_tip_tool
+    f = chain_frames(now.chain.with_origins(rooted), samples.q)
+    p = f.p[n]
+    position = y - p
+
+    pose = np.flatnonzero(samples.is_pose)
+    all_pose = len(pose) == N
+    rotation = np.zeros((3, len(pose)))
+    if len(pose):
+        R = f.rotation(n) if all_pose else f.rotation(n)[pose]
+        R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
+        rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
+    if not jacobian:
+        return Linearised(position, rotation, np.zeros((0, position.size + rotation.size)))
+
+    J = np.empty((len(parameters), 3 * N + 3 * len(pose)))
+    twists = {(0, i): local_twists(e) for i, e in enumerate(errors.frames)}
+    twists |= {(k + 1, -1): local_twists(e) for k, e in enumerate(errors.places)}
+    levers: dict[int, Array] = {}
+    for j, parameter in enumerate(parameters):
+        k = parameter.place
+        twist = twists[k, parameter.frame][parameter.direction]
+        flat = f.axes[k].reshape(3, 3 * N)
+        column = J[j, : 3 * N].reshape(3, N)
+        rows = J[j, 3 * N :].reshape(3, len(pose))
+        if parameter.direction < 3:
+            np.matmul(twist[:3], flat, out=J[j, : 3 * N])
+            rows[:] = 0.0
+        else:
+            if k not in levers:
+                levers[k] = p - f.p[k]
+            turn = (twist[3:] @ flat).reshape(3, N)
+            cross(turn, levers[k], out=column)
+            rows[:] = turn if all_pose else turn[:, pose]
+        if k == 0 and len(model.frames) > 1:
+            column[:, samples.frame != parameter.frame] = 0.0
+            rows[:, samples.frame[pose] != parameter.frame] = 0.0
+    return Linearised(position, rotation, J)
+
+
+def cross(a: Array, b: Array, out: Array) -> None:
+    """Cross products of vectors (3, N), component-major, into ``out``."""
+    np.multiply(a[1], b[2], out=out[0])
+    out[0] -= a[2] * b[1]
+    np.multiply(a[2], b[0], out=out[1])
+    out[1] -= a[0] * b[2]
+    np.multiply(a[0], b[1], out=out[2])
+    out[2] -= a[1] * b[0]

@@ -1,0 +1,137 @@
+"""Which small twists a fit may use: named, minimal, and of full rank before any data is seen.
+
+Errors sit at *places*: in front of the arm once for every frame it is watched from (place 0), just before each further
+joint (places 1 … n − 1), and at the tool (place n). At a place an error is ``E = Trans(t) Rot(exp ω)``, in the frame of
+that place turned so that the joint's axis is z; so a parameter is (place, direction).
+
+Not every direction can be told from the others. A turn about or a shift along a revolute joint's own axis commutes with
+its motion: it passes through the joint and is seen again at the next place. A sliding joint lets all shifts and the turn
+about its axis through. Keeping only what a joint stops leaves 4 directions at a revolute joint and 2 at a sliding one,
+plus 6 at the tool: 4 r + 2 p + 6 in all for a pose reading, which is minimal (Everett & Hsu 1988) and stays so for
+parallel axes. Other readings see less, several frames more; rather than a rule for each, the directions are put in a
+fixed order of preference, their columns are computed at random postures, and each column that adds nothing to the ones
+before it is left out. That depends on the robot and the kinds of reading only, never on the data at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+# How far a robot is expected to be from its drawing. It only decides directions that the data hardly shows.
+PRIOR_LENGTH_M = 0.01
+PRIOR_ANGLE_RAD = 0.02
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One direction of error at one place.
+
+    name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
+    place's frame with the joint's axis along z. frame: index of the frame at place 0, else -1. prior_std: [m or rad],
+    inf where nothing is expected (base and tool).
+    """
+
+    name: str
+    place: int
+    direction: int
+    frame: int = -1
+    prior_std: float = np.inf
+
+    @property
+    def unit(self) -> str:
+        """m or rad."""
+        return "m" if self.direction < 3 else "rad"
+
+
+@dataclass(frozen=True)
+class View:
+    """What the instruments see of the arm through one frame: kind of reading, and whether it is a fixed point."""
+
+    kind: str
+    frame: int
+    same_point: bool = False
+
+
+def direction_names(basis: Array) -> tuple[str, ...]:
+    """Plain names of the six directions of a joint whose aligned basis has these columns, (3, 3)."""
+    largest = np.abs(basis).argmax(axis=0)
+    plain = np.allclose(np.abs(basis)[largest, range(3)], 1.0, atol=1e-6)
+    axes = ["xyz"[k] for k in largest] if plain else ["u", "v", "w"]
+    return (*axes, *("r" + a for a in axes))
+
+
+def ordered_candidates(chain: Chain, frames: Sequence[str], views: Sequence[View]) -> list[Parameter]:
+    """Every direction, the ones to keep first.
+
+    What each joint of the arm stops comes first, then the tool, then the frames; the first frame's turn about and shift
+    along the first joint come late, for that is the pair every single-frame cell has to give up. Last stand the
+    directions that pass through a joint (its zero): they are needed only where base or tool are held fixed.
+    """
+    out: list[Parameter] = []
+    passing: list[Parameter] = []
+    for k in range(1, chain.n):
+        names = direction_names(chain.joint_basis[k])
+        stopped = (0, 1, 3, 4) if chain.revolute[k] else (3, 4)
+        for d in range(6):
+            prior = PRIOR_LENGTH_M if d < 3 else PRIOR_ANGLE_RAD
+            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=prior)
+            (out if d in stopped else passing).append(parameter)
+    orientation_seen = any(v.kind == "pose" for v in views)
+    out += [Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d) for d in range(6 if orientation_seen else 3)]
+    fixed_point = {f: all(v.same_point for v in views if v.frame == f) for f in range(len(frames))}
+    base = direction_names(chain.joint_basis[0])
+    for f in [*range(1, len(frames)), 0]:
+        order = (0, 1, 3, 4, 2, 5) if chain.revolute[0] else (3, 4, 0, 1, 2, 5)
+        for d in order:
+            if d < 3 or not fixed_point[f]:
+                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, frame=f))
+    return out + passing
+
+
+def independent_columns(J: Array, tolerance: float = 1e-7) -> np.ndarray:
+    """Indices of the columns of J (m, P) that add something to the ones before them, in order.
+
+    Gram-Schmidt with each column scaled to unit length; a column whose remainder is below the tolerance is dropped.
+    """
+    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    basis = np.zeros((J.shape[0], 0))
+    kept = []
+    for j in range(J.shape[1]):
+        rest = J[:, j]
+        for _ in range(2):  # the second pass removes what rounding left of the first
+            rest = rest - basis @ (basis.T @ rest)
+        size = np.linalg.norm(rest)
+        if size > tolerance:
+            kept.append(j)
+            basis = np.c_[basis, rest / size]
+    return np.array(kept, dtype=int)
+
+
+def drop_fixed(parameters: Sequence[Parameter], patterns: Sequence[str]) -> list[Parameter]:
+    """The parameters that no pattern names; raises BadTable for a pattern that names none.
+
+    A pattern is a name such as "elbow_joint/x", a place such as "tool", or has the wildcards of a shell.
+    """
+    fixed: set[str] = set()
+    for pattern in patterns:
+        hit = {p.name for p in parameters if fnmatchcase(p.name, pattern) or p.name.rpartition("/")[0] == pattern}
+        if not hit:
+            places = sorted({p.name.rpartition("/")[0] for p in parameters})
+            raise BadTable(f"fixed parameter '{pattern}'", "names no parameter", f"places are {', '.join(places)}")
+        fixed |= hit
+    return [p for p in parameters if p.name not in fixed]
+
+
+def with_prior(parameters: Sequence[Parameter], scale: float) -> list[Parameter]:
+    """The same parameters with every finite prior standard deviation multiplied."""
+    return [replace(p, prior_std=p.prior_std * scale) for p in parameters]

@@ -1,0 +1,36 @@
+"""One root for everything modcal refuses, so that a caller can catch it and a person can act on it."""
+
+from __future__ import annotations
+
+
+class ModcalError(Exception):
+    """Refusal in one line: what offends, which limit it breaks, and what to do about it.
+
+    Attributes hold the three parts; ``str(error)`` joins them into the line that the command prints on stderr.
+    """
+
+    def __init__(self, offender: str, limit: str, remedy: str) -> None:
+        self.offender = offender
+        self.limit = limit
+        self.remedy = remedy
+        super().__init__(f"{offender}: {limit}: {remedy}".replace("\n", " "))
+
+
+class BadRecording(ModcalError):
+    """A recording that cannot be used: empty, silent, in the wrong unit, or not of this robot."""
+
+
+class BadRobot(ModcalError):
+    """A robot description that cannot be used: a link that is not there, a tree that does not connect."""
+
+
+class BadTable(ModcalError):
+    """A table, mapping or calibration file that does not say what it must."""
+
+
+class NotEnoughData(ModcalError):
+    """Fewer stations than the parameters need."""
+
+
+class NotRepresentable(ModcalError):
+    """A result that the asked-for format cannot hold, such as nearly parallel axes in a DH table."""

@@ -1,0 +1,1 @@
+"""Rigid-body geometry on plain arrays, batched over any leading axes."""

@@ -1,0 +1,158 @@
+"""Rotations: exponential, logarithm, quaternions (x y z w), fixed-axis roll-pitch-yaw, and the mean on the manifold.
+
+Every function takes any number of leading batch axes. The exponential is Rodrigues' formula
+``R = I + a [w]x + b [w]x^2`` with ``a = sin t / t`` and ``b = (1 - cos t) / t^2``, ``t = |w|``; both are series below
+``t = 1e-4``, where the quotients would lose digits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_SERIES_BELOW = 1e-4  # rad; the next term of each series is then below 1e-18
+
+
+def hat(w: ArrayLike) -> Array:
+    """Skew-symmetric matrices (..., 3, 3) of vectors (..., 3): ``hat(w) @ u == cross(w, u)``."""
+    w = np.asarray(w, dtype=float)
+    out = np.zeros(w.shape[:-1] + (3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = w[..., 2], -w[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -w[..., 1], w[..., 0]
+    return out
+
+
+def rodrigues_coefficients(angle: Array) -> tuple[Array, Array, Array]:
+    """(sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3) for angles t [rad], accurate down to zero."""
+    t2 = angle * angle
+    small = angle < _SERIES_BELOW
+    safe = np.where(small, 1.0, angle)
+    half = np.sin(0.5 * safe)
+    a = np.where(small, 1.0 - t2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - t2 / 24.0, 2.0 * half * half / (safe * safe))
+    c = np.where(small, 1.0 / 6.0 - t2 / 120.0, (safe - np.sin(safe)) / (safe * safe * safe))
+    return a, b, c
+
+
+def exp(w: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    w = np.asarray(w, dtype=float)
+    a, b, _ = rodrigues_coefficients(np.linalg.norm(w, axis=-1))
+    W = hat(w)
+    return np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
+
+
+def log(R: ArrayLike) -> Array:
+    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with angle in [0, π]."""
+    q = to_quaternion(R)
+    q = np.where(q[..., 3:] < 0.0, -q, q)
+    v, s = q[..., :3], q[..., 3]
+    n = np.linalg.norm(v, axis=-1)
+    small = n < _SERIES_BELOW
+    safe = np.where(small, 1.0, n)
+    # 2 atan2(n, s) / n, as a series in n near zero where s is near one
+    scale = np.where(small, 2.0 + n * n / 3.0, 2.0 * np.arctan2(safe, s) / safe)
+    return v * scale[..., None]
+
+
+def left_jacobian_inverse(w: ArrayLike) -> Array:
+    """Inverse left Jacobian (..., 3, 3) of SO(3): ``log(exp(d) exp(w)) ≈ w + J⁻¹ d`` for small d."""
+    w = np.asarray(w, dtype=float)
+    angle = np.linalg.norm(w, axis=-1)
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    half = 0.5 * safe
+    k = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half / np.tan(half)) / (safe * safe))
+    W = hat(w)
+    return np.eye(3) - 0.5 * W + k[..., None, None] * (W @ W)
+
+
+def from_quaternion(q: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions x y z w (..., 4); they are normalised first."""
+    q = np.asarray(q, dtype=float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    R = np.empty(q.shape[:-1] + (3, 3))
+    R[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    R[..., 0, 1] = 2.0 * (x * y - z * w)
+    R[..., 0, 2] = 2.0 * (x * z + y * w)
+    R[..., 1, 0] = 2.0 * (x * y + z * w)
+    R[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    R[..., 1, 2] = 2.0 * (y * z - x * w)
+    R[..., 2, 0] = 2.0 * (x * z - y * w)
+    R[..., 2, 1] = 2.0 * (y * z + x * w)
+    R[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return R
+
+
+def to_quaternion(R: ArrayLike) -> Array:
+    """Quaternions x y z w (..., 4) of rotation matrices (..., 3, 3); of the two signs, one that divides safely.
+
+    Of the four ways to write q from R, the one with the largest divisor is taken, so no angle loses digits.
+    """
+    R = np.asarray(R, dtype=float)
+    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    sums = np.stack([m00 - m11 - m22, m11 - m00 - m22, m22 - m00 - m11, m00 + m11 + m22], axis=-1)
+    # Row i of this symmetric matrix is 4 q_i q
+    K = np.empty(R.shape[:-2] + (4, 4))
+    for i in range(4):
+        K[..., i, i] = 1.0 + sums[..., i]
+    K[..., 0, 1] = K[..., 1, 0] = R[..., 0, 1] + R[..., 1, 0]
+    K[..., 0, 2] = K[..., 2, 0] = R[..., 0, 2] + R[..., 2, 0]
+    K[..., 1, 2] = K[..., 2, 1] = R[..., 1, 2] + R[..., 2, 1]
+    K[..., 0, 3] = K[..., 3, 0] = R[..., 2, 1] - R[..., 1, 2]
+    K[..., 1, 3] = K[..., 3, 1] = R[..., 0, 2] - R[..., 2, 0]
+    K[..., 2, 3] = K[..., 3, 2] = R[..., 1, 0] - R[..., 0, 1]
+    best = np.argmax(sums, axis=-1)
+    q = np.take_along_axis(K, best[..., None, None], axis=-2)[..., 0, :]
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def from_rpy(rpy: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of URDF roll-pitch-yaw (..., 3) [rad]: ``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    half = 0.5 * np.asarray(rpy, dtype=float)
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
+    q = np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=-1,
+    )
+    return from_quaternion(q)
+
+
+def to_rpy(R: ArrayLike) -> Array:
+    """URDF roll-pitch-yaw (..., 3) [rad] of rotation matrices, exact to rounding even at pitch ±90°.
+
+    Near that pitch roll and yaw are each ill-defined but their sum is not: roll is read off after yaw has been undone,
+    so the triple always gives back the rotation.
+    """
+    R = np.asarray(R, dtype=float)
+    yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    pitch = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
+    s, c = np.sin(yaw), np.cos(yaw)
+    roll = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def mean(R: ArrayLike, weights: ArrayLike | None = None) -> Array:
+    """Mean rotation (3, 3) of rotations (n, 3, 3): the one with least weighted squared chordal distance.
+
+    It is the polar factor of the weighted sum, so q and −q cannot pull it apart.
+    """
+    R = np.asarray(R, dtype=float)
+    return nearest_rotation(np.einsum("n,nij->ij", np.ones(len(R)) if weights is None else np.asarray(weights), R))
+
+
+def nearest_rotation(A: ArrayLike) -> Array:
+    """Rotation (..., 3, 3) closest to A (..., 3, 3) in the Frobenius norm (special orthogonal Procrustes)."""
+    U, _, Vt = np.linalg.svd(np.asarray(A, dtype=float))
+    sign = np.ones(U.shape[:-1])
+    sign[..., 2] = np.sign(np.linalg.det(U @ Vt))
+    return (U * sign[..., None, :]) @ Vt

@@ -1,0 +1,1 @@
+"""What was measured: the recording, the stations cut from it, and the samples a fit sees."""

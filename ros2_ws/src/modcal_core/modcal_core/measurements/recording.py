@@ -1,0 +1,103 @@
+"""A recording: everything a bag or a running cell said, as arrays, before any of it is judged.
+
+Tracks keep the stamps of the messages (seconds since the epoch, as float64 they resolve 0.2 µs) and, where known,
+the time each message was received, which is how a clock that is off shows itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+
+POSE, POINT, RANGE, BEARING = "pose", "point", "range", "bearing"
+WIDTH = {POSE: 7, POINT: 3, RANGE: 1, BEARING: 3}
+
+
+@dataclass(frozen=True)
+class JointTrack:
+    """Joint states of one publisher: the same names in every row.
+
+    stamps (m,) [s]; position, velocity, effort (m, n) [rad or m, per s, N m or N], NaN columns where not sent;
+    received (m,) [s], NaN where unknown.
+    """
+
+    names: tuple[str, ...]
+    stamps: Array
+    position: Array
+    velocity: Array
+    effort: Array
+    received: Array
+    topic: str = "/joint_states"
+
+
+@dataclass(frozen=True)
+class ReadingTrack:
+    """Readings of one instrument in one frame.
+
+    kind: pose, point, range or bearing. values (m, 7): x y z qx qy qz qw, or (m, 3), (m, 1), (m, 3), in m and unit
+    length. frame: the readings' frame_id.
+    """
+
+    kind: str
+    frame: str
+    stamps: Array
+    values: Array
+    received: Array
+    topic: str = "/tracker/pose"
+
+
+@dataclass(frozen=True)
+class SignalTrack:
+    """Any other recorded numbers that an error may depend on. values (m, k)."""
+
+    name: str
+    stamps: Array
+    values: Array
+    topic: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Joint states, readings and signals of one recording, and what was noticed while reading it."""
+
+    joints: tuple[JointTrack, ...] = ()
+    readings: tuple[ReadingTrack, ...] = ()
+    signals: tuple[SignalTrack, ...] = ()
+    robot_description: str | None = None
+    source: str = "recording"
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first stamp to the last of joint states and readings; 0 when there are none."""
+        stamps = [t.stamps for t in (*self.joints, *self.readings) if len(t.stamps)]
+        return float(max(s.max() for s in stamps) - min(s.min() for s in stamps)) if stamps else 0.0
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Distinct frames of the readings, in order of appearance."""
+        return tuple(dict.fromkeys(r.frame for r in self.readings))
+
+
+def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Stamps (m,) and positions (m, n) of the named joints, whichever publishers and orders they came in.
+
+    Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them.
+    Missing joints are left to the caller's checks: their columns are NaN.
+    """
+    tracks = sorted(recording.joints, key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
+    if not tracks:
+        return np.empty(0), np.empty((0, len(names)))
+    stamps = tracks[0].stamps
+    position = np.full((len(stamps), len(names)), np.nan)
+    for j, name in enumerate(names):
+        for track in tracks:
+            if name in track.names:
+                column = track.position[:, track.names.index(name)]
+                same = track is tracks[0]
+                position[:, j] = column if same else np.interp(stamps, track.stamps, column)
+                break
+    return stamps, position

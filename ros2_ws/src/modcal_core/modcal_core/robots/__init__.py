@@ -1,0 +1,1 @@
+"""Robots: the serial chain, and the formats it is read from and written to."""

@@ -1,0 +1,174 @@
+"""The serial chain as a product of exponentials.
+
+The pose of the tip in the base is ``T(q) = M_0 exp(a_1 q_1) M_1 ... exp(a_n q_n) M_n``: constant transforms M_k, and
+between them one joint each, turning about (or sliding along) a unit axis a_k fixed in the frame that M_{k-1} ends in.
+This *local* form keeps every constant beside the joint it belongs to, which is where errors happen; moving all
+constants to the right gives the *spatial* form ``exp(ξ_1 q_1) ... exp(ξ_n q_n) T(0)`` (Brockett 1984), see
+:meth:`Chain.spatial_twists`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+
+def _read_only(a: ArrayLike, dtype: type = float) -> Array:
+    out = np.array(a, dtype=dtype)
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A serial arm from its base link to its tip link. Immutable; arrays are read-only.
+
+    names: the n moving joints, base to tip.
+    origins: M_0 … M_n, (n + 1, 4, 4) [m].
+    axes: unit axes in their joint frames, (n, 3).
+    revolute: True where the joint turns, False where it slides, (n,).
+    lower, upper: limits [rad or m], (n,); ±inf where the robot states none.
+    """
+
+    names: tuple[str, ...]
+    origins: Array
+    axes: Array
+    revolute: np.ndarray
+    lower: Array
+    upper: Array
+    base: str = "base"
+    tip: str = "tip"
+
+    @classmethod
+    def build(
+        cls,
+        names: Sequence[str],
+        origins: ArrayLike,
+        axes: ArrayLike | None = None,
+        revolute: ArrayLike | None = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        base: str = "base",
+        tip: str = "tip",
+    ) -> Chain:
+        """A chain from its constants; axes default to z, joints to revolute, limits to none. Raises BadRobot."""
+        n = len(names)
+        M = _read_only(origins)
+        if n == 0:
+            raise BadRobot(f"chain {base} → {tip}", "no moving joint", "name a base and a tip with joints between them")
+        if M.shape != (n + 1, 4, 4) or not np.isfinite(M).all():
+            raise BadRobot(f"chain {base} → {tip}", f"{n} joints need {n + 1} finite 4 x 4 origins", "check the table")
+        a = np.tile([0.0, 0.0, 1.0], (n, 1)) if axes is None else np.asarray(axes, dtype=float)
+        norm = np.linalg.norm(a, axis=-1, keepdims=True)
+        if not (norm > 1e-9).all():
+            worst = names[int(np.argmin(norm))]
+            raise BadRobot(f"joint {worst}", "its axis has no length", "give it a unit axis")
+        return cls(
+            names=tuple(names),
+            origins=M,
+            axes=_read_only(a / norm),
+            revolute=_read_only(np.ones(n, bool) if revolute is None else revolute, bool),
+            lower=_read_only(np.full(n, -np.inf) if lower is None else lower),
+            upper=_read_only(np.full(n, np.inf) if upper is None else upper),
+            base=base,
+            tip=tip,
+        )
+
+    @classmethod
+    def from_spatial_twists(
+        cls, names: Sequence[str], twists: ArrayLike, home: ArrayLike, base: str = "base", tip: str = "tip"
+    ) -> Chain:
+        """The chain ``exp(ξ_1 q_1) … exp(ξ_n q_n) home`` of zero-pitch unit screws ξ (n, 6) or slides (ω = 0).
+
+        Each joint frame is put on its axis, at the point nearest the base origin, parallel to the base.
+        """
+        xi = np.asarray(twists, dtype=float)
+        v, w = xi[:, :3], xi[:, 3:]
+        revolute = np.linalg.norm(w, axis=1) > 1e-9
+        pitch = np.abs(np.sum(v * w, axis=1))
+        if (revolute & (pitch > 1e-9)).any():
+            worst = names[int(np.argmax(np.where(revolute, pitch, 0.0)))]
+            raise BadRobot(f"joint {worst}", "its twist is a screw with pitch", "give ξ = (p × ω, ω) with v ⟂ ω")
+        T_base_joint = np.tile(np.eye(4), (len(names), 1, 1))
+        T_base_joint[revolute, :3, 3] = np.cross(w, v)[revolute]
+        ends = np.concatenate([np.eye(4)[None], T_base_joint, np.asarray(home, dtype=float)[None]])
+        origins = se3.inverse(ends[:-1]) @ ends[1:]
+        return cls.build(names, origins, np.where(revolute[:, None], w, v), revolute, base=base, tip=tip)
+
+    @property
+    def n(self) -> int:
+        """Number of moving joints."""
+        return len(self.names)
+
+    @cached_property
+    def T_base_joint_home(self) -> Array:
+        """Joint frames, then the tip, in the base with every joint at zero, (n + 1, 4, 4)."""
+        frames = [self.origins[0]]
+        for M in self.origins[1:]:
+            frames.append(frames[-1] @ M)
+        return _read_only(frames)
+
+    @cached_property
+    def spatial_twists(self) -> Array:
+        """ξ_1 … ξ_n of the spatial form, in the base frame, (n, 6)."""
+        local = np.where(self.revolute[:, None], np.c_[np.zeros((self.n, 3)), self.axes], 0.0)
+        local[~self.revolute, :3] = self.axes[~self.revolute]
+        return _read_only((se3.adjoint(self.T_base_joint_home[:-1]) @ local[..., None])[..., 0])
+
+    @property
+    def home(self) -> Array:
+        """Pose of the tip in the base with every joint at zero, (4, 4)."""
+        return self.T_base_joint_home[-1]
+
+    @cached_property
+    def along_z(self) -> Array:
+        """The same constants with every joint frame turned so that its axis is z, (n + 1, 4, 4).
+
+        Kinematics are computed on these: a turn about z mixes two columns and leaves the rest alone.
+        """
+        A = se3.transform(np.stack([rotation_to_axis(a) for a in self.axes]))
+        M = np.array(self.origins)
+        M[:-1] = M[:-1] @ A
+        M[1:] = se3.inverse(A) @ M[1:]
+        return _read_only(M)
+
+    @cached_property
+    def joint_basis(self) -> Array:
+        """For each joint a right-handed basis (columns) of its frame whose third column is the axis, (n, 3, 3).
+
+        ``along_z`` uses the same basis, so a twist of the aligned frame has these columns as its directions.
+        """
+        return _read_only(np.stack([rotation_to_axis(a) for a in self.axes]))
+
+    def with_origins(self, origins: ArrayLike) -> Chain:
+        """The same robot with other constants M_0 … M_n, (n + 1, 4, 4)."""
+        return replace(self, origins=_read_only(origins))
+
+    def reach(self) -> float:
+        """An upper bound on the distance from the first joint to the tip [m], used to recognise wrong units."""
+        slides = np.where(self.revolute, 0.0, np.where(np.isfinite(self.upper), np.abs(self.upper), 0.0))
+        return float(np.linalg.norm(self.origins[1:, :3, 3], axis=1).sum() + slides.sum())
+
+
+def rotation_to_axis(axis: ArrayLike) -> Array:
+    """A rotation (3, 3) whose third column is the given unit axis.
+
+    A coordinate axis, of either sign, gets the other two as its first columns, so that the directions across an
+    ordinary joint keep their plain names; for z it is the identity.
+    """
+    a = np.asarray(axis, dtype=float)
+    k = int(np.argmax(np.abs(a)))
+    first = np.eye(3)[(k + 1) % 3 if a[k] > 0.0 else (k + 2) % 3]
+    x = first - a * (a @ first)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(a, x), a], axis=1)
+
+

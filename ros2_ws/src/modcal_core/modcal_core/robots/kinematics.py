@@ -1,0 +1,99 @@
+"""Forward kinematics and Jacobians of a chain, batched over poses.
+
+``frames`` gives the two frames that matter at each joint, both with the joint's axis as z: just *before* its motion
+(where a link error sits) and, after the last joint, the tip. Jacobian columns follow from them: a twist e at a frame T
+moves the tip by ``Ad(T) e`` seen from the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames along the chain for N poses: entry k is the frame M_k ends in, entry n the tip.
+
+    Component-major, the batch axis last: ``axes[k, d]`` is the direction (3, N) of axis d of frame k in the base, joint
+    axes being d = 2; ``p[k]`` its position (3, N) [m]. Each is one contiguous sweep, and a constant rotation is one
+    matrix product for all poses.
+    """
+
+    axes: Array
+    p: Array
+
+    def rotation(self, k: int) -> Array:
+        """Orientations of frame k in the base, (N, 3, 3)."""
+        return self.axes[k].transpose(2, 1, 0)
+
+    def transform(self, k: int) -> Array:
+        """Poses of frame k in the base, (N, 4, 4)."""
+        return se3.transform(self.rotation(k), self.p[k].T)
+
+
+def frames(chain: Chain, q: ArrayLike) -> Frames:
+    """Frames before every joint, and the tip, for joint positions q (N, n) [rad, m]."""
+    q = np.ascontiguousarray(np.asarray(q, dtype=float).T)
+    n, N = q.shape
+    M = chain.along_z
+    c, s = np.cos(q), np.sin(q)
+    axes = np.empty((n + 1, 3, 3, N))
+    p = np.empty((n + 1, 3, N))
+    axes[0] = M[0, :3, :3].T[:, :, None]
+    p[0] = M[0, :3, 3, None]
+    turned = np.empty((3, 3, N))
+    for k in range(n):
+        x, y, z = axes[k]
+        at = p[k]
+        if chain.revolute[k]:
+            np.multiply(x, c[k], out=turned[0])
+            turned[0] += s[k] * y
+            np.multiply(y, c[k], out=turned[1])
+            turned[1] -= s[k] * x
+            turned[2] = z
+        else:
+            turned[...] = axes[k]
+            at = at + q[k] * z
+        flat = turned.reshape(3, 3 * N)
+        np.matmul(M[k + 1, :3, :3].T, flat, out=axes[k + 1].reshape(3, 3 * N))
+        np.add(at, (M[k + 1, :3, 3] @ flat).reshape(3, N), out=p[k + 1])
+    return Frames(axes, p)
+
+
+def forward(chain: Chain, q: ArrayLike) -> Array:
+    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n) [rad, m]."""
+    q = np.asarray(q, dtype=float)
+    return frames(chain, q.reshape(-1, chain.n)).transform(-1).reshape(q.shape[:-1] + (4, 4))
+
+
+def spatial_jacobian(chain: Chain, q: ArrayLike) -> Array:
+    """Spatial Jacobians (N, 6, n): column i is the base-frame twist of joint i at unit speed."""
+    f = frames(chain, q)
+    axis = f.axes[:-1, 2].transpose(2, 1, 0)  # (N, 3, n)
+    at = f.p[:-1].transpose(2, 1, 0)
+    turn = np.concatenate([np.cross(at, axis, axis=1), axis], axis=1)
+    slide = np.concatenate([axis, np.zeros_like(axis)], axis=1)
+    return np.where(chain.revolute, turn, slide)
+
+
+def body_jacobian(chain: Chain, q: ArrayLike) -> Array:
+    """Body Jacobians (N, 6, n): the same twists seen from the tip, ``Ad(T_base_tip)⁻¹`` times the spatial ones."""
+    return se3.adjoint(se3.inverse(forward(chain, q))) @ spatial_jacobian(chain, q)
+
+
+def place_jacobian(chain: Chain, q: ArrayLike, place: int) -> Array:
+    """Spatial Jacobians (N, 6, 6) of a small twist at a place: 0 before the first joint, …, n at the tip.
+
+    The twist is in the frame of that place, with the joint's axis along z: column (x, y, z, rx, ry, rz) is the
+    base-frame twist of the tip per unit error there.
+    """
+    return se3.adjoint(frames(chain, q).transform(place))
+
+
