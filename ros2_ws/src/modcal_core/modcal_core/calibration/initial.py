@@ -2,8 +2,9 @@
 
 For poses this is the robot-world / hand-eye problem ``T_frame_base FK(q) T_tip_tool = reading``. The rotations obey a
 linear system whose null vector is found by SVD (Kronecker form, Shah 2013) and projected to rotations; the positions
-then follow linearly. Points and fixed points give up the orientation of the tool and are linear in the tool's position
-once the orientation of the base is known, so the two are improved in turn from several starts.
+then follow linearly. Points give up the orientation of the tool; tool point and base are improved in turn from several
+starts, each step in closed form. Poses that hardly turn make the first way fail, and points that hardly move the second,
+so poses are located both ways and the better one is kept. Fixed points are linear in all that is unknown.
 """
 
 from __future__ import annotations
@@ -28,10 +29,8 @@ def locate(model: Model, samples: Samples) -> Model:
     Raises NotEnoughData where a frame has fewer than 3 readings.
     """
     T_base_tip = forward(model.chain, samples.q)
-    counts = {f: int((samples.frame == i).sum()) for i, f in enumerate(model.frames)}
-    for name, count in counts.items():
-        if count < 3:
-            raise NotEnoughData(f"frame '{name}'", f"{count} readings, 3 are the least", "record more stations in it")
+    for f, name in enumerate(model.frames):
+        _require_readings(name, int((samples.frame == f).sum()))
     order = sorted(range(len(model.frames)), key=lambda f: -_knowledge(samples, f))
     T_frame_base = np.array(model.T_frame_base)
     tool: Array | None = None
@@ -42,7 +41,7 @@ def locate(model: Model, samples: Samples) -> Model:
         rows = _spread(np.flatnonzero(samples.frame == f))
         A = T_base_tip[rows]
         if samples.is_pose[rows].all():
-            base, found = _hand_eye(A, se3.transform(samples.R[rows], samples.position[rows]))
+            base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.position[rows]))
             tool = found if tool is None else tool
         elif tool is None or samples.is_same_point(f):
             base, point = _point_tool(A, samples.position[rows])
@@ -54,6 +53,28 @@ def locate(model: Model, samples: Samples) -> Model:
     return replace(model, T_frame_base=T_frame_base, T_tip_tool=tool)
 
 
+def locate_base(model: Model, samples: Samples) -> Model:
+    """The model, its tool kept, with the base frames placed so that the readings are roughly met."""
+    T_frame_base = np.array(model.T_frame_base)
+    for f in range(len(model.frames)):
+        rows = np.flatnonzero(samples.frame == f)
+        _require_readings(model.frames[f], len(rows))
+        T = forward(model.chain, samples.q[rows]) @ model.T_tip_tool
+        if samples.is_same_point(f):
+            T_frame_base[f] = se3.transform(p=samples.position[rows[0]] - T[:, :3, 3].mean(axis=0))
+        elif samples.is_pose[rows].all():
+            R = so3.mean(samples.R[rows] @ np.swapaxes(T[:, :3, :3], 1, 2))
+            T_frame_base[f] = se3.transform(R, (samples.position[rows] - T[:, :3, 3] @ R.T).mean(axis=0))
+        else:
+            T_frame_base[f] = _procrustes(T[:, :3, 3], samples.position[rows])
+    return replace(model, T_frame_base=T_frame_base)
+
+
+def _require_readings(frame: str, count: int) -> None:
+    if count < 3:
+        raise NotEnoughData(f"frame '{frame}'", f"{count} readings, 3 are the least", "record more stations in it")
+
+
 def _knowledge(samples: Samples, frame: int) -> int:
     """How much a frame says of the tool: poses before points, then the number of readings."""
     rows = samples.frame == frame
@@ -62,6 +83,19 @@ def _knowledge(samples: Samples, frame: int) -> int:
 
 def _spread(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).astype(int)]
+
+
+def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:
+    """(Y, X) with ``B ≈ Y A X`` for poses A, B (N, 4, 4): by rotations first or by positions first, the better one."""
+    base, point = _point_tool(A, B[:, :3, 3])
+    R = so3.mean(np.swapaxes(base[:3, :3] @ A[:, :3, :3], 1, 2) @ B[:, :3, :3])
+    reach = float(np.linalg.norm(A[:, :3, 3], axis=1).mean())
+
+    def miss(solution: tuple[Array, Array]) -> float:
+        gap = se3.log(se3.inverse(solution[0] @ A @ solution[1]) @ B)
+        return float(np.median(np.linalg.norm(gap * np.array([1.0] * 3 + [reach] * 3), axis=1)))
+
+    return min(_hand_eye(A, B), (base, se3.transform(R, point)), key=miss)
 
 
 def _hand_eye(A: Array, B: Array) -> tuple[Array, Array]:

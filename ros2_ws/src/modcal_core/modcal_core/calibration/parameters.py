@@ -25,7 +25,8 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
-# How far a robot is expected to be from its drawing. It only decides directions that the data hardly shows.
+# How far an arm is expected to be from its drawing, and base and tool from where the drawing's arm would put them.
+# It only decides directions that the data hardly shows, so that they cannot drift into large, cancelling values.
 PRIOR_LENGTH_M = 0.01
 PRIOR_ANGLE_RAD = 0.02
 
@@ -38,7 +39,7 @@ class Parameter:
 
     name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
     place's frame with the joint's axis along z. frame: index of the frame at place 0, else -1. prior_std: [m or rad],
-    inf where nothing is expected (base and tool).
+    inf where nothing at all is expected.
     """
 
     name: str
@@ -46,6 +47,11 @@ class Parameter:
     direction: int
     frame: int = -1
     prior_std: float = np.inf
+
+    @property
+    def of_arm(self) -> bool:
+        """Whether it changes the arm itself, rather than where its base or tool are."""
+        return not (self.name.startswith("frame ") or self.name.startswith("tool/"))
 
     @property
     def unit(self) -> str:
@@ -83,19 +89,22 @@ def ordered_candidates(chain: Chain, frames: Sequence[str], views: Sequence[View
         names = direction_names(chain.joint_basis[k])
         stopped = (0, 1, 3, 4) if chain.revolute[k] else (3, 4)
         for d in range(6):
-            prior = PRIOR_LENGTH_M if d < 3 else PRIOR_ANGLE_RAD
-            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=prior)
+            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
             (out if d in stopped else passing).append(parameter)
     orientation_seen = any(v.kind == "pose" for v in views)
-    out += [Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d) for d in range(6 if orientation_seen else 3)]
+    out += [Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d, prior_std=_prior(d)) for d in range(6 if orientation_seen else 3)]
     fixed_point = {f: all(v.same_point for v in views if v.frame == f) for f in range(len(frames))}
     base = direction_names(chain.joint_basis[0])
     for f in [*range(1, len(frames)), 0]:
         order = (0, 1, 3, 4, 2, 5) if chain.revolute[0] else (3, 4, 0, 1, 2, 5)
         for d in order:
             if d < 3 or not fixed_point[f]:
-                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, frame=f))
+                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, _prior(d)))
     return out + passing
+
+
+def _prior(direction: int) -> float:
+    return PRIOR_LENGTH_M if direction < 3 else PRIOR_ANGLE_RAD
 
 
 def independent_columns(J: Array, tolerance: float = 1e-7) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,41 +87,45 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
     )
 
 
+@dataclass(frozen=True)
+class Choice:
+    """parameters: minimal and of full rank, in order of place. left_out: names whose motion others can make."""
+
+    parameters: tuple[Parameter, ...]
+    left_out: tuple[str, ...]
+
+
 def choose_parameters(
-    model: Model, views: Sequence[View], fixed: Sequence[str] = (), distances: Sequence[Distance] = ()
-) -> list[Parameter]:
-    """The minimal, full-rank parameters for this model and these views, in order of place.
+    model: Model,
+    views: Sequence[View],
+    fixed: Sequence[str] = (),
+    distances: Sequence[Distance] = (),
+    among: Callable[[Parameter], bool] = lambda _: True,
+) -> Choice:
+    """The minimal, full-rank parameters for this model and these views.
 
     fixed: names, places or patterns that must stay as they are. distances: known distances between frames, which can
-    make scale visible. Raises BadTable for a pattern that names nothing.
+    make scale visible. among: which parameters to consider. Raises BadTable for a pattern that names nothing.
     """
     candidates = drop_fixed(ordered_candidates(model.chain, model.frames, views), fixed)
-    # For a point that stays put, place the frame's origin on it: that is where the rows of a distance start from.
-    samples = general_samples(model, views, each=max(12, -(-2 * len(candidates) // max(1, len(views)))))
-    model = _move_fixed_frames(model, views, samples)
-    samples = _read_again(model, samples)
+    candidates = [p for p in candidates if among(p)]
+    samples = general_samples(model, views, each=max(12, -(-len(candidates) // len(views))))
+    model = _meet_fixed_points(model, views, samples)
     J = linearise(model, candidates, np.zeros(len(candidates)), samples).J
     if distances:
         J = np.c_[J, distance_rows(model, candidates, np.zeros(len(candidates)), distances).J]
-    kept = [candidates[j] for j in independent_columns(J.T)]
-    return sorted(kept, key=lambda p: (p.place, p.frame))
+    kept = set(independent_columns(J.T).tolist())
+    parameters = sorted((candidates[j] for j in kept), key=lambda p: (p.place, p.frame, p.direction))
+    passing = (2, 5)
+    left_out = [c.name for j, c in enumerate(candidates) if j not in kept and (c.direction in passing or c.of_arm)]
+    return Choice(tuple(parameters), tuple(left_out))
 
 
-def _move_fixed_frames(model: Model, views: Sequence[View], samples: Samples) -> Model:
+def _meet_fixed_points(model: Model, views: Sequence[View], samples: Samples) -> Model:
+    """The model with each frame that shows a fixed point moved so that the postures of that frame hold it there."""
     T = np.array(model.T_frame_base)
     for view in views:
         if view.same_point:
-            T[view.frame] = se3.transform(p=-se3.apply(T[view.frame], _tool_in_base(model, samples, view.frame)))
-    return Model(model.chain, model.frames, T, model.T_tip_tool)
-
-
-def _tool_in_base(model: Model, samples: Samples, frame: int) -> Array:
-    q = samples.q[samples.frame == frame][:1]
-    return (forward(model.chain, q) @ model.T_tip_tool)[0, :3, 3]
-
-
-def _read_again(model: Model, samples: Samples) -> Samples:
-    T = model.predict(samples.q, samples.frame)
-    R = np.where(samples.is_pose[:, None, None], T[:, :3, :3], np.eye(3))
-    return replace(samples, position=T[:, :3, 3], R=R)
-
+            row = np.flatnonzero(samples.frame == view.frame)[:1]
+            T[view.frame] = se3.transform(p=-(forward(model.chain, samples.q[row]) @ model.T_tip_tool)[0, :3, 3])
+    return replace(model, T_frame_base=T)

@@ -1,0 +1,87 @@
+"""Where the arm's base and tool are, with the arm itself taken as it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.initial import locate, locate_base
+from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.parameters import with_prior
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.errors import BadTable
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+
+_WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is known of the surroundings.
+
+    distances: between the origins of frames. fixed: parameters that must not change, by name, place or pattern.
+    """
+
+    distances: tuple[Distance, ...] = ()
+    fixed: tuple[str, ...] = ()
+
+    def require_frames(self, frames: Sequence[str]) -> None:
+        """Raises BadTable for a known distance to a frame that no reading came in."""
+        for distance in self.distances:
+            for name in distance.between:
+                if name not in frames:
+                    raise BadTable(
+                        f"known distance {' to '.join(distance.between)}",
+                        f"no reading has the frame '{name}'",
+                        f"name frames of the recording: {', '.join(frames)}",
+                    )
+
+
+def fit_cell(chain: Chain, samples: Samples, cell: Cell) -> Fit:
+    """The fit of base frames and tool for this arm, from no guess at all."""
+    cell.require_frames(samples.frames)
+    return refit_cell(place_model(chain, samples.frames), samples, cell)
+
+
+def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:
+    """The fit of the base frames, the tool, or both; the rest of the model is kept.
+
+    Bases that are fitted again need no guess, so the recording's frames may have other names than the model's.
+    Raises BadTable where the bases are kept and the model does not know a frame.
+    """
+    if base and tool:
+        start = locate(place_model(model.chain, samples.frames), samples)
+    elif base:
+        start = locate_base(Model(model.chain, samples.frames, _identities(samples), model.T_tip_tool), samples)
+    else:
+        start = with_frames(model, samples.frames)
+    choice = choose_parameters(
+        start,
+        views_of(samples),
+        cell.fixed,
+        cell.distances,
+        among=lambda p: not p.of_arm and ((base and p.place == 0) or (tool and p.place > 0)),
+    )
+    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances)
+
+
+def with_frames(model: Model, frames: Sequence[str]) -> Model:
+    """The model watched from these of its frames, in this order; raises BadTable for one it does not know."""
+    for name in frames:
+        if name not in model.frames:
+            raise BadTable(
+                f"frame '{name}' of the recording",
+                f"the calibration knows only {', '.join(model.frames)}",
+                "give --refit-base to find the base again",
+            )
+    rows = [model.frames.index(name) for name in frames]
+    return Model(model.chain, tuple(frames), model.T_frame_base[rows], model.T_tip_tool)
+
+
+def _identities(samples: Samples) -> np.ndarray:
+    return np.tile(np.eye(4), (len(samples.frames), 1, 1))

@@ -1,0 +1,63 @@
+"""The same arm written with the least change to its drawing.
+
+A turn about, or a shift along, a revolute joint's axis can stand before the joint or after it; nothing measures which.
+The fit settles this by leaving directions out, which puts all of it wherever it left room. For a file that people read
+and compare, the freedom is used instead to keep the constants of every joint as close to nominal as they can be, in units
+of what a robot is usually wrong by. The motion of the tool is the same to rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+
+def least_change(model: Model, nominal: Chain) -> Model:
+    """The model, predicting the same, whose chain differs least from the nominal one.
+
+    Its first and last constants are the nominal ones: what they would hold belongs to the base frames and to the tool.
+    """
+    n = nominal.n
+    A = se3.transform(nominal.joint_basis)
+    inner = [se3.inverse(A[k - 1]) @ model.chain.origins[k] @ A[k] for k in range(1, n)]
+    drawn = [se3.inverse(A[k - 1]) @ nominal.origins[k] @ A[k] for k in range(1, n)]
+    unit = np.array([PRIOR_LENGTH_M] * 3 + [PRIOR_ANGLE_RAD] * 3)
+
+    def change(x: Array) -> Array:
+        D = _passing(nominal, x)
+        moved = [se3.inverse(D[k - 1]) @ inner[k - 1] @ D[k] for k in range(1, n)]
+        return np.concatenate([se3.log(se3.inverse(d) @ m) / unit for d, m in zip(drawn, moved, strict=True)] + [[0.0]])
+
+    size = _sizes(nominal)
+    x = least_squares(change, np.zeros(sum(size)), x_scale="jac", method="trf").x
+    D = _passing(nominal, x)
+    origins = np.array(model.chain.origins)
+    for k in range(1, n):
+        origins[k] = A[k - 1] @ se3.inverse(D[k - 1]) @ inner[k - 1] @ D[k] @ se3.inverse(A[k])
+    origins[0], origins[n] = nominal.origins[0], nominal.origins[n]
+    before = model.chain.origins[0] @ A[0] @ D[0] @ se3.inverse(nominal.origins[0] @ A[0])
+    after = se3.inverse(nominal.origins[n]) @ A[-1] @ se3.inverse(D[-1]) @ se3.inverse(A[-1]) @ model.chain.origins[n]
+    return Model(
+        model.chain.with_origins(origins), model.frames, model.T_frame_base @ before, after @ model.T_tip_tool
+    )
+
+
+def _sizes(chain: Chain) -> list[int]:
+    return [2 if turns else 4 for turns in chain.revolute]
+
+
+def _passing(chain: Chain, x: Array) -> Array:
+    """Motions (n, 4, 4) that pass through each joint: shift and turn about z, and all shifts where it slides."""
+    xi = np.zeros((chain.n, 6))
+    for k, part in enumerate(np.split(x, np.cumsum(_sizes(chain))[:-1])):
+        if chain.revolute[k]:
+            xi[k, 2], xi[k, 5] = part[0] * PRIOR_LENGTH_M, part[1] * PRIOR_ANGLE_RAD
+        else:
+            xi[k, :3], xi[k, 5] = part[:3] * PRIOR_LENGTH_M, part[3] * PRIOR_ANGLE_RAD
+    return se3.exp(xi)

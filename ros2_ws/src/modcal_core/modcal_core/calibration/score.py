@@ -1,0 +1,107 @@
+"""How far a model misses: sizes of position and orientation errors on given samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import REJECT_Z, Spread, robust_spread, standard_score
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+_REPEAT_RAD = 2e-4  # postures this close count as the same one, visited again
+_REPEATS = 10  # pairs of them before a floor is read off
+
+
+@dataclass(frozen=True)
+class ErrorSize:
+    """Mean, root mean square, 95th percentile and largest of error norms, in the unit of the norms."""
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, norms: Array) -> ErrorSize | None:
+        """Sizes of these norms (N,), or None when there are none."""
+        if not len(norms):
+            return None
+        rms = float(np.sqrt(np.mean(norms**2)))
+        return cls(float(norms.mean()), rms, float(np.percentile(norms, 95)), float(norms.max()))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of samples: position (N, 3) [m] in each reading's frame, rotation (M, 3) [rad] of the M pose samples."""
+
+    position: Array
+    rotation: Array
+
+    @property
+    def position_norm(self) -> Array:
+        """Distances [m], (N,)."""
+        return np.linalg.norm(self.position, axis=1)
+
+    @property
+    def rotation_norm(self) -> Array:
+        """Angles [rad], (M,)."""
+        return np.linalg.norm(self.rotation, axis=1)
+
+    def size_mm(self) -> ErrorSize | None:
+        """Sizes of the position errors [mm]."""
+        return ErrorSize.of(1e3 * self.position_norm)
+
+    def size_deg(self) -> ErrorSize | None:
+        """Sizes of the orientation errors [deg]; None where nothing had an orientation."""
+        return ErrorSize.of(np.degrees(self.rotation_norm))
+
+
+def errors(model: Model, samples: Samples) -> Errors:
+    """Measured minus predicted, for every sample."""
+    T = model.predict(samples.q, samples.frame)
+    pose = samples.is_pose
+    rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
+    return Errors(samples.position - T[:, :3, 3], rotation)
+
+
+def outlying(model: Model, spread: Spread, samples: Samples) -> np.ndarray:
+    """True for samples so far outside this spread that a fit would have rejected them, (N,)."""
+    return _scores(errors(model, samples), samples, spread) > REJECT_Z
+
+
+def spread_of(model: Model, samples: Samples) -> Spread:
+    """The spread of a model's errors, by medians: what is usual for it on these samples."""
+    e = errors(model, samples)
+    return robust_spread(e.position.T, e.rotation.T)
+
+
+def _scores(e: Errors, samples: Samples, spread: Spread) -> Array:
+    known_p = np.nan_to_num(samples.sigma_position)
+    total = e.position_norm**2 / (spread.position**2 + known_p**2)
+    pose = samples.is_pose
+    if pose.any():
+        known_r = np.nan_to_num(samples.sigma_rotation[pose])
+        total[pose] += e.rotation_norm**2 / (spread.rotation**2 + known_r**2)
+    return standard_score(total, np.where(pose, 6.0, 3.0))
+
+
+def noise_floor(samples: Samples) -> float | None:
+    """RMS distance [m] between a reading and what a perfect model would say, or None when the data cannot tell.
+
+    Postures visited again show it with everything included that does not repeat; failing those, the scatter within the
+    stations is taken, which is a lower bound.
+    """
+    pairs = cKDTree(samples.q).query_pairs(_REPEAT_RAD, p=np.inf, output_type="ndarray")
+    pairs = pairs[samples.frame[pairs[:, 0]] == samples.frame[pairs[:, 1]]]
+    if len(pairs) >= _REPEATS:
+        gap = samples.position[pairs[:, 0]] - samples.position[pairs[:, 1]]
+        # half of the squared gap is one reading's variance; the median ignores readings that were plainly wrong
+        chi3_median = 2.366
+        return float(np.sqrt(1.5 * np.median(np.sum(gap**2, axis=1)) / chi3_median))
+    known = samples.sigma_position[np.isfinite(samples.sigma_position)]
+    return float(np.sqrt(3.0 * np.mean(known**2))) if len(known) >= _REPEATS else None

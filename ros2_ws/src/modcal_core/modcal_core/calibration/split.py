@@ -1,0 +1,73 @@
+"""Three sets that never meet: *train* fits, *explain* chooses, *held-out* scores, once.
+
+The unit is a station, so that readings of one dwell stay together. A recording whose neighbours in time are neighbours
+in posture (a dense grid, a motion) is cut into blocks of time instead: there a random station is nearly a copy of the
+one before it, and a random split would flatter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.measurements.samples import Samples
+
+SHARES = (0.5, 0.2, 0.3)
+_DENSE = 0.25  # median step from station to station, as a fraction of the median distance between any two
+
+
+@dataclass(frozen=True)
+class Split:
+    """Row indices of the three sets, and the unit that was kept together: "station" or "block"."""
+
+    train: np.ndarray
+    explain: np.ndarray
+    held_out: np.ndarray
+    unit: str
+
+
+def split(samples: Samples, rng: np.random.Generator, block: int | None = None) -> Split:
+    """The three sets of these samples.
+
+    block: stations in a block; 1 splits by station, None decides by how dense the recording is.
+    """
+    first = np.unique(samples.station, return_index=True)[1]
+    first = first[np.argsort(samples.stamps[first], kind="stable")]
+    if block is None:
+        block = _block_length(samples, first)
+    role_of_station: dict[int, int] = {}
+    # Frame by frame, so that no frame is left without a share in each set
+    for f in np.unique(samples.frame[first]):
+        stations = samples.station[first[samples.frame[first] == f]]
+        blocks = np.arange(len(stations)) // block
+        order = rng.permutation(blocks[-1] + 1)
+        sizes = np.bincount(blocks)[order]
+        role_of_block = np.empty(len(order), int)
+        role_of_block[order] = _deal(sizes, len(stations))
+        role_of_station.update(zip(stations.tolist(), role_of_block[blocks].tolist(), strict=True))
+    role = np.array([role_of_station[s] for s in samples.station.tolist()])
+    return Split(*(np.flatnonzero(role == r) for r in range(3)), unit="station" if block == 1 else "block")
+
+
+def hold_out_all(samples: Samples) -> Split:
+    """Every sample held out: for scoring a model that was fitted elsewhere."""
+    none = np.empty(0, int)
+    return Split(none, none, np.arange(len(samples)), unit="station")
+
+
+def _deal(sizes: np.ndarray, total: int) -> np.ndarray:
+    """A role for each block, in order, so that the shares are met as closely as the sizes allow."""
+    centre = (np.cumsum(sizes) - 0.5 * sizes) / total
+    return np.searchsorted(np.cumsum(SHARES)[:-1], centre)
+
+
+def _block_length(samples: Samples, first: np.ndarray) -> int:
+    q = samples.q[first]
+    if len(q) < 200:
+        return 1
+    near = np.median(np.linalg.norm(np.diff(q, axis=0), axis=1))
+    far = np.median(np.linalg.norm(q - np.roll(q, len(q) // 3 + 1, axis=0), axis=1))
+    if near >= _DENSE * far and not samples.moving.any():
+        return 1
+    return int(np.clip(len(q) // 60, 5, 200))

@@ -1,0 +1,157 @@
+"""A calibration as plain data: everything needed to predict, and to refuse a robot it was not made for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.model import Model
+from modcal_core.errors import BadRobot, BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A nominal model and the calibrated one, both with base frames and tool, and what the fit says of itself.
+
+    seen: smallest and largest joint positions it was made from, (2, n); outside them it extrapolates.
+    parameters: (name, value, standard deviation, unit) of the fit, for people.
+    """
+
+    nominal: Model
+    calibrated: Model
+    seen: Array
+    parameters: tuple[tuple[str, float, float, str], ...] = ()
+
+    @property
+    def robot(self) -> str:
+        """Fingerprint of the nominal kinematics."""
+        return fingerprint(self.nominal.chain)
+
+    def require_robot(self, chain: Chain) -> None:
+        """Raises BadRobot unless the chain is the nominal one this calibration was made for."""
+        if chain.names != self.nominal.chain.names:
+            raise BadRobot(
+                f"calibration of joints {', '.join(self.nominal.chain.names)}",
+                f"this robot has {', '.join(chain.names)}",
+                "use the calibration of this robot, or --base and --tip of the one it was made for",
+            )
+        if fingerprint(chain) != self.robot:
+            raise BadRobot(
+                f"calibration of robot {self.robot}",
+                f"this description is robot {fingerprint(chain)}: same joints, other nominal kinematics",
+                "use the URDF it was made from, or calibrate again",
+            )
+
+
+def fingerprint(chain: Chain) -> str:
+    """Sixteen hexadecimal digits that change when joint names or nominal kinematics (to 1 nm, 1 nrad) do."""
+    digits = hashlib.sha256("|".join(chain.names).encode())
+    digits.update(np.round(chain.origins * 1e9).astype("<i8").tobytes())
+    digits.update(np.round(chain.axes * 1e9).astype("<i8").tobytes())
+    digits.update(np.asarray(chain.revolute, dtype="u1").tobytes())
+    return digits.hexdigest()[:16]
+
+
+def parameter_table(fit: Fit) -> tuple[tuple[str, float, float, str], ...]:
+    """(name, value, standard deviation, unit) of every parameter of a fit."""
+    return tuple(
+        (p.name, float(v), float(s), p.unit) for p, v, s in zip(fit.parameters, fit.values, fit.std, strict=True)
+    )
+
+
+def to_data(calibration: Calibration) -> dict[str, Any]:
+    """The calibration as nested dictionaries, lists, strings and floats; floats keep every digit."""
+    return {
+        "modcal_calibration": FORMAT,
+        "robot": calibration.robot,
+        "nominal": _model_to_data(calibration.nominal),
+        "calibrated": _model_to_data(calibration.calibrated),
+        "seen": {
+            name: [float(low), float(high)]
+            for name, low, high in zip(calibration.nominal.chain.names, *calibration.seen, strict=True)
+        },
+        "parameters": [
+            {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in calibration.parameters
+        ],
+        "effects": [],
+    }
+
+
+def from_data(data: Any, source: str = "calibration") -> Calibration:
+    """The calibration that :func:`to_data` wrote; raises BadTable, naming the source, for anything else."""
+    if not isinstance(data, Mapping) or "modcal_calibration" not in data:
+        raise BadTable(source, "is not a modcal calibration", "give the calibration.yaml that modcal calibrate wrote")
+    if data["modcal_calibration"] != FORMAT:
+        raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
+    try:
+        nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
+        seen = np.array([data["seen"][name] for name in nominal.chain.names], dtype=float).T
+        parameters = tuple(
+            (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
+    return Calibration(nominal, calibrated, seen, parameters)
+
+
+def _model_to_data(model: Model) -> dict[str, Any]:
+    chain = model.chain
+    return {
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": [
+            {
+                "name": name,
+                "type": "revolute" if chain.revolute[k] else "prismatic",
+                "origin": _matrix(chain.origins[k]),
+                "axis": _floats(chain.axes[k]),
+                "limits": [float(chain.lower[k]), float(chain.upper[k])],
+            }
+            for k, name in enumerate(chain.names)
+        ],
+        "tip_origin": _matrix(chain.origins[-1]),
+        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
+        "tool": _matrix(model.T_tip_tool),
+    }
+
+
+def _model_from_data(data: Mapping[str, Any]) -> Model:
+    joints: Sequence[Mapping[str, Any]] = data["joints"]
+    chain = Chain.build(
+        [str(j["name"]) for j in joints],
+        [_transform(j["origin"]) for j in joints] + [_transform(data["tip_origin"])],
+        [j["axis"] for j in joints],
+        [j["type"] == "revolute" for j in joints],
+        [j["limits"][0] for j in joints],
+        [j["limits"][1] for j in joints],
+        str(data["base"]),
+        str(data["tip"]),
+    )
+    frames = tuple(str(name) for name in data["frames"])
+    return Model(chain, frames, np.stack([_transform(T) for T in data["frames"].values()]), _transform(data["tool"]))
+
+
+def _matrix(T: Array) -> list[list[float]]:
+    """The upper three rows of a transform."""
+    return [[float(x) for x in row] for row in np.asarray(T)[:3]]
+
+
+def _floats(a: Array) -> list[float]:
+    return [float(x) for x in a]
+
+
+def _transform(rows: Any) -> Array:
+    M = np.array(rows, dtype=float)
+    if M.shape != (3, 4) or not np.isfinite(M).all():
+        raise ValueError(f"expected 3 rows of 4 numbers, got shape {M.shape}")
+    return se3.transform(M[:, :3], M[:, 3])

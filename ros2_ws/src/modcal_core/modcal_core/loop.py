@@ -1,0 +1,117 @@
+"""The main path: samples in, a better model and an honest report out.
+
+*Train* fits the model, *explain* chooses what to add to it, *held-out* scores it, once. What is shipped is the same model
+fitted once more to every accepted sample; what is reported is the score of the one that had not seen the held-out set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
+from modcal_core.calibration.doubts import require_plausible
+from modcal_core.calibration.gauge import least_change
+from modcal_core.calibration.identifiability import identifiability
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.score import errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.split import hold_out_all, split
+from modcal_core.calibration.store import Calibration, parameter_table
+from modcal_core.calibration.structure import Choice, choose_parameters, views_of
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import Report
+from modcal_core.robots.chain import Chain
+
+
+@dataclass(frozen=True)
+class Result:
+    """A report, the calibration to ship, and the fit that was scored."""
+
+    report: Report
+    calibration: Calibration
+    scored: Fit
+
+
+def calibrate(
+    samples: Samples, chain: Chain, rng: np.random.Generator, cell: Cell | None = None, block: int | None = None
+) -> Result:
+    """The calibration of this arm from these samples, scored on samples that it has not seen.
+
+    cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
+    None decides. Raises ModcalError for data that cannot carry a fit.
+    """
+    cell = cell or Cell()
+    sets = split(samples, rng, block)
+    train, held_out = samples.select(sets.train), samples.select(sets.held_out)
+
+    nominal = fit_cell(chain, train, cell)
+    choice = choose_parameters(nominal.model, views_of(samples), cell.fixed, cell.distances)
+    geometric = identify(nominal.model, train, choice.parameters, cell.distances)
+    require_plausible(nominal, geometric, train)
+
+    scored = held_out.select(~outlying(geometric.model, geometric.spread, held_out))
+    shipped = ship(samples, chain, choice, cell)
+    report = Report(
+        samples=samples,
+        sets=sets,
+        rejected=len(held_out) - len(scored) + int((geometric.weights == 0.0).sum()),
+        errors={
+            "nominal": errors(nominal.model, scored),
+            "geometric": errors(geometric.model, scored),
+            "final": errors(geometric.model, scored),
+        },
+        noise_floor=noise_floor(samples),
+        identifiability=identifiability(geometric),
+        parameters=shipped.parameters,
+        left_out=choice.left_out,
+    )
+    return Result(report, shipped, geometric)
+
+
+def ship(samples: Samples, chain: Chain, choice: Choice, cell: Cell) -> Calibration:
+    """The calibration fitted to every sample, written with the least change to the nominal arm."""
+    nominal = fit_cell(chain, samples, cell)
+    fit = identify(nominal.model, samples, choice.parameters, cell.distances)
+    seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
+    return Calibration(nominal.model, least_change(fit.model, chain), seen, parameter_table(fit))
+
+
+def evaluate(
+    calibration: Calibration,
+    samples: Samples,
+    rng: np.random.Generator,
+    refit_base: bool = False,
+    refit_tool: bool = False,
+    cell: Cell | None = None,
+    block: int | None = None,
+) -> Report:
+    """How far a frozen calibration misses on another recording.
+
+    Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording, and
+    the score is that of the rest. Otherwise every sample is scored.
+    """
+    cell = cell or Cell()
+    models = {"nominal": calibration.nominal, "final": calibration.calibrated}
+    if refit_base or refit_tool:
+        sets = split(samples, rng, block)
+        train = samples.select(np.union1d(sets.train, sets.explain))
+        fits = {stage: refit_cell(model, train, cell, refit_base, refit_tool) for stage, model in models.items()}
+        models = {stage: fit.model for stage, fit in fits.items()}
+        spread = fits["final"].spread
+    else:
+        sets = hold_out_all(samples)
+        models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
+        spread = spread_of(models["final"], samples)
+    held_out = samples.select(sets.held_out)
+    scored = held_out.select(~outlying(models["final"], spread, held_out))
+    missed = {stage: errors(model, scored) for stage, model in models.items()}
+    return Report(
+        samples=samples,
+        sets=sets,
+        rejected=len(held_out) - len(scored),
+        errors={"nominal": missed["nominal"], "geometric": missed["final"], "final": missed["final"]},
+        noise_floor=noise_floor(samples),
+        parameters=calibration.parameters,
+    )

@@ -1,0 +1,126 @@
+"""The report: what was recorded, how far the robot misses before and after, and what the data could not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.identifiability import Identifiability
+from modcal_core.calibration.score import Errors, ErrorSize
+from modcal_core.calibration.split import Split
+from modcal_core.measurements.samples import Samples
+
+FORMAT = 1
+STAGES = ("nominal", "geometric", "final")
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a calibration or an evaluation has to say.
+
+    errors: held-out errors by stage (nominal, geometric, final), of the same samples. rejected: samples that were left
+    out as outliers. noise_floor: [m], None where the recording does not show it. parameters: (name, value, standard
+    deviation, unit). left_out: parameters that say the same as others. notes: a sentence each, for a person.
+    """
+
+    samples: Samples
+    sets: Split
+    rejected: int
+    errors: dict[str, Errors]
+    noise_floor: float | None
+    identifiability: Identifiability | None = None
+    parameters: tuple[tuple[str, float, float, str], ...] = ()
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    title: str = "recording"
+
+    @property
+    def measurement(self) -> str:
+        """pose, point, same_point, or mixed."""
+        kinds = {
+            "same_point" if self.samples.is_same_point(f) else str(kind)
+            for f in range(len(self.samples.frames))
+            for kind in np.unique(self.samples.kind[self.samples.frame == f])
+        }
+        return kinds.pop() if len(kinds) == 1 else "mixed"
+
+    def set_sizes(self) -> dict[str, int]:
+        """Stations in each of the three sets."""
+        rows = {"train": self.sets.train, "explain": self.sets.explain, "held_out": self.sets.held_out}
+        return {name: len(np.unique(self.samples.station[r])) for name, r in rows.items()}
+
+    def size_mm(self, stage: str) -> ErrorSize | None:
+        """Sizes of the held-out position errors of a stage [mm]."""
+        return self.errors[stage].size_mm() if stage in self.errors else None
+
+    def size_deg(self, stage: str) -> ErrorSize | None:
+        """Sizes of the held-out orientation errors of a stage [deg]."""
+        return self.errors[stage].size_deg() if stage in self.errors else None
+
+    @property
+    def unexplained_mm(self) -> float | None:
+        """RMS of what is left beyond the noise floor [mm]; None when the rest is noise, or the floor is unknown."""
+        final = self.size_mm("final")
+        if final is None or self.noise_floor is None:
+            return None
+        rest = final.rms**2 - (1e3 * self.noise_floor) ** 2
+        return float(np.sqrt(rest)) if final.rms > 1.2 * 1e3 * self.noise_floor else None
+
+    @property
+    def verdict(self) -> str:
+        """One sentence for a person."""
+        before, after = self.size_mm("nominal"), self.size_mm("final")
+        if before is None or after is None:
+            return "Nothing was held out, so nothing can be said of the error."
+        text = (
+            f"On {self.set_sizes()['held_out']} stations that were not used for fitting, the error is {after.rms:.3f} mm RMS ({before.rms:.3f} mm with the nominal model)"
+        )
+        rest = self.unexplained_mm
+        if self.noise_floor is None:
+            return text + "; the recording does not show how much of it is noise."
+        if rest is None:
+            return text + f", which is the noise of the measurement ({1e3 * self.noise_floor:.3f} mm)."
+        return text + f"; {rest:.3f} mm of it is more than noise, and geometry does not explain it."
+
+
+def to_json_data(report: Report) -> dict[str, Any]:
+    """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
+    seen = report.identifiability
+    rest = report.unexplained_mm
+    return {
+        "modcal_report": FORMAT,
+        "title": report.title,
+        "recording": {
+            "stations": report.samples.stations,
+            "rejected": report.rejected,
+            "measurement": report.measurement,
+            "joints": list(report.samples.names),
+            "duration_s": round(float(np.ptp(report.samples.stamps)), 6),
+        },
+        "split": {"unit": report.sets.unit, **report.set_sizes()},
+        "error_mm": {stage: _size(report.size_mm(stage)) for stage in STAGES},
+        "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
+        "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor,
+        "effects": [],
+        "unexplained": None if rest is None else {"place": None, "driver": None, "size_mm": rest},
+        "identifiability": None
+        if seen is None
+        else {
+            "parameters": seen.parameters,
+            "rank": seen.rank,
+            "condition": seen.condition if np.isfinite(seen.condition) else None,
+            "unobservable": list(seen.unobservable),
+            "left_out": list(report.left_out),
+        },
+        "parameters": [
+            {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in report.parameters
+        ],
+        "notes": list(report.notes),
+        "verdict": report.verdict,
+    }
+
+
+def _size(size: ErrorSize | None) -> dict[str, float] | None:
+    return None if size is None else {"mean": size.mean, "rms": size.rms, "p95": size.p95, "max": size.max}
