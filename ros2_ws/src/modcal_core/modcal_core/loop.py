@@ -56,6 +56,7 @@ def calibrate(
     report = Report(
         samples=samples,
         sets=sets,
+        scored=scored,
         rejected=len(held_out) - len(scored) + int((geometric.weights == 0.0).sum()),
         errors={
             "nominal": errors(nominal.model, scored),
@@ -110,6 +111,7 @@ def evaluate(
     return Report(
         samples=samples,
         sets=sets,
+        scored=scored,
         rejected=len(held_out) - len(scored),
         errors={"nominal": missed["nominal"], "geometric": missed["final"], "final": missed["final"]},
         noise_floor=noise_floor(samples),

@@ -21,6 +21,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 
 MOST_ROWS = 500  # a start needs no more; spread over the recording
+_GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
 
 
 def locate(model: Model, samples: Samples) -> Model:
@@ -140,6 +141,8 @@ def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:
         cost = float(np.median(np.linalg.norm(gap, axis=1)))
         if best is None or cost < best[0] - 1e-9:
             best = (cost, Y, x)
+        if cost < _GOOD * reach:
+            break
     assert best is not None
     return best[1], best[2]
 

@@ -20,13 +20,14 @@ STAGES = ("nominal", "geometric", "final")
 class Report:
     """Everything a calibration or an evaluation has to say.
 
-    errors: held-out errors by stage (nominal, geometric, final), of the same samples. rejected: samples that were left
-    out as outliers. noise_floor: [m], None where the recording does not show it. parameters: (name, value, standard
+    scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
+    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. parameters: (name, value, standard
     deviation, unit). left_out: parameters that say the same as others. notes: a sentence each, for a person.
     """
 
     samples: Samples
     sets: Split
+    scored: Samples
     rejected: int
     errors: dict[str, Errors]
     noise_floor: float | None
@@ -74,8 +75,10 @@ class Report:
         before, after = self.size_mm("nominal"), self.size_mm("final")
         if before is None or after is None:
             return "Nothing was held out, so nothing can be said of the error."
+        held_out = self.set_sizes()["held_out"]
         text = (
-            f"On {self.set_sizes()['held_out']} stations that were not used for fitting, the error is {after.rms:.3f} mm RMS ({before.rms:.3f} mm with the nominal model)"
+            f"On {held_out} stations that were not used for fitting, the error is {after.rms:.3f} mm RMS "
+            f"({before.rms:.3f} mm with the nominal model)"
         )
         rest = self.unexplained_mm
         if self.noise_floor is None:

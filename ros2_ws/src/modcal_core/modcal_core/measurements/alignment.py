@@ -1,0 +1,154 @@
+"""The tracker's clock against the joints' clock, from what both saw move.
+
+The speed of the tool is the same in every frame, so the speed that the tracker reports and the speed that the joints
+imply are one signal seen twice. Sliding one along the other, the lag with the highest correlation is the offset; the
+same done piece by piece shows drift. The tool point is not known yet, which changes the sizes of the speeds but hardly
+the times at which they start and stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
+
+STEP = 0.02  # s, grid of the speeds
+SEARCH = 5.0  # s, largest lag looked for
+TRUSTED = 0.6  # correlation from which a lag is believed
+APPLIED = 0.002  # s; a smaller offset is below what this method resolves
+LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
+_LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
+_MOVING = 0.02  # m/s
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """offset: seconds by which the reading's stamps are late. drift: seconds per second. at: stamp the offset is for.
+    correlation: of the two speeds at this offset.
+    """
+
+    offset: float
+    drift: float
+    at: float
+    correlation: float
+
+    def corrected(self, stamps: Array) -> Array:
+        """The stamps on the joints' clock [s]."""
+        return stamps - self.offset - self.drift * (stamps - self.at)
+
+
+def align(
+    recording: Recording, names: tuple[str, ...], tip: Callable[[Array], Array], limit: float = LIMIT
+) -> tuple[Recording, tuple[str, ...]]:
+    """The recording with the readings' stamps on the joints' clock, and a sentence for each clock that was corrected.
+
+    tip: positions (N, 3) [m] of the tip for joint positions (N, n), by the nominal arm. Raises BadRecording for a clock
+    that is off by more than ``limit`` seconds.
+    """
+    t, q = joint_stamps_and_positions(recording, names)
+    order = np.argsort(t, kind="stable")
+    t, q = t[order], q[order]
+    tracks, notes = [], []
+    for track in recording.readings:
+        clock = clock_offset(track, t, q, tip) if track.kind in (POSE, POINT) else None
+        worst = 0.0 if clock is None else float(np.abs(track.stamps - clock.corrected(track.stamps)).max())
+        if clock is None or worst < APPLIED:
+            tracks.append(track)
+            continue
+        if worst > limit:
+            raise BadRecording(
+                f"clock of {track.topic} ({track.frame})",
+                f"{clock.offset:+.2f} s off the joint states' clock, {limit:g} s is the limit",
+                "synchronise the clocks (PTP, chrony), or state the offset with --clock-limit if it is meant",
+            )
+        tracks.append(replace(track, stamps=clock.corrected(track.stamps)))
+        notes.append(
+            f"The clock of {track.topic} ({track.frame}) was {1e3 * clock.offset:+.0f} ms off the joint states' clock"
+            + (f" and drifted by {1e6 * clock.drift:+.0f} µs/s" if clock.drift else "")
+            + "; stamps were corrected."
+        )
+    return replace(recording, readings=tuple(tracks)), tuple(notes)
+
+
+def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array], Array]) -> ClockOffset | None:
+    """How late the stamps of a reading are, or None when the motion does not tell.
+
+    t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n).
+    """
+    if len(track.stamps) < 50 or len(t) < 50 or np.median(np.diff(t)) > 0.1:
+        return None
+    grid = np.arange(max(t[0], track.stamps.min() - SEARCH), min(t[-1], track.stamps.max() + SEARCH), STEP)[:_LONGEST]
+    order = np.argsort(track.stamps, kind="stable")
+    seen = _speed(grid, track.stamps[order], track.values[order, :3])
+    moved = _speed(grid, t, tip(q))
+    if not (np.nanmax(seen, initial=0.0) > _MOVING and np.nanmax(moved, initial=0.0) > _MOVING):
+        return None
+    whole = _lag(seen, moved, 0, round(SEARCH / STEP))
+    if whole is None or whole[1] < TRUSTED:
+        return None
+    lag, correlation = whole
+    drift = _drift(seen, moved, lag) if len(grid) * STEP > 60.0 else 0.0
+    middle = float(grid[0] + grid[-1]) / 2.0
+    return ClockOffset(lag * STEP, drift, middle, correlation)
+
+
+def _speed(grid: Array, stamps: Array, position: Array) -> Array:
+    """Speed [m/s] on the grid, NaN where there are no readings nearby."""
+    keep = np.r_[True, np.diff(stamps) > 0.0]
+    stamps, position = stamps[keep], position[keep]
+    at = np.stack([np.interp(grid, stamps, position[:, k]) for k in range(3)], axis=1)
+    speed = np.linalg.norm(np.gradient(at, STEP, axis=0), axis=1)
+    after = np.clip(np.searchsorted(stamps, grid), 1, len(stamps) - 1)
+    silent = (stamps[after] - stamps[after - 1] > 0.2) | (grid < stamps[0]) | (grid > stamps[-1])
+    # a speed beside a gap mixes both sides of it
+    silent = np.convolve(silent, np.ones(3), mode="same") > 0
+    return np.where(silent, np.nan, speed)
+
+
+def _lag(seen: Array, moved: Array, centre: int, reach: int) -> tuple[float, float] | None:
+    """(lag in grid steps, correlation) at the highest correlation within reach of the centre."""
+    lags = np.arange(centre - reach, centre + reach + 1)
+    correlation = np.array([_correlation(seen, moved, int(k)) for k in lags])
+    if not np.isfinite(correlation).any():
+        return None
+    best = int(np.nanargmax(correlation))
+    peak = float(correlation[best])
+    if 0 < best < len(lags) - 1:
+        left, right = correlation[best - 1], correlation[best + 1]
+        bend = left - 2.0 * peak + right
+        if np.isfinite(bend) and bend < 0.0:
+            return float(lags[best] + 0.5 * (left - right) / bend), peak
+    return float(lags[best]), peak
+
+
+def _correlation(seen: Array, moved: Array, lag: int) -> float:
+    """Correlation of seen(t + lag) with moved(t) where both are known; NaN where too little is."""
+    a = seen[max(lag, 0) : len(seen) + min(lag, 0)]
+    b = moved[max(-lag, 0) : len(moved) - max(lag, 0)]
+    known = np.isfinite(a) & np.isfinite(b)
+    if known.sum() < 50:
+        return float("nan")
+    a, b = a[known] - a[known].mean(), b[known] - b[known].mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else float("nan")
+
+
+def _drift(seen: Array, moved: Array, lag: float) -> float:
+    """Drift [s/s] by the lags of pieces of the recording, 0 where they do not agree on one."""
+    pieces = np.array_split(np.arange(len(seen)), int(np.clip(len(seen) * STEP / 30.0, 3, 20)))
+    found = [(p.mean() * STEP, _lag(seen[p], moved[p], round(lag), round(0.3 / STEP))) for p in pieces]
+    known = [(at, result[0] * STEP) for at, result in found if result is not None and result[1] > TRUSTED]
+    if len(known) < 3:
+        return 0.0
+    at, offset = np.array(known).T
+    design = np.stack([at - at.mean(), np.ones_like(at)], axis=1)
+    coefficients = np.linalg.lstsq(design, offset, rcond=None)[0]
+    residual = offset - design @ coefficients
+    std = float(np.sqrt(residual @ residual / (len(at) - 2) / (design[:, 0] @ design[:, 0])))
+    slope = float(coefficients[0])
+    return slope if abs(slope) > 5.0 * std and abs(slope) * float(np.ptp(at)) > 5.0 * APPLIED else 0.0

@@ -1,0 +1,100 @@
+"""What a recording must have before anything is computed from it: each refusal names offender, limit and remedy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording
+from modcal_core.robots.chain import Chain
+
+# Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns endlessly [rad].
+MOST_TURNS = 2.0 * np.pi * 1.05
+MOST_TURNS_ENDLESS = 50.0
+FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
+_UNIT = 1e-3  # how far from 1 a quaternion's norm may be
+
+
+def require_usable(recording: Recording, chain: Chain) -> None:
+    """Raises BadRecording unless there are joint states of every joint, and readings, in SI units and finite."""
+    _require_joints(recording, chain)
+    _require_readings(recording, chain)
+
+
+def _require_joints(recording: Recording, chain: Chain) -> None:
+    tracks = [t for t in recording.joints if len(t.stamps)]
+    if not tracks:
+        raise BadRecording("joint states", "no message on joint_states", "record the topic, or check its name and QoS")
+    known = sorted({name for t in tracks for name in t.names})
+    missing = [name for name in chain.names if name not in known]
+    if missing:
+        raise BadRecording(
+            f"joint {', '.join(missing)}",
+            f"not among the joint states ({', '.join(known)})",
+            "record every joint between base and tip, or give --base and --tip of the joints recorded",
+        )
+    for track in tracks:
+        for j, name in enumerate(track.names):
+            if name in chain.names:
+                _require_joint(track, j, name, chain)
+
+
+def _require_joint(track: JointTrack, j: int, name: str, chain: Chain) -> None:
+    position = track.position[:, j]
+    bad = np.flatnonzero(~np.isfinite(position))
+    if len(bad):
+        raise BadRecording(
+            f"joint {name}",
+            f"position is not a number in {len(bad)} of {len(position)} messages, first at stamp {track.stamps[bad[0]]:.3f} s",
+            "mend the driver, or record again",
+        )
+    k = chain.names.index(name)
+    largest = float(np.abs(position).max())
+    stated = max(abs(chain.lower[k]), abs(chain.upper[k]))
+    if chain.revolute[k]:
+        limit = max(MOST_TURNS, 1.05 * stated) if np.isfinite(stated) else MOST_TURNS_ENDLESS
+        if largest > limit:
+            said = f"position reaches {largest:.1f} rad, {limit:.1f} rad is the limit: it looks like degrees"
+            raise BadRecording(f"joint {name}", said, "record radians")
+    elif largest > FARTHEST:
+        raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
+
+
+def _require_readings(recording: Recording, chain: Chain) -> None:
+    tracks = [r for r in recording.readings if len(r.stamps) and r.kind in (POSE, POINT)]
+    if not tracks:
+        raise BadRecording(
+            "tracker",
+            "no message on tracker/pose or tracker/point",
+            "check that the tracker runs and sees its target, and the topic's name and QoS",
+        )
+    for track in tracks:
+        _require_reading(track, chain)
+
+
+def _require_reading(track: ReadingTrack, chain: Chain) -> None:
+    name = f"{track.topic} ({track.frame})"
+    bad = np.flatnonzero(~np.isfinite(track.values).all(axis=1))
+    if len(bad):
+        raise BadRecording(
+            name,
+            f"not a number in {len(bad)} of {len(track.values)} readings, first at stamp {track.stamps[bad[0]]:.3f} s",
+            "leave out readings without a target, or record again",
+        )
+    position = track.values[:, :3]
+    spread = float(np.linalg.norm(position - np.median(position, axis=0), axis=1).mean())
+    far = float(np.linalg.norm(np.median(position, axis=0)))
+    if spread > 5.0 * chain.reach() or far > max(FARTHEST, 20.0 * chain.reach()):
+        limit = f"the arm reaches {chain.reach():.2f} m"
+        raise BadRecording(
+            name, f"positions spread over {spread:.0f} m and {limit}: it looks like millimetres", "record metres"
+        )
+    if track.kind == POSE:
+        norm = np.linalg.norm(track.values[:, 3:], axis=1)
+        worst = int(np.argmax(np.abs(norm - 1.0)))
+        if abs(norm[worst] - 1.0) > _UNIT:
+            raise BadRecording(
+                name,
+                f"a quaternion has length {norm[worst]:.3f} at stamp {track.stamps[worst]:.3f} s, 1 ± {_UNIT:g} is allowed",
+                "publish unit quaternions x y z w",
+            )

@@ -1,0 +1,228 @@
+"""Stations: the moments at which posture and reading are known together.
+
+Three kinds of recording are told apart. Where every reading carries the stamp of a joint state, someone paired them
+already: each pair is a station. Otherwise the arm is looked for standing still (a *dwell*): positions and readings are
+averaged there, and the scatter about the mean says how uncertain the mean is. A recording without dwells is a motion, and
+each reading becomes a sample with the posture interpolated to its stamp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
+from modcal_core.measurements.samples import Samples
+
+
+@dataclass(frozen=True)
+class StationRules:
+    """How stations are cut. window: [s] over which the arm must not move. still: [rad or m] that counts as no motion.
+    settle: [s] after stopping that are not used. least: [s] of standing still that make a dwell, after settling.
+    gap: [s] without joint states that a motion may not be interpolated over.
+    """
+
+    window: float = 0.2
+    still: float = 5e-4
+    settle: float = 0.25
+    least: float = 0.3
+    gap: float = 0.1
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Samples of one reading track, before they are put together."""
+
+    q: Array
+    stamps: Array
+    position: Array
+    R: Array
+    sigma_position: Array
+    sigma_rotation: Array
+    moving: bool
+
+
+_LEAST_DWELLS = 3
+
+
+def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
+    """The samples of a recording, for these joints in this order.
+
+    Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in common.
+    """
+    rules = rules or StationRules()
+    tracks = [r for r in recording.readings if r.kind in (POSE, POINT) and len(r.stamps)]
+    t, q = joint_stamps_and_positions(recording, names)
+    order = np.argsort(t, kind="stable")
+    t, q = t[order], q[order]
+    dwells = find_dwells(t, q, rules)
+    pieces = [_cut(track, t, q, dwells, rules) for track in tracks]
+    if not sum(len(p.q) for p in pieces):
+        raise BadRecording(
+            "joint states and readings",
+            _why_nothing(tracks, t, dwells),
+            "record both at once on synchronised clocks, holding each posture for a second",
+        )
+    frames = tuple(dict.fromkeys(track.frame for track in tracks))
+    stamps = np.concatenate([p.stamps for p in pieces])
+    return Samples(
+        names=names,
+        frames=frames,
+        q=np.concatenate([p.q for p in pieces]),
+        stamps=stamps,
+        station=_number(stamps),
+        frame=np.repeat([frames.index(track.frame) for track in tracks], [len(p.q) for p in pieces]),
+        kind=np.repeat(np.array([track.kind for track in tracks], dtype="U8"), [len(p.q) for p in pieces]),
+        position=np.concatenate([p.position for p in pieces]),
+        R=np.concatenate([p.R for p in pieces]),
+        sigma_position=np.concatenate([p.sigma_position for p in pieces]),
+        sigma_rotation=np.concatenate([p.sigma_rotation for p in pieces]),
+        moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
+    )
+
+
+def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
+    """Start and end [s] of the times the arm stood still, (d, 2), settling time already taken off.
+
+    t: stamps, sorted, (m,). q: positions, (m, n).
+    """
+    if len(t) < 3:
+        return np.empty((0, 2))
+    step = float(np.median(np.diff(t)))
+    if not 0.0 < step <= rules.window:
+        return np.empty((0, 2))
+    width = max(3, round(rules.window / step) | 1)
+    spread = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
+    # second differences of a moving arm are small, those of encoder noise are not
+    noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    still = (spread <= np.maximum(rules.still, 6.0 * noise)).all(axis=1)
+    still[1:] &= np.diff(t) < rules.gap + 5.0 * step
+    edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(int)))
+    spans = np.stack([t[edges[::2]], t[edges[1::2] - 1]], axis=1)
+    # the filter needs half a window on either side to have been still already
+    spans[:, 0] += rules.settle - 0.5 * rules.window
+    return spans[spans[:, 1] - spans[:, 0] >= rules.least]
+
+
+def _cut(track: ReadingTrack, t: Array, q: Array, dwells: Array, rules: StationRules) -> _Piece:
+    pairs = _paired(track.stamps, t)
+    gaps = np.diff(np.sort(track.stamps))
+    sparse = not len(gaps) or float(np.median(gaps)) > rules.window
+    if len(pairs) >= 0.5 * len(track.stamps) and (sparse or len(dwells) < _LEAST_DWELLS):
+        return _as_is(track, pairs[:, 0], q[pairs[:, 1]], moving=not sparse)
+    if len(dwells) >= _LEAST_DWELLS:
+        return _averaged(track, t, q, dwells)
+    return _interpolated(track, t, q, rules)
+
+
+def _paired(readings: Array, t: Array) -> np.ndarray:
+    """(reading, joint state) rows with exactly the same stamp, (k, 2)."""
+    _, i, j = np.intersect1d(readings, t, return_indices=True)
+    return np.stack([i, j], axis=1)
+
+
+def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
+    values = track.values[rows]
+    if track.kind == POSE:
+        return values[:, :3], so3.from_quaternion(values[:, 3:])
+    return values, np.tile(np.eye(3), (len(values), 1, 1))
+
+
+def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, moving: bool) -> _Piece:
+    position, R = _values(track, rows)
+    unknown = np.full(len(rows), np.nan)
+    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, moving)
+
+
+def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> _Piece:
+    """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
+    keep = np.r_[True, np.diff(t) > 0.0] if len(t) else np.empty(0, bool)
+    t, q = t[keep], q[keep]
+    if len(t) < 4:
+        return _as_is(track, np.empty(0, int), np.empty((0, q.shape[1])), moving=True)
+    after = np.searchsorted(t, track.stamps)
+    inside = (after > 0) & (after < len(t))
+    rows = np.flatnonzero(inside)
+    rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
+    origin = t[0]  # a spline in seconds since the epoch would lose digits
+    return _as_is(track, rows, CubicSpline(t - origin, q)(track.stamps[rows] - origin), moving=True)
+
+
+def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
+    """One sample a dwell: means on the manifold, and the standard deviations of those means."""
+    order = np.argsort(track.stamps, kind="stable")
+    stamps = track.stamps[order]
+    out: list[tuple[Array, float, Array, Array, float, float]] = []
+    for start, end in dwells:
+        rows = order[slice(*np.searchsorted(stamps, (start, end)))]
+        joint_rows = slice(*np.searchsorted(t, (start, end)))
+        if len(rows) == 0 or joint_rows.start == joint_rows.stop:
+            continue
+        position, R = _values(track, rows)
+        keep = _inliers(position)
+        position, R = position[keep], R[keep]
+        R_mean = so3.mean(R)
+        p_mean = position.mean(axis=0)
+        turned = so3.log(np.swapaxes(R_mean[None], 1, 2) @ R)
+        out.append(
+            (
+                q[joint_rows].mean(axis=0),
+                0.5 * (start + end),
+                p_mean,
+                R_mean,
+                deviation_of_mean(position - p_mean),
+                deviation_of_mean(turned) if track.kind == POSE else np.nan,
+            )
+        )
+    if not out:
+        return _as_is(track, np.empty(0, int), np.empty((0, q.shape[1])), moving=False)
+    columns = list(zip(*out, strict=True))
+    return _Piece(*(np.array(c) for c in columns), moving=False)  # type: ignore[arg-type]
+
+
+def _inliers(position: Array) -> np.ndarray:
+    """Readings of one dwell that are not glitches: within 8 robust deviations of the median, and at least half of them."""
+    off = np.linalg.norm(position - np.median(position, axis=0), axis=1)
+    limit = 8.0 * max(float(np.median(off)), 1e-6)
+    return off <= limit
+
+
+def deviation_of_mean(residual: Array) -> float:
+    """Standard deviation per axis of the mean of residuals (k, 3); NaN below 4 of them.
+
+    Neighbouring readings of a tracker are correlated (filters, vibration), so the k of them count as
+    ``k (1 − ρ) / (1 + ρ)`` with ρ their correlation at lag one.
+    """
+    k = len(residual)
+    if k < 4:
+        return float("nan")
+    variance = float(np.sum(residual**2)) / (3.0 * (k - 1))
+    if variance == 0.0:
+        return 0.0
+    rho = float(np.sum(residual[1:] * residual[:-1]) / np.sum(residual**2))
+    effective = max(1.0, k * (1.0 - min(max(rho, 0.0), 0.99)) / (1.0 + min(max(rho, 0.0), 0.99)))
+    return float(np.sqrt(variance / effective))
+
+
+def _number(stamps: Array) -> np.ndarray:
+    """Station numbers: equal stamps are one station, numbered by time."""
+    return np.unique(stamps, return_inverse=True)[1]
+
+
+def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:
+    first, last = min(r.stamps.min() for r in tracks), max(r.stamps.max() for r in tracks)
+    if first > t[-1] or last < t[0]:
+        apart = first - t[-1] if first > t[-1] else t[0] - last
+        return f"do not overlap in time: {apart:.1f} s apart"
+    counts = {len(r.stamps) for r in tracks}
+    if counts == {len(t)} and len(t) > 2:
+        apart = tracks[0].stamps - t
+        if float(np.ptp(apart)) < 0.01:
+            return f"come in pairs, but every reading is stamped {np.median(apart):+.3f} s off its joint state"
+    return f"no reading falls on one of {len(t)} joint states or {len(dwells)} dwells"

@@ -1,0 +1,66 @@
+"""Pictures of a report, as SVG text. Matplotlib is imported only when one is drawn."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modcal_core.report.report import Report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_COLOURS = {"nominal": "#b0b7c3", "final": "#1f6feb"}
+
+
+def error_histogram(report: Report) -> str:
+    """How often the tool misses by how much on the held-out set, before and after."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 2.8), layout="constrained")
+    axes = figure.subplots()
+    norms = {stage: 1e3 * report.errors[stage].position_norm for stage in _COLOURS}
+    bins = np.linspace(0.0, max(float(np.percentile(n, 99.5)) for n in norms.values()) or 1.0, 50)
+    for stage, colour in _COLOURS.items():
+        label = f"{stage}: {np.sqrt(np.mean(norms[stage] ** 2)):.3f} mm RMS"
+        axes.hist(norms[stage], bins, color=colour, alpha=0.8, label=label)
+    axes.set_xlabel("position error of held-out samples, mm")
+    axes.set_ylabel("samples")
+    axes.legend(frameon=False)
+    return _svg(figure)
+
+
+def error_by_joint(report: Report) -> str:
+    """What is left, against each joint's position: a pattern here is an effect that the model lacks."""
+    from matplotlib.figure import Figure
+
+    samples, left = report.scored, report.errors["final"].position
+    n = len(samples.names)
+    columns = min(n, 4)
+    rows = -(-n // columns)
+    figure = Figure(figsize=(2.6 * columns, 1.9 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
+    for j, name in enumerate(samples.names):
+        for k, colour in enumerate(("#d1495b", "#3a7d44", "#1f6feb")):
+            axes[j].plot(samples.q[:, j], 1e3 * left[:, k], ".", ms=1.5, color=colour, label="xyz"[k])
+        axes[j].set_title(name, fontsize=9)
+        axes[j].tick_params(labelsize=7)
+    for spare in axes[n:]:
+        spare.set_visible(False)
+    axes[0].legend(frameon=False, fontsize=7, markerscale=4, ncols=3)
+    figure.supylabel("left over, mm", fontsize=9)
+    figure.supxlabel("joint position, rad or m", fontsize=9)
+    return _svg(figure)
+
+
+def _svg(figure: Figure) -> str:
+    import matplotlib
+
+    # fixed ids and no date: the same report gives the same bytes
+    with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]

@@ -1,0 +1,1 @@
+"""The modcal command: one file per verb, gathered in main."""

@@ -1,0 +1,125 @@
+"""``modcal calibrate`` and ``modcal evaluate``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+
+from modcal_core.calibration.store import to_data
+from modcal_core.loop import Result, calibrate, evaluate
+from modcal_core.measurements.prepare import Prepared, prepare
+from modcal_core.measurements.recording import Recording
+from modcal_core.report.html import to_html
+from modcal_core.report.report import Report, to_json_data
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_core.robots.vendor import kinematics_yaml_data
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.files import read_calibration, read_cell, to_json, to_yaml, write_folder
+from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.show import show_report
+
+EXISTING = click.Path(exists=True, path_type=Path)
+_SPLITS = click.option(
+    "--block",
+    type=click.IntRange(min=1),
+    default=None,
+    help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
+)
+_SEED = click.option("--seed", type=int, default=0, show_default=True, help="Of the split.")
+_CLOCK = click.option(
+    "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
+    help="Largest offset between tracker and joint clocks that is corrected.",
+)  # fmt: skip
+_CELL = click.option("--cell", "cell_file", type=EXISTING, default=None, help="YAML of known distances and fixed parameters.")
+_OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+
+
+@click.command("calibrate")
+@click.argument("bag", type=EXISTING)
+@click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag.")
+@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+@click.option("--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints.")
+@click.option("--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable.")
+@_CELL
+@_SPLITS
+@_SEED
+@_CLOCK
+@_OUT
+def calibrate_command(
+    bag: Path,
+    urdf: Path | None,
+    base: str | None,
+    tip: str | None,
+    fixed: tuple[str, ...],
+    cell_file: Path | None,
+    block: int | None,
+    seed: int,
+    clock_limit: float,
+    out: Path | None,
+) -> None:
+    """Identify the arm's kinematics from BAG and write the corrected model and a report."""
+    cell = read_cell(cell_file, fixed)
+    recording = read_bag(bag)
+    chain, text = robot_of(recording, urdf, base, tip)
+    prepared = prepare(recording, chain, clock_limit=clock_limit)
+    result = calibrate(prepared.samples, chain, np.random.default_rng(seed), cell, block)
+    report = _named(result.report, recording, prepared)
+    out = out or Path(f"{bag.resolve().stem}_calibration")
+    write_folder(out, calibration_files(result, report, chain, text))
+    show_report(report, Console())
+    click.echo(f"Report: {out / 'report.html'}")
+
+
+def calibration_files(result: Result, report: Report, chain: Chain, urdf: str) -> dict[str, str]:
+    """Names and texts of everything a calibration leaves behind."""
+    calibrated = result.calibration.calibrated.chain
+    return {
+        "report.json": to_json(to_json_data(report)),
+        "report.html": to_html(report),
+        "calibration.yaml": to_yaml(to_data(result.calibration)),
+        "calibrated.urdf": calibrated_urdf(urdf, chain, calibrated),
+        "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated)),
+    }
+
+
+@click.command("evaluate")
+@click.argument("calibration", type=EXISTING)
+@click.argument("bag", type=EXISTING)
+@click.option("--refit-base", is_flag=True, help="Find the base again: the tracker or the robot was moved.")
+@click.option("--refit-tool", is_flag=True, help="Find the tool again: it was changed.")
+@_CELL
+@_SPLITS
+@_SEED
+@_CLOCK
+@_OUT
+def evaluate_command(
+    calibration: Path,
+    bag: Path,
+    refit_base: bool,
+    refit_tool: bool,
+    cell_file: Path | None,
+    block: int | None,
+    seed: int,
+    clock_limit: float,
+    out: Path | None,
+) -> None:
+    """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
+    frozen = read_calibration(calibration)
+    recording = read_bag(bag)
+    prepared = prepare(recording, frozen.nominal.chain, clock_limit=clock_limit)
+    rng = np.random.default_rng(seed)
+    report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
+    report = _named(report, recording, prepared)
+    out = out or Path(f"{bag.resolve().stem}_evaluation")
+    write_folder(out, {"report.json": to_json(to_json_data(report)), "report.html": to_html(report)})
+    show_report(report, Console())
+    click.echo(f"Report: {out / 'report.html'}")
+
+
+def _named(report: Report, recording: Recording, prepared: Prepared) -> Report:
+    return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))

@@ -1,0 +1,30 @@
+"""What the terminal shows: tables and a sentence."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from modcal_core.report.report import STAGES, Report
+
+
+def show_report(report: Report, console: Console) -> None:
+    """Print before and after, what the data could not tell, and the verdict."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column(f"held-out error ({report.sets.unit}s)")
+    for name in ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg"):
+        table.add_column(name, justify="right")
+    for stage in STAGES:
+        size, angle = report.size_mm(stage), report.size_deg(stage)
+        if size is not None:
+            numbers = [f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max)]
+            table.add_row(stage, *numbers, "" if angle is None else f"{angle.rms:.4f}")
+    console.print(table)
+    seen = report.identifiability
+    if seen is not None:
+        console.print(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
+        for name in seen.unobservable:
+            console.print(f"not shown by these stations: {name}", style="yellow", highlight=False)
+    for note in report.notes:
+        console.print(note, style="yellow", highlight=False)
+    console.print(report.verdict, style="bold", highlight=False)
