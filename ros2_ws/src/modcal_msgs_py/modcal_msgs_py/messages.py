@@ -1,0 +1,192 @@
+"""Messages to a recording: one path for a bag and for the wire.
+
+Everything here works on attributes, so that a message from rclpy and one decoded from a bag are the same to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import (
+    WIDTH,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    SignalTrack,
+)
+from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, WRENCH, role_of
+
+
+@dataclass
+class _Rows:
+    """Growing columns of one track."""
+
+    stamps: list[float] = field(default_factory=list)
+    received: list[float] = field(default_factory=list)
+    values: list[Any] = field(default_factory=list)
+
+
+class RecordingBuilder:
+    """Collects messages, in any order and at any rate, into a :class:`Recording`.
+
+    A topic that stands at the contract's own name is preferred to one of the same role in a namespace.
+    """
+
+    def __init__(self, source: str = "recording") -> None:
+        """Start with nothing; ``source`` names the recording in messages to people."""
+        self._source = source
+        self._joints: dict[tuple[str, tuple[str, ...]], _Rows] = {}
+        self._readings: dict[tuple[str, str, str], _Rows] = {}
+        self._signals: dict[tuple[str, str], _Rows] = {}
+        self._description: dict[str, str] = {}
+        self._notes: list[str] = []
+        self._unstamped: dict[str, int] = {}
+
+    def add(self, topic: str, type_name: str, message: Any, received: float = math.nan) -> None:
+        """Take one message, received at this time [s]. Raises BadRecording for one that contradicts itself."""
+        role = role_of(topic, type_name)
+        if role == JOINT_STATES:
+            self._add_joint_state(topic, message, received)
+        elif role in READINGS:
+            self._add_reading(topic, READINGS[role], message, received)
+        elif role == ROBOT_DESCRIPTION:
+            self._description[topic] = str(message.data)
+        elif role == NOTES:
+            self._notes.append(str(message.data))
+        elif role == TEMPERATURE:
+            stamp = self._stamp(topic, message, received)
+            self._signal(topic, f"temperature:{message.header.frame_id}", stamp, received, [message.temperature])
+        else:
+            prefix = f"wrench:{message.header.frame_id}" if role == WRENCH else f"signal:{topic}"
+            stamp = self._stamp(topic, message, received)
+            for path, value in _numbers(message):
+                self._signal(topic, f"{prefix}{path}", stamp, received, [value])
+
+    def counts(self) -> dict[str, int]:
+        """Messages so far: joint states, and readings by frame."""
+        out = {JOINT_STATES: sum(len(rows.stamps) for rows in self._joints.values())}
+        for (_, _, frame), rows in self._readings.items():
+            out[frame] = out.get(frame, 0) + len(rows.stamps)
+        return out
+
+    def recording(self) -> Recording:
+        """Everything taken so far."""
+        joint_topics = _preferred({topic for topic, _ in self._joints}, JOINT_STATES)
+        reading_topics = {
+            role: _preferred({topic for topic, k, _ in self._readings if k == kind}, role)
+            for role, kind in READINGS.items()
+        }
+        chosen = {topic for topics in reading_topics.values() for topic in topics}
+        descriptions = _preferred(set(self._description), ROBOT_DESCRIPTION)
+        warnings = [
+            f"{count} messages on {topic} had no stamp; the time they were received was taken."
+            for topic, count in self._unstamped.items()
+        ]
+        return Recording(
+            joints=tuple(_joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics),
+            readings=tuple(
+                ReadingTrack(kind, frame, np.array(rows.stamps), _table(rows, WIDTH[kind]), np.array(rows.received), topic)
+                for (topic, kind, frame), rows in self._readings.items()
+                if topic in chosen
+            ),
+            signals=tuple(
+                SignalTrack(name, np.array(rows.stamps), _table(rows, 1), topic)
+                for (topic, name), rows in self._signals.items()
+            ),
+            robot_description=self._description[min(descriptions)] if descriptions else None,
+            source=self._source,
+            warnings=tuple(self._notes + warnings),
+        )
+
+    def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
+        names = tuple(message.name)
+        position = np.array(message.position, dtype=float)
+        stamp = self._stamp(topic, message, received)
+        if len(position) != len(names) or len(set(names)) != len(names):
+            raise BadRecording(
+                f"{topic} at stamp {stamp:.3f} s",
+                f"{len(position)} positions for {len(names)} names, {len(set(names))} of them distinct",
+                "publish one position for every name",
+            )
+        rows = self._joints.setdefault((topic, names), _Rows())
+        rows.stamps.append(stamp)
+        rows.received.append(received)
+        rows.values.append((position, _padded(message.velocity, len(names)), _padded(message.effort, len(names))))
+
+    def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
+        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows())
+        rows.stamps.append(self._stamp(topic, message, received))
+        rows.received.append(received)
+        rows.values.append(_READING[kind](message))
+
+    def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
+        rows = self._signals.setdefault((topic, name), _Rows())
+        rows.stamps.append(stamp)
+        rows.received.append(received)
+        rows.values.append(values)
+
+    def _stamp(self, topic: str, message: Any, received: float) -> float:
+        header = getattr(message, "header", None)
+        if header is None:
+            return received
+        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
+        if stamp == 0.0 and math.isfinite(received):
+            self._unstamped[topic] = self._unstamped.get(topic, 0) + 1
+            return received
+        return float(stamp)
+
+
+def _pose(message: Any) -> tuple[float, ...]:
+    p, q = message.pose.position, message.pose.orientation
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+_READING = {
+    "pose": _pose,
+    "point": lambda m: (m.point.x, m.point.y, m.point.z),
+    "range": lambda m: (m.range,),
+    "bearing": lambda m: (m.vector.x, m.vector.y, m.vector.z),
+}
+
+
+def _padded(values: Any, count: int) -> np.ndarray:
+    """A column that was not sent, or not for every joint, is unknown for all of them."""
+    out = np.array(values, dtype=float)
+    return out if len(out) == count else np.full(count, np.nan)
+
+
+def _joint_track(topic: str, names: tuple[str, ...], rows: _Rows) -> JointTrack:
+    position, velocity, effort = (np.array(column) for column in zip(*rows.values, strict=True))
+    return JointTrack(names, np.array(rows.stamps), position, velocity, effort, np.array(rows.received), topic)
+
+
+def _table(rows: _Rows, width: int) -> np.ndarray:
+    return np.array(rows.values, dtype=float).reshape(-1, width)
+
+
+def _preferred(topics: set[str], role: str) -> set[str]:
+    return {f"/{role}"} if f"/{role}" in topics else topics
+
+
+def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """(path, value) of every number in a message, its header left out; short arrays are unrolled."""
+    fields = getattr(message, "__dataclass_fields__", None)
+    names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
+    for name in names:
+        value = getattr(message, name)
+        if name in ("header", "__msgtype__"):
+            continue
+        if isinstance(value, bool | int | float | np.number):
+            yield f"{path}/{name}", float(value)
+        elif hasattr(value, "__dataclass_fields__") or hasattr(value, "get_fields_and_field_types"):
+            yield from _numbers(value, f"{path}/{name}")
+        elif not isinstance(value, str | bytes) and hasattr(value, "__len__") and 0 < len(value) <= 32:
+            for i, item in enumerate(value):
+                if isinstance(item, int | float | np.number):
+                    yield f"{path}/{name}[{i}]", float(item)
