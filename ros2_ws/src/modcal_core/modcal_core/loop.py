@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
-from modcal_core.calibration.doubts import require_plausible
+from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.score import errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
 from modcal_core.calibration.split import hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, views_of
@@ -116,4 +116,14 @@ def evaluate(
         errors={"nominal": missed["nominal"], "geometric": missed["final"], "final": missed["final"]},
         noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
+        notes=moved_note(missed["final"], calibration, refit_base, refit_tool),
     )
+
+
+def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
+    """A sentence for the person whose robot, tracker or tool stands elsewhere than when it was calibrated."""
+    size = missed.size_mm()
+    limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
+    if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
+        return ()
+    return ("The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",)

@@ -1,0 +1,141 @@
+"""What is in a recording, what it can be used for, and what looks wrong, without fitting anything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.errors import ModcalError
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.recording import POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.stations import StationRules, find_dwells
+from modcal_core.robots.chain import Chain
+
+_GAP = 10.0  # times the usual period that make a silence worth saying
+_STUCK = 5  # identical readings in a row, of an instrument with noise
+
+
+@dataclass(frozen=True)
+class TrackFacts:
+    """One track: topic, what it is, number of messages, rate [Hz], largest gap [s], first and last stamp [s]."""
+
+    topic: str
+    what: str
+    count: int
+    rate: float
+    largest_gap: float
+    first: float
+    last: float
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Facts by track, what the recording can be used for, and findings: a sentence for each thing that looks wrong."""
+
+    tracks: tuple[TrackFacts, ...]
+    uses: tuple[str, ...]
+    findings: tuple[str, ...]
+
+
+def inspect(recording: Recording, chain: Chain | None = None) -> Inspection:
+    """What a recording holds; with a chain, also whether it can calibrate that arm."""
+    facts, findings = [], list(recording.warnings)
+    for joint in recording.joints:
+        facts.append(_facts(joint.topic, f"{len(joint.names)} joints: {', '.join(joint.names)}", joint.stamps))
+        findings += _clock_findings(joint.topic, joint.stamps, joint.received)
+        findings += [
+            f"Joint {name} never moves." for name in _constant(joint.names, joint.position) if len(joint.stamps) > 2
+        ]
+    for reading in recording.readings:
+        name = f"{reading.topic} ({reading.frame})"
+        facts.append(_facts(reading.topic, f"{reading.kind} in frame {reading.frame}", reading.stamps))
+        findings += _clock_findings(name, reading.stamps, reading.received)
+        findings += _stuck_finding(name, reading.values)
+    for signal in recording.signals:
+        facts.append(_facts(signal.topic, signal.name, signal.stamps))
+    findings += _receive_finding(recording)
+    if chain is not None:
+        try:
+            require_usable(recording, chain)
+        except ModcalError as error:
+            findings.append(f"Cannot be used for calibration: {error}.")
+    return Inspection(tuple(facts), _uses(recording, chain), tuple(findings))
+
+
+def _facts(topic: str, what: str, stamps: Array) -> TrackFacts:
+    steps = np.diff(np.sort(stamps))
+    steps = steps[steps > 0.0]
+    rate = float(1.0 / np.median(steps)) if len(steps) else 0.0
+    gap = float(steps.max()) if len(steps) else 0.0
+    return TrackFacts(topic, what, len(stamps), rate, gap, float(np.min(stamps)), float(np.max(stamps)))
+
+
+def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
+    out = []
+    steps = np.diff(stamps)
+    back = np.flatnonzero(steps < 0.0)
+    if len(back):
+        worst = back[np.argmin(steps[back])]
+        out.append(f"{name}: the clock jumps back {len(back)} times, by up to {-steps[worst]:.3f} s at {stamps[worst]:.3f} s.")
+    if (repeats := int((steps == 0.0).sum())) > 0:
+        out.append(f"{name}: {repeats} messages carry the stamp of the one before.")
+    forward = steps[steps > 0.0]
+    if len(forward) > 20:
+        usual = float(np.median(forward))
+        gaps = forward[forward > max(_GAP * usual, 0.1)]
+        if 0 < len(gaps) <= 0.02 * len(forward):
+            out.append(f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; it usually speaks every {usual:.3f} s.")
+    late = received - stamps
+    if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > 0.5:
+        out.append(f"{name}: stamps are {float(np.nanmedian(late)):+.2f} s from the time they were received.")
+    return out
+
+
+def _receive_finding(recording: Recording) -> list[str]:
+    """Clocks that differ between topics show as different delays from stamp to reception."""
+    joints = [t.received - t.stamps for t in recording.joints if np.isfinite(t.received).any()]
+    if not joints:
+        return []
+    usual = float(np.nanmedian(np.concatenate(joints)))
+    return [
+        f"{r.topic} ({r.frame}): its clock is {offset:+.3f} s off that of the joint states, by times of reception."
+        for r in recording.readings
+        if np.isfinite(r.received).any() and abs(offset := usual - float(np.nanmedian(r.received - r.stamps))) > 0.05
+    ]
+
+
+def _constant(names: tuple[str, ...], position: Array) -> list[str]:
+    return [n for n, p in zip(names, position.T, strict=True) if np.isfinite(p).all() and np.ptp(p) < 1e-4]
+
+
+def _stuck_finding(name: str, values: Array) -> list[str]:
+    if len(values) < 2 * _STUCK or np.ptp(values, axis=0).max() == 0.0:
+        return []  # a ball in a socket always reads the same
+    same = (np.diff(values, axis=0) == 0.0).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
+    runs = edges[1::2] - edges[::2]
+    long = runs[runs >= _STUCK]
+    if not len(long):
+        return []
+    return [f"{name}: {len(long)} times the same reading {_STUCK} or more times in a row: the target may have been lost."]
+
+
+def _uses(recording: Recording, chain: Chain | None) -> tuple[str, ...]:
+    names = chain.names if chain is not None else max((t.names for t in recording.joints), key=len, default=())
+    t, q = joint_stamps_and_positions(recording, names)
+    kinds = {r.kind for r in recording.readings}
+    if not kinds & {"pose", "point"}:
+        return ("articulated objects, where the end effector's pose is known",) if len(t) else ()
+    if not len(t):
+        return ()
+    order = np.argsort(t, kind="stable")
+    dwells = find_dwells(t[order], q[order], StationRules())
+    paired = sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings)
+    what = "poses" if POSE in kinds else "points"
+    if len(dwells):
+        return (f"calibration from {what} in {len(dwells)} dwells",)
+    if paired:
+        return (f"calibration from {paired} finished stations ({what})",)
+    return (f"calibration from {what} in motion",)

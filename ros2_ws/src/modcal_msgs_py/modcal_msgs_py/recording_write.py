@@ -1,0 +1,85 @@
+"""A recording to a bag: the way back from arrays to messages, on the contract's topics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modcal_core.measurements.recording import POSE, Recording
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, TYPES
+from modcal_msgs_py.types import message_class
+
+_TOPIC_OF = {kind: role for role, kind in READINGS.items()}
+_NO_NUMBERS = np.empty(0)
+
+
+def write_recording(recording: Recording, folder: Path) -> None:
+    """Write joint states, poses, points, temperatures, the robot description and notes of a recording as a bag."""
+    stamped = sorted(_messages(recording), key=lambda m: m[0])
+    start = stamped[0][0] if stamped else 0
+    with BagWriter(folder) as bag:
+        String = message_class("std_msgs/msg/String")
+        if recording.robot_description is not None:
+            bag.write(f"/{ROBOT_DESCRIPTION}", TYPES[ROBOT_DESCRIPTION], String(data=recording.robot_description), start)
+        for note in recording.warnings:
+            bag.write(f"/{NOTES}", TYPES[NOTES], String(data=note), start)
+        for stamp, role, message in stamped:
+            bag.write(f"/{role}", TYPES[role], message, stamp)
+
+
+def _messages(recording: Recording) -> Iterator[tuple[int, str, Any]]:
+    JointState, Temperature = message_class(TYPES[JOINT_STATES]), message_class(TYPES[TEMPERATURE])
+    for track in recording.joints:
+        for i, stamp in enumerate(track.stamps):
+            ns = _ns(stamp)
+            yield ns, JOINT_STATES, JointState(
+                header=_header(ns, ""),
+                name=list(track.names),
+                position=np.ascontiguousarray(track.position[i]),
+                velocity=_known(track.velocity[i]),
+                effort=_known(track.effort[i]),
+            )
+    for reading in recording.readings:
+        make = _pose_stamped if reading.kind == POSE else _point_stamped
+        for stamp, values in zip(reading.stamps, reading.values, strict=True):
+            ns = _ns(stamp)
+            yield ns, _TOPIC_OF[reading.kind], make(_header(ns, reading.frame), [float(v) for v in values])
+    for signal in recording.signals:
+        role, _, frame = signal.name.partition(":")
+        if role == TEMPERATURE:
+            for stamp, value in zip(signal.stamps, signal.values[:, 0], strict=True):
+                ns = _ns(stamp)
+                yield ns, TEMPERATURE, Temperature(header=_header(ns, frame), temperature=float(value), variance=0.0)
+
+
+def _ns(stamp: float) -> int:
+    """Nanoseconds of a stamp in seconds, which as a float is exact to a fifth of a microsecond."""
+    return round(stamp * 1e6) * 1000
+
+
+def _header(ns: int, frame: str) -> Any:
+    Time = message_class("builtin_interfaces/msg/Time")
+    return message_class("std_msgs/msg/Header")(stamp=Time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=frame)
+
+
+def _known(row: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(row) if np.isfinite(row).all() else _NO_NUMBERS
+
+
+def _point(values: list[float]) -> Any:
+    return message_class("geometry_msgs/msg/Point")(x=values[0], y=values[1], z=values[2])
+
+
+def _pose_stamped(header: Any, values: list[float]) -> Any:
+    x, y, z, w = values[3:]
+    orientation = message_class("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
+    pose = message_class("geometry_msgs/msg/Pose")(position=_point(values), orientation=orientation)
+    return message_class("geometry_msgs/msg/PoseStamped")(header=header, pose=pose)
+
+
+def _point_stamped(header: Any, values: list[float]) -> Any:
+    return message_class("geometry_msgs/msg/PointStamped")(header=header, point=_point(values))

@@ -1,0 +1,1 @@
+"""Thin nodes around modcal_core, and the modcal command."""
