@@ -1,0 +1,57 @@
+# modcal. `make help` lists the targets; demo and test need nothing but this clone, Python 3.11 or 3.12, and pip.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+VENV := .venv
+PY := $(VENV)/bin/python
+
+# PYTHON=python3.11 (or a path) chooses the interpreter of .venv and rebuilds it when it was made by another.
+PYTHON ?=
+export PYTHON
+
+# Another ROS that is sourced in this shell would put its Python modules and libraries before those of .venv.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
+	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help setup setup-test build demo test lint format bench lock clean
+
+help:  ## list the targets
+	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
+		printf '  make %-12s %s\n' "$$name" "$$what"; done
+
+setup:  ## create .venv with the pinned requirements
+	@scripts/setup.sh
+
+setup-test:  ## the same, with what the tests need
+	@scripts/setup.sh --test
+
+build: setup  ## build the workspace with colcon
+	@scripts/build.sh
+
+demo: build  ## calibrate from an embedded recording; ends with before/after and where the report is
+	@bash examples/demo.sh
+
+test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+	@$(PY) -m pytest $(PYTEST_ARGS)
+
+lint: setup-test  ## ruff check, ruff format --check, mypy
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+	@$(PY) -m mypy
+
+format: setup-test  ## let ruff mend what it can
+	@$(PY) -m ruff check --fix .
+	@$(PY) -m ruff format .
+
+bench: setup-test build  ## measure; see bench/
+	@$(PY) bench/run.py $(BENCH_ARGS)
+
+lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
+	@$(PY) scripts/lock.py
+
+clean:  ## remove .venv, the build and every cache
+	@rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

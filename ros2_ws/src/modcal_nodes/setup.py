@@ -1,0 +1,34 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "modcal_nodes"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Nodes around modcal_core (recorder, calibrator, simulated cell), launch files, and the modcal command.",
+    author="modcal maintainers",
+    maintainer="modcal maintainers",
+    maintainer_email="maintainers@modcal.example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={"": ["py.typed", "*.xml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
+        ("bin", ["bin/modcal"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            f"modcal = {PACKAGE}.cli.main:main",
+            f"recorder = {PACKAGE}.recorder:main",
+            f"calibrator = {PACKAGE}.calibrator:main",
+            f"simulated_cell = {PACKAGE}.simulated_cell:main",
+        ],
+    },
+)
