@@ -21,7 +21,14 @@ def ur10() -> Chain:
     d = (0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922)
     a = (0.0, -0.612, -0.5723, 0.0, 0.0, 0.0)
     alpha = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
-    names = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+    names = (
+        "shoulder_pan_joint",
+        "shoulder_lift_joint",
+        "elbow_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    )
     origins = [np.eye(4)]
     origins += [se3.transform(so3.exp([al, 0.0, 0.0]), [x, 0.0, z]) for x, z, al in zip(a, d, alpha, strict=True)]
     return Chain.build(names, origins, lower=[-2 * np.pi] * 6, upper=[2 * np.pi] * 6, base="base_link", tip="tool0")
@@ -33,7 +40,9 @@ def slider_arm() -> Chain:
     origins = se3.exp(np.c_[rng.uniform(-0.4, 0.4, (6, 3)), rng.uniform(-1.5, 1.5, (6, 3))])
     axes = [[0, 0, 1], [0, 1, 0], [-1, 0, 0], [0, 0, -1], [1, 2, -1]]
     names = [f"j{k}" for k in range(5)]
-    return Chain.build(names, origins, axes, [True, False, True, True, False], [-2, -0.4, -2, -2, -0.3], [2, 0.4, 2, 2, 0.3])
+    return Chain.build(
+        names, origins, axes, [True, False, True, True, False], [-2, -0.4, -2, -2, -0.3], [2, 0.4, 2, 2, 0.3]
+    )
 
 
 @dataclass(frozen=True)

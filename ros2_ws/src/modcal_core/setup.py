@@ -5,7 +5,7 @@ PACKAGE = "modcal_core"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The mathematics of modcal: kinematics, calibration, diagnosis and reports. NumPy and SciPy only, no ROS.",
+    description="The mathematics of modcal: kinematics, calibration, diagnosis, reports. NumPy and SciPy only, no ROS.",
     author="modcal maintainers",
     maintainer="modcal maintainers",
     maintainer_email="maintainers@modcal.example.org",

@@ -7,7 +7,7 @@ PACKAGE = "modcal_nodes"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Nodes around modcal_core (recorder, calibrator, simulated cell), launch files, and the modcal command.",
+    description="Nodes around modcal_core (recorder, calibrator, simulated cell), launch files, the modcal command.",
     author="modcal maintainers",
     maintainer="modcal maintainers",
     maintainer_email="maintainers@modcal.example.org",

@@ -1,12 +1,12 @@
 """The main path: samples in, a better model and an honest report out.
 
-*Train* fits the model, *explain* chooses what to add to it, *held-out* scores it, once. What is shipped is the same model
-fitted once more to every accepted sample; what is reported is the score of the one that had not seen the held-out set.
+*Train* fits the model, *explain* chooses what to add to it, *held-out* scores it, once. What is shipped is the same
+model fitted once more to every accepted sample; what is reported is the score of the one that had not seen the held-out
+set.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,8 +90,8 @@ def evaluate(
 ) -> Report:
     """How far a frozen calibration misses on another recording.
 
-    Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording, and
-    the score is that of the rest. Otherwise every sample is scored.
+    Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
+    and the score is that of the rest. Otherwise every sample is scored.
     """
     cell = cell or Cell()
     models = {"nominal": calibration.nominal, "final": calibration.calibrated}
@@ -126,4 +126,6 @@ def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit
     limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
     if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
         return ()
-    return ("The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",)
+    return (
+        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",
+    )

@@ -1,8 +1,8 @@
 """Reading bags, whole or cut.
 
-A file is walked record by record from its beginning, never through the index at its end: an index is missing just when a
-recording was cut short, and one way of reading is easier to trust than two. Each chunk's checksum is verified; reading
-stops at the first byte that does not fit, and what came before is kept.
+A file is walked record by record from its beginning, never through the index at its end: an index is missing just when
+a recording was cut short, and one way of reading is easier to trust than two. Each chunk's checksum is verified;
+reading stops at the first byte that does not fit, and what came before is kept.
 """
 
 from __future__ import annotations
@@ -31,7 +31,12 @@ MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
-_SIGNAL_TYPES_LEFT_OUT = ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "rosgraph_msgs/msg/Clock", "tf2_msgs/msg/")
+_SIGNAL_TYPES_LEFT_OUT = (
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/PointCloud2",
+    "rosgraph_msgs/msg/Clock",
+    "tf2_msgs/msg/",
+)
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,8 @@ class McapFile:
 def read_bag(path: Path) -> Recording:
     """The recording in a bag folder or a bare .mcap file.
 
-    A cut file is read to its last whole message, with a warning in the recording. Raises BadRecording for what is no bag.
+    A cut file is read to its last whole message, with a warning in the recording. Raises BadRecording for what is no
+    bag.
     """
     builder = RecordingBuilder(str(path))
     warnings: list[str] = []
@@ -199,7 +205,9 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
             information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
             names = [path / Path(name).name for name in information["relative_file_paths"]]
         except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
-            raise BadRecording(str(metadata), f"is damaged ({type(error).__name__})", "remove it; the .mcap is enough") from error
+            raise BadRecording(
+                str(metadata), f"is damaged ({type(error).__name__})", "remove it; the .mcap is enough"
+            ) from error
         missing = [name for name in names if not name.is_file()]
         if missing:
             raise BadRecording(str(missing[0]), "is named by metadata.yaml but not there", "put the file back")

@@ -1,7 +1,7 @@
 """Writing a bag as ``ros2 bag record -s mcap`` lays it out: a folder with NAME_0.mcap and metadata.yaml.
 
-Messages come as CDR bytes and go to disk in whole chunks at least once a second, so that a recorder that is killed loses
-no more than that: every finished chunk can be read without the index at the end of the file.
+Messages come as CDR bytes and go to disk in whole chunks at least once a second, so that a recorder that is killed
+loses no more than that: every finished chunk can be read without the index at the end of the file.
 """
 
 from __future__ import annotations
@@ -117,8 +117,7 @@ class BagWriter:
             self._span.first = min(self._span.first, received_ns)
             self._span.last = max(self._span.last, received_ns)
             self._span.count += 1
-            if time.monotonic() - self._flushed >= FLUSH_SECONDS:
-                self.flush()
+            self.flush_if_due()
         except OSError as error:
             raise self._failed(error) from error
 
@@ -127,11 +126,21 @@ class BagWriter:
         self.add_topic(topic, type_name)
         self.write_raw(topic, serialise(message, type_name), received_ns)
 
+    @property
+    def count(self) -> int:
+        """Messages written so far."""
+        return self._span.count
+
+    def flush_if_due(self) -> None:
+        """Flush when the last time was long enough ago; to be called now and then while nothing is written."""
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            self.flush()
+
     def flush(self) -> None:
-        """Finish the chunk being filled and hand it to the system; call it at least once a second."""
+        """Finish the chunk being filled and hand it to the system."""
         self._flushed = time.monotonic()
         # the library finishes a chunk by size only; by time is what survives a kill
-        self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]
+        self._writer._Writer__finalize_chunk()
         self._stream.flush()
 
     def close(self) -> None:
@@ -141,9 +150,7 @@ class BagWriter:
         self._closed = True
         try:
             information = {"rosbag2_bagfile_information": self._information()}
-            self._writer.add_metadata(
-                "rosbag2", {"serialized_metadata": _to_yaml(self._information())}
-            )
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": _to_yaml(self._information())})
             self._writer.finish()
             self._stream.close()
             temporary = self.folder / ".metadata.yaml"
@@ -194,7 +201,9 @@ class BagWriter:
 
     def _failed(self, error: OSError) -> BadRecording:
         return BadRecording(
-            str(self.file), f"cannot be written ({error.strerror})", "make room on the disk; what is written stays readable"
+            str(self.file),
+            f"cannot be written ({error.strerror})",
+            "make room on the disk; what is written stays readable",
         )
 
     def __enter__(self) -> BagWriter:

@@ -89,9 +89,13 @@ class RecordingBuilder:
             for topic, count in self._unstamped.items()
         ]
         return Recording(
-            joints=tuple(_joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics),
+            joints=tuple(
+                _joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics
+            ),
             readings=tuple(
-                ReadingTrack(kind, frame, np.array(rows.stamps), _table(rows, WIDTH[kind]), np.array(rows.received), topic)
+                ReadingTrack(
+                    kind, frame, np.array(rows.stamps), _table(rows, WIDTH[kind]), np.array(rows.received), topic
+                )
                 for (topic, kind, frame), rows in self._readings.items()
                 if topic in chosen
             ),

@@ -24,7 +24,9 @@ def write_recording(recording: Recording, folder: Path) -> None:
     with BagWriter(folder) as bag:
         String = message_class("std_msgs/msg/String")
         if recording.robot_description is not None:
-            bag.write(f"/{ROBOT_DESCRIPTION}", TYPES[ROBOT_DESCRIPTION], String(data=recording.robot_description), start)
+            bag.write(
+                f"/{ROBOT_DESCRIPTION}", TYPES[ROBOT_DESCRIPTION], String(data=recording.robot_description), start
+            )
         for note in recording.warnings:
             bag.write(f"/{NOTES}", TYPES[NOTES], String(data=note), start)
         for stamp, role, message in stamped:
@@ -36,12 +38,16 @@ def _messages(recording: Recording) -> Iterator[tuple[int, str, Any]]:
     for track in recording.joints:
         for i, stamp in enumerate(track.stamps):
             ns = _ns(stamp)
-            yield ns, JOINT_STATES, JointState(
-                header=_header(ns, ""),
-                name=list(track.names),
-                position=np.ascontiguousarray(track.position[i]),
-                velocity=_known(track.velocity[i]),
-                effort=_known(track.effort[i]),
+            yield (
+                ns,
+                JOINT_STATES,
+                JointState(
+                    header=_header(ns, ""),
+                    name=list(track.names),
+                    position=np.ascontiguousarray(track.position[i]),
+                    velocity=_known(track.velocity[i]),
+                    effort=_known(track.effort[i]),
+                ),
             )
     for reading in recording.readings:
         make = _pose_stamped if reading.kind == POSE else _point_stamped

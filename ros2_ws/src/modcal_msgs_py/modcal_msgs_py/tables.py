@@ -1,7 +1,7 @@
 """Tables of measurements to a recording: a small mapping says which column is what, and in which unit.
 
-Nothing is guessed: a unit or an angle convention that the mapping does not state is an error. Every row becomes one joint
-state and one reading with the same stamp, that is a finished station.
+Nothing is guessed: a unit or an angle convention that the mapping does not state is an error. Every row becomes one
+joint state and one reading with the same stamp, that is a finished station.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingT
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "m": 1.0, "mm": 1e-3}
 _KEYS = {
-    "files", "delimiter", "decimal", "header", "encoding", "time", "joints", "pose", "point", "same_point", "temperature"
+    "files", "delimiter", "decimal", "header", "encoding", "time", "joints",
+    "pose", "point", "same_point", "temperature",
 }  # fmt: skip
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
 
@@ -48,7 +49,9 @@ class _Table:
             except (ValueError, IndexError):
                 cell = row[index] if index < len(row) else "nothing"
                 raise BadTable(
-                    f"{self.path.name}, line {self.first_line + i}, column {key}", f"'{cell}' is no number", "correct the cell"
+                    f"{self.path.name}, line {self.first_line + i}, column {key}",
+                    f"'{cell}' is no number",
+                    "correct the cell",
                 ) from None
         return out
 
@@ -132,7 +135,7 @@ def _stamps(table: _Table, entry: Mapping[str, Any], clock: float, source: str) 
     if "order" in time:
         period = float(_need(time["order"], "period_s", source))
         note = "The table has lost its clock: stamps say the order of the rows only, not when they were taken."
-        return clock + period * np.arange(1, len(table.rows) + 1), note
+        return clock + period * np.arange(1.0, len(table.rows) + 1), note
     if "format" in time:
         out = np.empty(len(table.rows))
         for i, cell in enumerate(table.text(_need(time, "column", source))):
@@ -145,12 +148,12 @@ def _stamps(table: _Table, entry: Mapping[str, Any], clock: float, source: str) 
     else:
         out = table.column(_need(time, "seconds", source))
     falls = int((np.diff(out) < 0.0).sum())
-    note = f"{table.path.name}: {falls} rows are stamped before the row above them." if falls else None
+    warning = f"{table.path.name}: {falls} rows are stamped before the row above them." if falls else None
     # rows within the clock's resolution are still rows of their own
     order = np.argsort(out, kind="stable")
     rising = out[order]
     out[order] = rising + _ORDER_STEP * (np.arange(len(rising)) - np.searchsorted(rising, rising))
-    return out, note
+    return out, warning
 
 
 def _joints(table: _Table, entry: Mapping[str, Any], stamps: Array, source: str) -> JointTrack:

@@ -1,8 +1,8 @@
 """When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
 
 Each doubt is a mistake that people make, undone: two joints swapped, degrees taken for radians, one joint turning the
-other way, readings paired with the wrong stations. The nominal arm is fitted again with the mistake undone; the one that
-brings the error down several times is named. When none does, the robot or the pairing as a whole is wrong.
+other way, readings paired with the wrong stations. The nominal arm is fitted again with the mistake undone; the one
+that brings the error down several times is named. When none does, the robot or the pairing as a whole is wrong.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -85,5 +86,5 @@ def _mistakes(samples: Samples) -> Iterator[tuple[str, str, Samples]]:
         yield "readings look like inverse poses (tracker in tool)", "record the tool in the tracker's frame", undone
 
 
-def _reading_of(samples: Samples) -> dict[str, np.ndarray]:
+def _reading_of(samples: Samples) -> dict[str, Any]:
     return {"position": samples.position, "R": samples.R, "frame": samples.frame, "kind": samples.kind}

@@ -2,8 +2,8 @@
 
 A turn about, or a shift along, a revolute joint's axis can stand before the joint or after it; nothing measures which.
 The fit settles this by leaving directions out, which puts all of it wherever it left room. For a file that people read
-and compare, the freedom is used instead to keep the constants of every joint as close to nominal as they can be, in units
-of what a robot is usually wrong by. The motion of the tool is the same to rounding.
+and compare, the freedom is used instead to keep the constants of every joint as close to nominal as they can be, in
+units of what a robot is usually wrong by. The motion of the tool is the same to rounding.
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ def least_change(model: Model, nominal: Chain) -> Model:
     origins[0], origins[n] = nominal.origins[0], nominal.origins[n]
     before = model.chain.origins[0] @ A[0] @ D[0] @ se3.inverse(nominal.origins[0] @ A[0])
     after = se3.inverse(nominal.origins[n]) @ A[-1] @ se3.inverse(D[-1]) @ se3.inverse(A[-1]) @ model.chain.origins[n]
-    return Model(
-        model.chain.with_origins(origins), model.frames, model.T_frame_base @ before, after @ model.T_tip_tool
-    )
+    return Model(model.chain.with_origins(origins), model.frames, model.T_frame_base @ before, after @ model.T_tip_tool)
 
 
 def _sizes(chain: Chain) -> list[int]:

@@ -1,9 +1,9 @@
 """Identification: the parameters that make the model meet the samples, with their uncertainty.
 
 Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–Marquardt). The columns are scaled to unit
-length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as wide
-as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every step
-(see :mod:`modcal_core.calibration.noise`).
+length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
+wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
+step (see :mod:`modcal_core.calibration.noise`).
 """
 
 from __future__ import annotations
@@ -68,7 +68,11 @@ class Fit:
 
 
 def identify(
-    start: Model, samples: Samples, parameters: Sequence[Parameter], distances: Sequence[Distance] = (), robust: bool = True
+    start: Model,
+    samples: Samples,
+    parameters: Sequence[Parameter],
+    distances: Sequence[Distance] = (),
+    robust: bool = True,
 ) -> Fit:
     """The fit of these parameters, about this model, to the samples.
 
@@ -83,7 +87,7 @@ def identify(
     values = np.zeros(len(parameters))
     damping = 0.0
     at = linearise(start, parameters, values, samples)
-    for iteration in range(1, MAX_ITERATIONS + 1):
+    for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(parameters), robust)
         row_weight = _row_weights(weights, pose, spread, known_p, known_r)
         H_data, g = _normal_equations(at, row_weight)
@@ -96,7 +100,10 @@ def identify(
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
             new = linearise(start, parameters, values + step, samples)
-            if _cost(new, row_weight) <= _cost(at, row_weight) * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
+            if (
+                _cost(new, row_weight) <= _cost(at, row_weight) * (1.0 + 1e-6) + 1e-12 + _slack(distances)
+                or damping > 1e6
+            ):
                 break
             damping = max(10.0 * damping, 1e-4)
         values, at = values + step, new
@@ -175,4 +182,4 @@ def _solve(H: Array, g: Array, damping: float) -> Array:
             return cho_solve(cho_factor(H + (damping + ridge) * np.eye(len(H)), lower=True), g)
         except np.linalg.LinAlgError:
             continue
-    return np.linalg.lstsq(H, g, rcond=1e-12)[0]
+    return np.asarray(np.linalg.lstsq(H, g, rcond=1e-12)[0], dtype=float)

@@ -3,8 +3,8 @@
 For poses this is the robot-world / hand-eye problem ``T_frame_base FK(q) T_tip_tool = reading``. The rotations obey a
 linear system whose null vector is found by SVD (Kronecker form, Shah 2013) and projected to rotations; the positions
 then follow linearly. Points give up the orientation of the tool; tool point and base are improved in turn from several
-starts, each step in closed form. Poses that hardly turn make the first way fail, and points that hardly move the second,
-so poses are located both ways and the better one is kept. Fixed points are linear in all that is unknown.
+starts, each step in closed form. Poses that hardly turn make the first way fail, and points that hardly move the
+second, so poses are located both ways and the better one is kept. Fixed points are linear in all that is unknown.
 """
 
 from __future__ import annotations

@@ -34,7 +34,8 @@ from modcal_core.robots.kinematics import frames as chain_frames
 class Linearised:
     """Residuals of N samples and their derivatives at one set of values.
 
-    position: [m], (3, N). rotation: [rad], (3, M) for the M pose samples. J: (P, 3 N + 3 M), d(prediction)/d(parameter).
+    position: [m], (3, N). rotation: [rad], (3, M) for the M pose samples. J: (P, 3 N + 3 M),
+    d(prediction)/d(parameter).
     """
 
     position: Array

@@ -2,8 +2,8 @@
 
 Every reading has its own scatter (known from the dwell, or not), and on top of it the arm misses by an amount that no
 reading knows: gears, repeatability. The variance of a residual is ``s² + σ_i²``, with one s for positions and one for
-orientations, found so that the weighted sum of squares equals the degrees of freedom (Paule & Mandel 1982). A sample far
-outside, judged by its whole residual against a χ² law, counts less (Huber) and beyond a limit not at all.
+orientations, found so that the weighted sum of squares equals the degrees of freedom (Paule & Mandel 1982). A sample
+far outside, judged by its whole residual against a χ² law, counts less (Huber) and beyond a limit not at all.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ joint (places 1 … n − 1), and at the tool (place n). At a place an error is 
 that place turned so that the joint's axis is z; so a parameter is (place, direction).
 
 Not every direction can be told from the others. A turn about or a shift along a revolute joint's own axis commutes with
-its motion: it passes through the joint and is seen again at the next place. A sliding joint lets all shifts and the turn
-about its axis through. Keeping only what a joint stops leaves 4 directions at a revolute joint and 2 at a sliding one,
-plus 6 at the tool: 4 r + 2 p + 6 in all for a pose reading, which is minimal (Everett & Hsu 1988) and stays so for
+its motion: it passes through the joint and is seen again at the next place. A sliding joint lets all shifts and the
+turn about its axis through. Keeping only what a joint stops leaves 4 directions at a revolute joint and 2 at a sliding
+one, plus 6 at the tool: 4 r + 2 p + 6 in all for a pose reading, which is minimal (Everett & Hsu 1988) and stays so for
 parallel axes. Other readings see less, several frames more; rather than a rule for each, the directions are put in a
 fixed order of preference, their columns are computed at random postures, and each column that adds nothing to the ones
 before it is left out. That depends on the robot and the kinds of reading only, never on the data at hand.
@@ -92,7 +92,9 @@ def ordered_candidates(chain: Chain, frames: Sequence[str], views: Sequence[View
             parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
             (out if d in stopped else passing).append(parameter)
     orientation_seen = any(v.kind == "pose" for v in views)
-    out += [Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d, prior_std=_prior(d)) for d in range(6 if orientation_seen else 3)]
+    out += [
+        Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d, prior_std=_prior(d)) for d in range(6 if orientation_seen else 3)
+    ]
     fixed_point = {f: all(v.same_point for v in views if v.frame == f) for f in range(len(frames))}
     base = direction_names(chain.joint_basis[0])
     for f in [*range(1, len(frames)), 0]:

@@ -47,7 +47,8 @@ def split(samples: Samples, rng: np.random.Generator, block: int | None = None) 
         role_of_block[order] = _deal(sizes, len(stations))
         role_of_station.update(zip(stations.tolist(), role_of_block[blocks].tolist(), strict=True))
     role = np.array([role_of_station[s] for s in samples.station.tolist()])
-    return Split(*(np.flatnonzero(role == r) for r in range(3)), unit="station" if block == 1 else "block")
+    train, explain, held_out = (np.flatnonzero(role == r) for r in range(3))
+    return Split(train, explain, held_out, unit="station" if block == 1 else "block")
 
 
 def hold_out_all(samples: Samples) -> Split:

@@ -81,7 +81,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             for name, low, high in zip(calibration.nominal.chain.names, *calibration.seen, strict=True)
         },
         "parameters": [
-            {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in calibration.parameters
+            {"name": name, "value": value, "std": std, "unit": unit}
+            for name, value, std, unit in calibration.parameters
         ],
         "effects": [],
     }

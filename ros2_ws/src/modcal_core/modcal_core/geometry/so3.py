@@ -73,8 +73,7 @@ def left_jacobian_inverse(w: ArrayLike) -> Array:
 def from_quaternion(q: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of quaternions x y z w (..., 4); they are normalised first."""
     q = np.asarray(q, dtype=float)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    x, y, z, w = np.moveaxis(q, -1, 0)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     R = np.empty(q.shape[:-1] + (3, 3))
     R[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
     R[..., 0, 1] = 2.0 * (x * y - z * w)

@@ -8,7 +8,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
 
-# Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns endlessly [rad].
+# Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
 MOST_TURNS_ENDLESS = 50.0
 FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
@@ -45,7 +45,7 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Chain) -> None:
     if len(bad):
         raise BadRecording(
             f"joint {name}",
-            f"position is not a number in {len(bad)} of {len(position)} messages, first at stamp {track.stamps[bad[0]]:.3f} s",
+            f"position is no number in {len(bad)} of {len(position)} messages, first at {track.stamps[bad[0]]:.3f} s",
             "mend the driver, or record again",
         )
     k = chain.names.index(name)
@@ -95,6 +95,6 @@ def _require_reading(track: ReadingTrack, chain: Chain) -> None:
         if abs(norm[worst] - 1.0) > _UNIT:
             raise BadRecording(
                 name,
-                f"a quaternion has length {norm[worst]:.3f} at stamp {track.stamps[worst]:.3f} s, 1 ± {_UNIT:g} is allowed",
+                f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s, 1 ± {_UNIT:g} is allowed",
                 "publish unit quaternions x y z w",
             )

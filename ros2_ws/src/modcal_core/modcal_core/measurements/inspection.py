@@ -78,7 +78,9 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
     back = np.flatnonzero(steps < 0.0)
     if len(back):
         worst = back[np.argmin(steps[back])]
-        out.append(f"{name}: the clock jumps back {len(back)} times, by up to {-steps[worst]:.3f} s at {stamps[worst]:.3f} s.")
+        out.append(
+            f"{name}: the clock jumps back {len(back)} times, by up to {-steps[worst]:.3f} s at {stamps[worst]:.3f} s."
+        )
     if (repeats := int((steps == 0.0).sum())) > 0:
         out.append(f"{name}: {repeats} messages carry the stamp of the one before.")
     forward = steps[steps > 0.0]
@@ -86,7 +88,9 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
         usual = float(np.median(forward))
         gaps = forward[forward > max(_GAP * usual, 0.1)]
         if 0 < len(gaps) <= 0.02 * len(forward):
-            out.append(f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; it usually speaks every {usual:.3f} s.")
+            out.append(
+                f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; it usually speaks every {usual:.3f} s."
+            )
     late = received - stamps
     if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > 0.5:
         out.append(f"{name}: stamps are {float(np.nanmedian(late)):+.2f} s from the time they were received.")
@@ -119,7 +123,9 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
     long = runs[runs >= _STUCK]
     if not len(long):
         return []
-    return [f"{name}: {len(long)} times the same reading {_STUCK} or more times in a row: the target may have been lost."]
+    return [
+        f"{name}: {len(long)} times the same reading {_STUCK} or more times in a row: the target may have been lost."
+    ]
 
 
 def _uses(recording: Recording, chain: Chain | None) -> tuple[str, ...]:

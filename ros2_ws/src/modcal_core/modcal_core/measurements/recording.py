@@ -73,7 +73,8 @@ class Recording:
     @property
     def duration(self) -> float:
         """Seconds from the first stamp to the last of joint states and readings; 0 when there are none."""
-        stamps = [t.stamps for t in (*self.joints, *self.readings) if len(t.stamps)]
+        tracks: tuple[JointTrack | ReadingTrack, ...] = (*self.joints, *self.readings)
+        stamps = [t.stamps for t in tracks if len(t.stamps)]
         return float(max(s.max() for s in stamps) - min(s.min() for s in stamps)) if stamps else 0.0
 
     @property

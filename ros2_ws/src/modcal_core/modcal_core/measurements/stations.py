@@ -2,8 +2,8 @@
 
 Three kinds of recording are told apart. Where every reading carries the stamp of a joint state, someone paired them
 already: each pair is a station. Otherwise the arm is looked for standing still (a *dwell*): positions and readings are
-averaged there, and the scatter about the mean says how uncertain the mean is. A recording without dwells is a motion, and
-each reading becomes a sample with the posture interpolated to its stamp.
+averaged there, and the scatter about the mean says how uncertain the mean is. A recording without dwells is a motion,
+and each reading becomes a sample with the posture interpolated to its stamp.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ _LEAST_DWELLS = 3
 def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
     """The samples of a recording, for these joints in this order.
 
-    Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in common.
+    Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in
+    common.
     """
     rules = rules or StationRules()
     tracks = [r for r in recording.readings if r.kind in (POSE, POINT) and len(r.stamps)]
@@ -182,12 +183,12 @@ def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
         )
     if not out:
         return _as_is(track, np.empty(0, int), np.empty((0, q.shape[1])), moving=False)
-    columns = list(zip(*out, strict=True))
-    return _Piece(*(np.array(c) for c in columns), moving=False)  # type: ignore[arg-type]
+    q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
+    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, moving=False)
 
 
 def _inliers(position: Array) -> np.ndarray:
-    """Readings of one dwell that are not glitches: within 8 robust deviations of the median, and at least half of them."""
+    """Readings of one dwell that are no glitches: within 8 robust deviations of the median, at least half of them."""
     off = np.linalg.norm(position - np.median(position, axis=0), axis=1)
     limit = 8.0 * max(float(np.median(off)), 1e-6)
     return off <= limit

@@ -25,7 +25,7 @@ def error_histogram(report: Report) -> str:
     bins = np.linspace(0.0, max(float(np.percentile(n, 99.5)) for n in norms.values()) or 1.0, 50)
     for stage, colour in _COLOURS.items():
         label = f"{stage}: {np.sqrt(np.mean(norms[stage] ** 2)):.3f} mm RMS"
-        axes.hist(norms[stage], bins, color=colour, alpha=0.8, label=label)
+        axes.hist(norms[stage], bins.tolist(), color=colour, alpha=0.8, label=label)
     axes.set_xlabel("position error of held-out samples, mm")
     axes.set_ylabel("samples")
     axes.legend(frameon=False)

@@ -21,8 +21,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
 
-def _read_only(a: ArrayLike, dtype: type = float) -> Array:
-    out = np.array(a, dtype=dtype)
+def _read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
+    out: np.ndarray = np.array(a, dtype=dtype)
     out.flags.writeable = False
     return out
 
@@ -170,5 +170,3 @@ def rotation_to_axis(axis: ArrayLike) -> Array:
     x = first - a * (a @ first)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(a, x), a], axis=1)
-
-

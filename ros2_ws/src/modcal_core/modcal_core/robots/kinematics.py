@@ -95,5 +95,3 @@ def place_jacobian(chain: Chain, q: ArrayLike, place: int) -> Array:
     base-frame twist of the tip per unit error there.
     """
     return se3.adjoint(frames(chain, q).transform(place))
-
-

@@ -56,7 +56,9 @@ def read_chain(
         if joint.type == "fixed":
             continue
         if joint.type not in _MOVING:
-            raise BadRobot(f"joint {joint.name}", f"type {joint.type} cannot be in a chain", "choose another base or tip")
+            raise BadRobot(
+                f"joint {joint.name}", f"type {joint.type} cannot be in a chain", "choose another base or tip"
+            )
         if joint.mimic is not None:
             raise BadRobot(f"joint {joint.name}", f"mimics {joint.mimic.joint}", "choose another base or tip")
         limit = joint.limit if joint.type != "continuous" else None
@@ -117,7 +119,9 @@ def _root(robot: Any) -> str:
     children = {joint.child for joint in robot.joints}
     roots = [link.name for link in robot.links if link.name not in children]
     if len(roots) != 1:
-        raise BadRobot("robot description", f"has {len(roots)} root links", "connect its links to one tree, or give --base")
+        raise BadRobot(
+            "robot description", f"has {len(roots)} root links", "connect its links to one tree, or give --base"
+        )
     return str(roots[0])
 
 

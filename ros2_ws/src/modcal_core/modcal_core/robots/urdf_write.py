@@ -1,7 +1,8 @@
 """Writing corrected origins back into a URDF, and nothing else.
 
 People keep comments, order and spacing in these files, and tools keep hashes of them, so the text is not parsed and
-printed again: the corrected ``<origin .../>`` is put over the old one, byte by byte, where a real XML parser says it is.
+printed again: the corrected ``<origin .../>`` is put over the old one, byte by byte, where a real XML parser says it
+is.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
     """The URDF in which the moving joints' origins give the calibrated chain; reloading it gives the same kinematics.
 
     The constant before a joint changes through that joint's own origin. What comes after the last joint belongs to the
-    tool; where it changed, the last fixed joint before the tip takes it, and NotRepresentable is raised if there is none.
+    tool; where it changed, the last fixed joint before the tip takes it, and NotRepresentable is raised if there is
+    none.
     """
     path = read_path(urdf_xml, nominal.base, nominal.tip)
     old = joint_origins(urdf_xml)
@@ -55,10 +57,10 @@ def write_origins(urdf_xml: str, origins: Mapping[str, Array]) -> str:
         if name not in places:
             raise BadRobot(f"joint '{name}'", "is not in the robot description", "write into the URDF it came from")
         start, end, indent = places[name]
-        text = f'<origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(so3.to_rpy(T[:3, :3]))}"/>'
-        edits.append((start, end, indent + text.encode()))
-    for start, end, text in sorted(edits, reverse=True):
-        raw = raw[:start] + text + raw[end:]
+        element = f'<origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(so3.to_rpy(T[:3, :3]))}"/>'
+        edits.append((start, end, indent + element.encode()))
+    for start, end, new in sorted(edits, reverse=True):
+        raw = raw[:start] + new + raw[end:]
     return raw.decode()
 
 
