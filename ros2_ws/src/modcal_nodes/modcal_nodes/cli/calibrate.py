@@ -9,19 +9,15 @@ import click
 import numpy as np
 from rich.console import Console
 
-from modcal_core.calibration.store import to_data
-from modcal_core.loop import Result, calibrate, evaluate
+from modcal_core.loop import calibrate, evaluate
 from modcal_core.measurements.prepare import Prepared, prepare
 from modcal_core.measurements.recording import Recording
-from modcal_core.report.html import to_html
-from modcal_core.report.report import Report, to_json_data
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import kinematics_yaml_data
+from modcal_core.report.report import Report
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.files import read_calibration, read_cell, to_json, to_yaml, write_folder
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.show import show_report
+from modcal_nodes.files import read_calibration, read_cell, write_folder
+from modcal_nodes.results import calibration_files, report_files
 
 EXISTING = click.Path(exists=True, path_type=Path)
 _SPLITS = click.option(
@@ -35,7 +31,9 @@ _CLOCK = click.option(
     "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
-_CELL = click.option("--cell", "cell_file", type=EXISTING, default=None, help="YAML of known distances and fixed parameters.")
+_CELL = click.option(
+    "--cell", "cell_file", type=EXISTING, default=None, help="YAML of known distances and fixed parameters."
+)
 _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 
 
@@ -43,8 +41,12 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @click.argument("bag", type=EXISTING)
 @click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag.")
 @click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
-@click.option("--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints.")
-@click.option("--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable.")
+@click.option(
+    "--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints."
+)
+@click.option(
+    "--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable."
+)
 @_CELL
 @_SPLITS
 @_SEED
@@ -73,18 +75,6 @@ def calibrate_command(
     write_folder(out, calibration_files(result, report, chain, text))
     show_report(report, Console())
     click.echo(f"Report: {out / 'report.html'}")
-
-
-def calibration_files(result: Result, report: Report, chain: Chain, urdf: str) -> dict[str, str]:
-    """Names and texts of everything a calibration leaves behind."""
-    calibrated = result.calibration.calibrated.chain
-    return {
-        "report.json": to_json(to_json_data(report)),
-        "report.html": to_html(report),
-        "calibration.yaml": to_yaml(to_data(result.calibration)),
-        "calibrated.urdf": calibrated_urdf(urdf, chain, calibrated),
-        "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated)),
-    }
 
 
 @click.command("evaluate")
@@ -116,7 +106,7 @@ def evaluate_command(
     report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
     report = _named(report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
-    write_folder(out, {"report.json": to_json(to_json_data(report)), "report.html": to_html(report)})
+    write_folder(out, report_files(report))
     show_report(report, Console())
     click.echo(f"Report: {out / 'report.html'}")
 

@@ -14,8 +14,8 @@ from modcal_core.measurements.inspection import inspect
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
-from modcal_nodes.cli.files import read_yaml
 from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.files import read_yaml
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -38,7 +38,13 @@ def info_command(bag: Path, urdf: Path | None, base: str | None, tip: str | None
         chain, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, chain)
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for name, side in (("topic", "left"), ("what", "left"), ("messages", "right"), ("Hz", "right"), ("largest gap", "right")):
+    for name, side in (
+        ("topic", "left"),
+        ("what", "left"),
+        ("messages", "right"),
+        ("Hz", "right"),
+        ("largest gap", "right"),
+    ):
         table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
     for track in seen.tracks:
         table.add_row(track.topic, track.what, str(track.count), f"{track.rate:.4g}", f"{track.largest_gap:.3g} s")

@@ -1,0 +1,80 @@
+"""Every parameter of every node: default, bounds and what it means, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """default: also gives the type. low, high: bounds of a number, both or neither."""
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+
+
+RECORDER = {
+    "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),
+    "topics": Parameter(
+        ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
+         "temperature", "wrench"],
+        "Topics to record, relative to the node's namespace, as soon as someone publishes them.",
+    ),
+}  # fmt: skip
+
+CALIBRATOR = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: the link behind most joints that are heard."),
+    "fixed": Parameter([""], "Parameters that must stay as they are, by name, place or pattern."),
+    "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
+    "out": Parameter("", "Folder that a solve writes its files to; empty: it writes none."),
+    "seed": Parameter(0, "Of the split into train, explain and held-out.", 0, 2**31 - 1),
+    "clock_limit_s": Parameter(
+        0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
+    ),
+}
+
+SIMULATED_CELL = {
+    "urdf": Parameter("", "URDF file of the nominal arm."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: the one behind most joints."),
+    "seed": Parameter(
+        1, "Decides the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
+    ),
+    "length_std_m": Parameter(5e-4, "How far the true arm's bodies are displaced, per axis [m].", 0.0, 0.1),
+    "angle_std_rad": Parameter(1e-3, "How far the true arm's bodies are turned, per axis [rad].", 0.0, 0.2),
+    "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),
+    "noise_rad": Parameter(5e-5, "Noise of one tracker orientation, per axis [rad].", 0.0, 0.1),
+    "measurement": Parameter("pose", "What the tracker shows: pose or point."),
+    "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
+    "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
+    "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
+    "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
+    "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),
+}
+
+
+def declare(node: Node, parameters: dict[str, Parameter]) -> None:
+    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
+    for name, parameter in parameters.items():
+        descriptor = ParameterDescriptor(description=parameter.description)
+        if parameter.low is not None and parameter.high is not None:
+            if isinstance(parameter.default, int):
+                bounds = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=0)
+                descriptor.integer_range = [bounds]
+            else:
+                span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
+                descriptor.floating_point_range = [span]
+        node.declare_parameter(name, parameter.default, descriptor)
+
+
+def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
+    """The present values of these parameters."""
+    return {name: node.get_parameter(name).value for name in parameters}

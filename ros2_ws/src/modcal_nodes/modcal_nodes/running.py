@@ -1,0 +1,57 @@
+"""Starting and stopping a node: the same for all of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from modcal_core.errors import ModcalError
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# A subscriber that asks for less hears every publisher, whether it offers reliable or best effort.
+ANY_RELIABILITY = QoSProfile(
+    depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+
+
+def run(make: Callable[[], Node]) -> None:
+    """Spin the node until it is told to stop (Ctrl-C, SIGTERM, shutdown), then close it.
+
+    A ModcalError ends the process with exit code 2 and its line on stderr.
+    """
+    code = 0
+    rclpy.init()
+    node: Node | None = None
+    try:
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except ModcalError as error:
+        print(f"modcal: {error}", file=sys.stderr)
+        code = 2
+    finally:
+        code = max(code, _close(node))
+        rclpy.try_shutdown()
+    sys.exit(code)
+
+
+def _close(node: Node | None) -> int:
+    if node is None:
+        return 0
+    try:
+        if hasattr(node, "close"):
+            node.close()
+    except ModcalError as error:
+        print(f"modcal: {error}", file=sys.stderr)
+        return 2
+    finally:
+        node.destroy_node()
+    return 0
