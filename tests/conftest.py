@@ -1,0 +1,88 @@
+"""What every test gets: quiet threads, a ROS that stays on this machine, and the places of data and workspace."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+INSTALL = ROOT / "ros2_ws" / "install"
+PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
+
+# Set before NumPy or rclpy is imported, and inherited by every process that a test starts.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+# Without it an int in a float64 field is sent as another number, in silence.
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+os.environ.setdefault("ROS_LOG_DIR", str(Path(tempfile.gettempdir()) / "modcal_ros_log"))
+# As `source install/setup.bash` would have it, so that share directories are found without sourcing.
+_prefixes = [*(str(INSTALL / p) for p in PACKAGES), sys.prefix, os.environ.get("AMENT_PREFIX_PATH", "")]
+os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(p for p in _prefixes if p)
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from hypothesis import settings  # noqa: E402
+
+# The same examples on every run, and no deadline: a busy machine is not a failure.
+settings.register_profile("modcal", derandomize=True, deadline=None, print_blob=True)
+settings.load_profile("modcal")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--seed", type=int, default=7, help="seed of the rng fixture")
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    return f"seed: {config.getoption('--seed')}"
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers, the same for every test and run unless --seed says otherwise."""
+    return np.random.default_rng(request.config.getoption("--seed"))
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """Folder of the checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def install() -> Path:
+    """Folder of the built workspace; `make test` builds it."""
+    if not (INSTALL / "setup.bash").is_file():
+        pytest.skip("the workspace is not built: run `make build`")
+    return INSTALL
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the real recordings, which lies beside the checkout and is no part of it."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no real recordings: ../shared/data is not beside this checkout")
+    return folder
+
+
+@pytest.fixture
+def ros_domain() -> Iterator[int]:
+    """A ROS domain that no other test holds, in this process or another; also in the environment while it is held."""
+    # Up to 101, the ports of a domain lie below those that the system hands out for outgoing connections.
+    for domain in range(1, 102):
+        with (Path(tempfile.gettempdir()) / f"modcal_ros_domain_{domain}").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setenv("ROS_DOMAIN_ID", str(domain))
+                yield domain
+            return
+    pytest.fail("all ROS domains are held by other tests")

@@ -1,0 +1,165 @@
+"""Imports point downwards only, and the mathematics needs neither ROS nor its files."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
+
+# A room may import from itself and from those before it; `top` are the files beside the rooms, where the loop stands.
+_FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "calibration", "diagnosis", "online")
+_ALSO = {"errors", "geometry", "robots", "measurements"}
+ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
+ROOMS["articulation"] = _ALSO | {"articulation"}
+ROOMS["compliance"] = _ALSO | {"compliance"}
+ROOMS["report"] = {*ROOMS, "report", "top"}
+ROOMS["top"] = {*ROOMS, "top"}
+
+MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
+# What each room of the core may import from outside, beyond NumPy, SciPy and the standard library ...
+_PARSERS = {"lxml", "urdf_parser_py"}
+OUTSIDE = {"robots/urdf": _PARSERS}
+# ... and what only inside a function, so that importing the core stays quick and needs no plotting.
+OUTSIDE_WHEN_CALLED = {"report/": {"jinja2", "matplotlib", "yaml"}}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One module that one line imports. `lazy`: only when a function is called, or for the type checker alone."""
+
+    module: str
+    line: int
+    lazy: bool
+
+
+def imports(source: str, package: str) -> Iterator[Import]:
+    """Every import of the source of a module in `package`, names of `from` imports included, relative ones resolved."""
+
+    def walk(node: ast.AST, lazy: bool) -> Iterator[Import]:
+        if isinstance(node, ast.Import):
+            yield from (Import(alias.name, node.lineno, lazy) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            here = package.split(".")
+            base = here[: len(here) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (Import(f"{module}.{alias.name}", node.lineno, lazy) for alias in node.names)
+        lazy = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        lazy = lazy or (isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"))
+        for child in ast.iter_child_nodes(node):
+            yield from walk(child, lazy)
+
+    yield from walk(ast.parse(source), lazy=False)
+
+
+def files(package: str) -> dict[str, Path]:
+    """Paths of a package's modules by their place in it, such as ``robots/chain.py``."""
+    top = SRC / package / package
+    return {path.relative_to(top).as_posix(): path for path in sorted(top.rglob("*.py"))}
+
+
+def imports_of(package: str, place: str) -> list[Import]:
+    inside = ".".join([package, *Path(place).parts[:-1]])
+    return list(imports(files(package)[place].read_text(), inside))
+
+
+def room_of(place: str) -> str:
+    first = Path(place).parts[0]
+    return first.removesuffix(".py") if first.removesuffix(".py") in ROOMS else "top"
+
+
+def target_room(module: str) -> str:
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in ROOMS else "top"
+
+
+def rooms_broken(place: str, found: list[Import]) -> list[str]:
+    allowed = ROOMS[room_of(place)]
+    return [
+        f"{place}:{i.line} imports {i.module}"
+        for i in found
+        if i.module.split(".")[0] == "modcal_core" and target_room(i.module) not in allowed
+    ]
+
+
+def outsiders(place: str, found: list[Import]) -> list[str]:
+    def granted(table: dict[str, set[str]]) -> set[str]:
+        return {name for prefix, names in table.items() if place.startswith(prefix) for name in names}
+
+    always = {"numpy", "scipy", "modcal_core"} | sys.stdlib_module_names | granted(OUTSIDE)
+    when_called = always | granted(OUTSIDE_WHEN_CALLED)
+    return [
+        f"{place}:{i.line} imports {i.module}"
+        for i in found
+        if i.module.split(".")[0] not in (when_called if i.lazy else always)
+    ]
+
+
+def test_every_folder_of_the_core_is_a_known_room() -> None:
+    assert {Path(p).parts[0] for p in files("modcal_core") if "/" in p} <= set(ROOMS)
+
+
+@pytest.mark.parametrize("place", files("modcal_core"))
+def test_core_imports_point_downwards(place: str) -> None:
+    assert not rooms_broken(place, imports_of("modcal_core", place))
+
+
+@pytest.mark.parametrize("place", files("modcal_core"))
+def test_core_needs_only_numpy_and_scipy(place: str) -> None:
+    assert not outsiders(place, imports_of("modcal_core", place))
+
+
+@pytest.mark.parametrize("place", files("modcal_msgs_py"))
+def test_messages_know_no_node(place: str) -> None:
+    roots = {i.module.split(".")[0] for i in imports_of("modcal_msgs_py", place)}
+    assert not roots & {"rclpy", "modcal_nodes"}
+
+
+def test_importing_the_core_loads_no_ros() -> None:
+    modules = [
+        ".".join(["modcal_core", *Path(place).with_suffix("").parts]).removesuffix(".__init__")
+        for place in files("modcal_core")
+    ]
+    # A process of its own: here, other tests have loaded ROS already.
+    program = "import importlib, sys\nfor m in sys.argv[1:]: importlib.import_module(m)\nprint(*sorted(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *modules],
+        env={**os.environ, "PYTHONPATH": str(SRC / "modcal_core")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = {name.split(".")[0] for name in done.stdout.split()}
+    assert "modcal_core" in loaded
+    foreign = {
+        "rclpy",
+        "rosbags",
+        "mcap",
+        "mcap_ros2",
+        "matplotlib",
+        "rosidl_runtime_py",
+        "rosidl_parser",
+        "ament_index_python",
+    }
+    assert not loaded & foreign
+    assert not {name for name in loaded if name.endswith(("_msgs", "_interfaces", "_srvs"))}
+    assert not loaded & (MODCAL - {"modcal_core"})
+
+
+def test_the_rules_catch_what_they_forbid() -> None:
+    upwards = "from modcal_core.calibration.identify import identify"
+    assert rooms_broken("robots/chain.py", list(imports(upwards, "modcal_core.robots")))
+    assert rooms_broken("robots/chain.py", list(imports("from ..loop import fit", "modcal_core.robots")))
+    assert rooms_broken("geometry/se3.py", list(imports("from modcal_core import robots", "modcal_core.geometry")))
+    assert not rooms_broken("loop.py", list(imports(upwards, "modcal_core")))
+    assert outsiders("report/figures.py", list(imports("import matplotlib", "modcal_core.report")))
+    assert not outsiders("report/figures.py", list(imports("def draw():\n    import matplotlib", "modcal_core.report")))
+    assert outsiders("loop.py", list(imports("def f():\n    from sensor_msgs.msg import JointState", "modcal_core")))
+    assert outsiders("loop.py", list(imports("if True:\n    import modcal_msgs_py", "modcal_core")))
