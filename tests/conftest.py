@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -69,20 +67,3 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no real recordings: ../shared/data is not beside this checkout")
     return folder
-
-
-@pytest.fixture
-def ros_domain() -> Iterator[int]:
-    """A ROS domain that no other test holds, in this process or another; also in the environment while it is held."""
-    # Up to 101, the ports of a domain lie below those that the system hands out for outgoing connections.
-    for domain in range(1, 102):
-        with (Path(tempfile.gettempdir()) / f"modcal_ros_domain_{domain}").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setenv("ROS_DOMAIN_ID", str(domain))
-                yield domain
-            return
-    pytest.fail("all ROS domains are held by other tests")

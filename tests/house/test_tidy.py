@@ -43,3 +43,10 @@ def test_lock_is_exact() -> None:
         lines = [line for line in (ROOT / name).read_text().splitlines() if line and not line.startswith("#")]
         assert lines
         assert not [line for line in lines if not re.fullmatch(r"[a-z0-9-]+==[\w.+!]+", line)]
+
+
+def test_contributing_names_the_locked_versions() -> None:
+    locked = set((ROOT / "requirements.txt").read_text().split())
+    named = set(re.findall(r"[\w-]+==[\w.]+", (ROOT / "CONTRIBUTING.md").read_text()))
+    assert named
+    assert named <= locked
