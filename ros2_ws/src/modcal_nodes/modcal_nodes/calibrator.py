@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState, Temperature
@@ -56,7 +57,8 @@ class Calibrator(Node):
         for topic, kind in _HEARD.items():
             self.create_subscription(kind, topic, partial(self._hear, topic), ANY_RELIABILITY)
         self.create_subscription(String, "robot_description", self._take_description, LATCHED)
-        self.create_service(Trigger, "~/solve", self._solve)
+        # a group of its own: while a solve is awaited, its group takes no other callback
+        self.create_service(Trigger, "~/solve", self._solve, callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_timer(1.0, self._diagnose)
 

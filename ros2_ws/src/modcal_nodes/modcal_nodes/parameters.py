@@ -55,6 +55,7 @@ SIMULATED_CELL = {
     "measurement": Parameter("pose", "What the tracker shows: pose or point."),
     "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
     "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
+    "start_delay_s": Parameter(0.0, "Silence before the first message, for subscribers to be found [s].", 0.0, 60.0),
     "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
     "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -41,7 +42,7 @@ class SimulatedCell(Node):
         self.world = make_world(self.chain, rng, chosen["length_std_m"], chosen["angle_std_rad"])
         self._noise = np.random.default_rng(chosen["seed"] + 1)
         self._program = Program(np.clip(np.zeros(self.chain.n), self.chain.lower, self.chain.upper))
-        self._start = self.get_clock().now()
+        self._start = self.get_clock().now() + Duration(seconds=chosen["start_delay_s"])
 
         self._joints = self.create_publisher(JointState, "joint_states", 10)
         poses = chosen["measurement"] == "pose"
@@ -58,10 +59,13 @@ class SimulatedCell(Node):
             self.get_logger().info(f"visiting {chosen['stations']} postures in {self._program.end:.0f} s")
 
     def _seconds(self, now: Time) -> float:
+        """Time since the cell began to speak; below zero it is silent."""
         return 1e-9 * (now - self._start).nanoseconds
 
     def _publish_joints(self) -> None:
         now = self.get_clock().now()
+        if self._seconds(now) < 0.0:
+            return
         message = JointState(name=list(self.chain.names))
         message.header.stamp = now.to_msg()
         message.position = [float(x) for x in self._program.at(self._seconds(now))]
@@ -69,6 +73,8 @@ class SimulatedCell(Node):
 
     def _publish_tracker(self) -> None:
         now = self.get_clock().now()
+        if self._seconds(now) < 0.0:
+            return
         T = self.world.tool_in_tracker(self._program.at(self._seconds(now)))
         T[:3, 3] += self._chosen["noise_m"] * self._noise.standard_normal(3)
         T[:3, :3] = T[:3, :3] @ so3.exp(self._chosen["noise_rad"] * self._noise.standard_normal(3))

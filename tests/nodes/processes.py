@@ -1,0 +1,108 @@
+"""Real node processes for tests: started from the install tree, each test in a DDS domain of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+ROOT = Path(__file__).resolve().parents[2]
+EXECUTABLES = ROOT / "ros2_ws" / "install" / "modcal_nodes" / "lib" / "modcal_nodes"
+_domains = itertools.count(1 + os.getpid() % 90)
+
+
+def fresh_domain() -> int:
+    """A domain that no other test of this run uses; above 101 ports would collide with those the system hands out."""
+    return 1 + next(_domains) % 100
+
+
+def environment(domain: int) -> dict[str, str]:
+    install = ROOT / "ros2_ws" / "install"
+    prefixes = [install / name for name in ("modcal_nodes", "modcal_msgs_py", "modcal_core")] + [ROOT / ".venv"]
+    return {
+        **os.environ,
+        "AMENT_PREFIX_PATH": os.pathsep.join(map(str, prefixes)),
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_PYTHON_CHECK_FIELDS": "1",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class Process:
+    """One node process; its output is kept and shown when a test fails."""
+
+    def __init__(self, name: str, domain: int, folder: Path, *arguments: str, **parameters: Any) -> None:
+        settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        ros = ["--ros-args", *arguments, *settings] if arguments or settings else []
+        self.log = folder / f"{name}-{time.monotonic_ns()}.log"
+        with self.log.open("wb") as stream:
+            self.popen = subprocess.Popen(
+                [str(EXECUTABLES / name), *ros], env=environment(domain), stdout=stream, stderr=subprocess.STDOUT, cwd=folder
+            )
+
+    def stop(self, number: int = signal.SIGTERM, patience: float = 15.0) -> int:
+        """Signal the process and return its exit code."""
+        if self.popen.poll() is None:
+            self.popen.send_signal(number)
+        try:
+            return self.popen.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            self.popen.wait()
+            raise AssertionError(f"{self.log.name} did not stop:\n{self.output}") from None
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+
+@contextlib.contextmanager
+def running(*processes: Process) -> Iterator[None]:
+    """Make sure that none of them outlives the test, and show what they said when it fails."""
+    try:
+        yield
+    except BaseException:
+        for process in processes:
+            print(f"--- {process.log.name}\n{process.output[-4000:]}")
+        raise
+    finally:
+        for process in processes:
+            if process.popen.poll() is None:
+                process.popen.kill()
+                process.popen.wait()
+
+
+@contextlib.contextmanager
+def listener(domain: int) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
+    """A node of the test's own, and ``wait(condition, seconds)`` that spins it until the condition is true."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("test_listener", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def wait(condition: Callable[[], Any], seconds: float) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+            if value := condition():
+                return value
+        raise AssertionError(f"waited {seconds} s in vain")
+
+    try:
+        yield node, wait
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
