@@ -86,7 +86,9 @@ def test_frozen_without_refit_scores_every_station() -> None:
     made = record(5, 160)
     calibration = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
     again = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))
-    report = evaluate(calibration, samples_of(ur10(), again, made.world.tool_in_tracker(again)), np.random.default_rng(0))
+    report = evaluate(
+        calibration, samples_of(ur10(), again, made.world.tool_in_tracker(again)), np.random.default_rng(0)
+    )
     assert report.set_sizes() == {"train": 0, "explain": 0, "held_out": 40}
     size = report.size_mm("final")
     assert size is not None

@@ -51,7 +51,9 @@ def test_calibration_of_another_robot_is_refused() -> None:
     assert fingerprint(ur10()) == fingerprint(ur10().with_origins(ur10().origins + 1e-13))
 
 
-@pytest.mark.parametrize("data", [None, [], {"a": 1}, {"modcal_calibration": 99}, {"modcal_calibration": 1, "nominal": {}}])
+@pytest.mark.parametrize(
+    "data", [None, [], {"a": 1}, {"modcal_calibration": 99}, {"modcal_calibration": 1, "nominal": {}}]
+)
 def test_damaged_calibrations_are_refused(data: object) -> None:
     with pytest.raises(BadTable):
         from_data(data, "some.yaml")

@@ -49,7 +49,11 @@ class Process:
         self.log = folder / f"{name}-{time.monotonic_ns()}.log"
         with self.log.open("wb") as stream:
             self.popen = subprocess.Popen(
-                [str(EXECUTABLES / name), *ros], env=environment(domain), stdout=stream, stderr=subprocess.STDOUT, cwd=folder
+                [str(EXECUTABLES / name), *ros],
+                env=environment(domain),
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
             )
 
     def stop(self, number: int = signal.SIGTERM, patience: float = 15.0) -> int:
