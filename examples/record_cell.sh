@@ -5,7 +5,9 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 out=$(realpath -m "${1:?give the folder of the bag}")
 stations=${2:-80}
+set +u  # what colcon writes reads variables that may not be set
 source env.bash
+set -u
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-42}
 nodes=ros2_ws/install/modcal_nodes/lib/modcal_nodes
 

@@ -15,11 +15,11 @@ from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import Fit, identify, require_enough
 from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
-from modcal_core.calibration.split import hold_out_all, split
+from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
-from modcal_core.calibration.structure import Choice, choose_parameters, views_of
+from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
@@ -43,6 +43,9 @@ def calibrate(
     None decides. Raises ModcalError for data that cannot carry a fit.
     """
     cell = cell or Cell()
+    cell.require_frames(samples.frames)
+    count = parameter_count(chain, samples, cell.fixed, cell.distances)
+    require_enough(samples, count, len(cell.distances), share=SHARES[0])
     sets = split(samples, rng, block)
     train, held_out = samples.select(sets.train), samples.select(sets.held_out)
 

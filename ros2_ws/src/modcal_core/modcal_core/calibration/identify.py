@@ -78,7 +78,7 @@ def identify(
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
-    _enough(samples, parameters, distances)
+    require_enough(samples, len(parameters), len(distances))
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     dimensions = np.where(pose, 6.0, 3.0)
@@ -117,15 +117,20 @@ def identify(
     return Fit(model, start, tuple(parameters), values, covariance, spread, weights, H_data, iteration)
 
 
-def _enough(samples: Samples, parameters: Sequence[Parameter], distances: Sequence[Distance]) -> None:
-    equations = 3 * len(samples) + 3 * int(samples.is_pose.sum()) + len(distances)
-    need = EQUATIONS_PER_PARAMETER * len(parameters)
+def require_enough(samples: Samples, parameters: int, known: int = 0, share: float = 1.0) -> None:
+    """Raises NotEnoughData unless a share of these samples gives equations enough for so many parameters.
+
+    known: equations that come on top, such as known distances.
+    """
+    equations = share * (3 * len(samples) + 3 * int(samples.is_pose.sum()))
+    need = EQUATIONS_PER_PARAMETER * parameters - known
     if equations < need:
-        per_station = equations / max(samples.stations, 1)
+        least = int(np.ceil(need / max(equations / max(samples.stations, 1), 1e-9)))
+        of_them = "" if share == 1.0 else f" the {share:.0%} of them that fit"
         raise NotEnoughData(
-            f"{samples.stations} stations to fit {len(parameters)} parameters",
-            f"they give {equations} equations, {int(np.ceil(need))} are the least",
-            f"record at least {int(np.ceil(need / max(per_station, 1.0)))} stations for the fit, or fix parameters",
+            f"{samples.stations} stations for {parameters} parameters",
+            f"{of_them or ' they'} give {equations:.0f} equations, {int(np.ceil(need))} are the least".strip(),
+            f"record at least {least} stations, or fix parameters",
         )
 
 

@@ -17,7 +17,7 @@ from modcal_core.calibration.parameters import (
     independent_columns,
     ordered_candidates,
 )
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
@@ -25,6 +25,9 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward, spatial_jacobian
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
+
+# a tool that lies on no joint's axis
+_GENERAL_TOOL = se3.transform(so3.exp([0.3, -0.2, 0.5]), [0.11, 0.07, 0.13])
 
 
 def views_of(samples: Samples) -> tuple[View, ...]:
@@ -119,6 +122,12 @@ def choose_parameters(
     passing = (2, 5)
     left_out = [c.name for j, c in enumerate(candidates) if j not in kept and (c.direction in passing or c.of_arm)]
     return Choice(tuple(parameters), tuple(left_out))
+
+
+def parameter_count(chain: Chain, samples: Samples, fixed: Sequence[str], distances: Sequence[Distance]) -> int:
+    """How many parameters these readings call for, wherever base and tool may turn out to be."""
+    somewhere = Model(chain, samples.frames, np.tile(np.eye(4), (len(samples.frames), 1, 1)), _GENERAL_TOOL)
+    return len(choose_parameters(somewhere, views_of(samples), fixed, distances).parameters)
 
 
 def _meet_fixed_points(model: Model, views: Sequence[View], samples: Samples) -> Model:

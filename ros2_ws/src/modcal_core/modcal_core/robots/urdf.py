@@ -24,6 +24,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
 _TOOL_NAMES = ("tool0", "_tcp", "tcp", "ee", "flange")
+_FINGER_JOINTS = 4  # a branch with more is an arm
 _FARTHEST = 20.0  # m; a revolute arm with a longer reach is suspected of millimetres
 _MOVING = {"revolute": True, "continuous": True, "prismatic": False}
 
@@ -154,30 +155,47 @@ def _leaves(robot: Any, base: str) -> Iterator[tuple[str, list[Any]]]:
 
 
 def _default_tip(robot: Any, base: str, recorded: Collection[str] | None) -> str:
-    """The end of the longest arm: a path is followed only as far as its moving joints were recorded and may be used."""
-    best: tuple[tuple[int, int, int], str] | None = None
+    """The end of the longest arm; fingers are not part of it.
+
+    Of arms whose joints were all recorded the longest is taken; where there is none, the longest at all, so that the
+    joints that are missing can be named.
+    """
+    best: tuple[tuple[bool, int, int, int], str] | None = None
     for _, path in _leaves(robot, base):
-        usable = path
+        arm = path
         for i, joint in enumerate(path):
-            unknown = recorded is not None and joint.type != "fixed" and joint.name not in recorded
-            if unknown or joint.mimic is not None or (joint.type != "fixed" and joint.type not in _MOVING):
-                usable = path[:i]
+            if joint.type != "fixed" and (joint.type not in _MOVING or joint.mimic or _opens_gripper(robot, joint)):
+                arm = path[:i]
                 break
-        if not usable:
+        moving = [joint.name for joint in arm if joint.type != "fixed"]
+        if not moving:
             continue
-        tip = usable[-1].child
-        moving = sum(joint.type != "fixed" for joint in usable)
+        tip = arm[-1].child
+        known = recorded is None or set(moving) <= set(recorded)
         named = max((len(_TOOL_NAMES) - i for i, name in enumerate(_TOOL_NAMES) if tip.endswith(name)), default=0)
-        rank = (moving, named, len(usable))
+        rank = (known, len(moving), named, len(arm))
         if best is None or rank > best[0]:
             best = (rank, tip)
-    if best is None or best[0][0] == 0:
-        # let the caller's checks name the joints that are missing
-        complete = [(len([j for j in path if j.type != "fixed"]), name) for name, path in _leaves(robot, base)]
-        if not complete or max(complete)[0] == 0:
-            raise BadRobot(f"link '{base}'", "no moving joint behind it", "give the --base of an arm")
-        return max(complete)[1]
+    if best is None:
+        raise BadRobot(f"link '{base}'", "no moving joint behind it", "give the --base of an arm")
     return best[1]
+
+
+def _opens_gripper(robot: Any, joint: Any) -> bool:
+    """Whether a moving joint begins a finger: short branches side by side, or joints that mimic each other."""
+    children: dict[str, list[Any]] = {}
+    for j in robot.joints:
+        children.setdefault(j.parent, []).append(j)
+
+    def depth(j: Any) -> int:
+        return (j.type != "fixed") + max((depth(c) for c in children.get(j.child, [])), default=0)
+
+    def mimics(j: Any) -> bool:
+        return j.mimic is not None or any(mimics(c) for c in children.get(j.child, []))
+
+    siblings = [(depth(j), mimics(j)) for j in children[joint.parent]]
+    moving = [d for d, _ in siblings if d > 0]
+    return max(moving) <= _FINGER_JOINTS and (len(moving) > 1 or any(m for _, m in siblings))
 
 
 def _numbers(values: Any, count: int, what: str) -> Array:

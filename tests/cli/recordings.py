@@ -1,0 +1,62 @@
+"""Recordings of the UR10 in MuJoCo, as finished stations or as streams, ready to be spoiled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cells import record, ur10
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_nodes.simulation.program import Program, tour
+from modcal_nodes.simulation.world import World
+
+URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
+START = 1.7e9
+
+
+def stations(count: int = 80, seed: int = 1) -> Recording:
+    """A joint state and a pose with the same stamp, every two seconds."""
+    made = record(seed, count)
+    t = START + 2.0 * np.arange(count)
+    T = se3.transform(made.samples.R, made.samples.position)
+    return _recording(t, made.samples.q, t, se3.to_pose(T))
+
+
+def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0) -> Recording:
+    """Joint states at 125 Hz and poses at 50 Hz of an arm that visits postures; the tracker's stamps may be late."""
+    rng = np.random.default_rng(seed)
+    chain = ur10()
+    world = World(chain, rng, T_tracker_base=se3.exp(rng.normal(size=6)), T_tip_tool=se3.exp([0.05, 0, 0.1, 0.2, 0, 0]))
+    program = Program(np.zeros(6))
+    program.reset(0.0, tour(chain, count, 0.6, dwell, rng))
+    t = np.arange(0.0, program.end, 0.008)
+    s = np.arange(0.003, program.end, 0.02)
+    T = world.tool_in_tracker(np.array([program.at(x) for x in s]))
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(s), 3))
+    stamps = START + s + late + drift * s
+    return _recording(START + t, np.array([program.at(x) for x in t]), stamps, se3.to_pose(T), received=START + s)
+
+
+def _recording(t: Array, q: Array, s: Array, poses: Array, received: Array | None = None) -> Recording:
+    unknown = np.full_like(q, np.nan)
+    return Recording(
+        joints=(JointTrack(ur10().names, t, q, unknown, unknown, t),),
+        readings=(ReadingTrack("pose", "tracker", s, poses, s if received is None else received),),
+        robot_description=URDF.read_text(),
+        source="made",
+    )
+
+
+def with_joints(recording: Recording, **changes: Any) -> Recording:
+    """The recording with its joint track changed."""
+    return replace(recording, joints=(replace(recording.joints[0], **changes),))
+
+
+def with_reading(recording: Recording, **changes: Any) -> Recording:
+    """The recording with its reading track changed."""
+    return replace(recording, readings=(replace(recording.readings[0], **changes),))

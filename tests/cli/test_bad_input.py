@@ -1,0 +1,196 @@
+"""Input that cannot be used: exit code 2, one line with offender, limit and remedy, and nothing written.
+
+The table of docs/bad_input.md lists these cases; the last test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.recordings import URDF, stations, streams, with_joints, with_reading
+
+from modcal_core.measurements.recording import Recording
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.main import run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def nan_joint(r: Recording) -> Recording:
+    position = r.joints[0].position.copy()
+    position[7:9, 2] = np.nan
+    return with_joints(r, position=position)
+
+
+def swapped(r: Recording) -> Recording:
+    names = list(r.joints[0].names)
+    names[1], names[2] = names[2], names[1]
+    return with_joints(r, names=tuple(names))
+
+
+def missing(r: Recording) -> Recording:
+    track = r.joints[0]
+    unknown = np.full((len(track.stamps), 5), np.nan)
+    return with_joints(r, names=track.names[:5], position=track.position[:, :5], velocity=unknown, effort=unknown)
+
+
+def scaled(r: Recording, factor: float) -> Recording:
+    values = r.readings[0].values.copy()
+    values[:, :3] *= factor
+    return with_reading(r, values=values)
+
+
+def unnormalised(r: Recording) -> Recording:
+    values = r.readings[0].values.copy()
+    values[3, 3:] *= 1.5
+    return with_reading(r, values=values)
+
+
+def nan_reading(r: Recording) -> Recording:
+    values = r.readings[0].values.copy()
+    values[3] = np.nan
+    return with_reading(r, values=values)
+
+
+def few(r: Recording) -> Recording:
+    track, reading = r.joints[0], r.readings[0]
+    r = with_joints(r, stamps=track.stamps[:5], position=track.position[:5], velocity=track.velocity[:5],
+                    effort=track.effort[:5], received=track.received[:5])  # fmt: skip
+    return with_reading(r, stamps=reading.stamps[:5], values=reading.values[:5], received=reading.received[:5])
+
+
+CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
+    "joint position is NaN": (lambda: nan_joint(stations()), [], "joint elbow_joint: position is no number in 2 of 80"),
+    "reading is NaN": (lambda: nan_reading(stations()), [], r"/tracker/pose \(tracker\): not a number in 1 of 80"),
+    "positions in millimetres": (lambda: scaled(stations(), 1000.0), [], "looks like millimetres.*record metres"),
+    "joints in degrees": (
+        lambda: with_joints(stations(), position=np.degrees(stations().joints[0].position)), [], "looks like degrees.*radians"
+    ),
+    "two joint names swapped": (lambda: swapped(stations()), [], "shoulder_lift_joint and elbow_joint look swapped"),
+    "a joint is missing": (lambda: missing(stations()), ["--tip", "tool0"], "joint wrist_3_joint: not among the joint states"),
+    "tracker silent": (lambda: replace(stations(), readings=()), [], "tracker: no message on tracker/pose"),
+    "no joint states": (lambda: replace(stations(), joints=()), ["--tip", "tool0"], "joint states: no message"),
+    "tracker clock 2 s off (streams)": (lambda: streams(late=2.0), [], r"clock of /tracker/pose.*2\.00 s off.*limit"),
+    "tracker clock 2 s off (paired stations)": (
+        lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 2.0), [], "readings look .* by 1 stations"
+    ),
+    "tracker clock 0.7 s off (paired stations)": (
+        lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 0.7), [], r"stamped \+0.700 s off"
+    ),
+    "clocks a day apart": (lambda: streams(8, late=86400.0), [], "do not overlap in time"),
+    "quaternion not of unit length": (lambda: unnormalised(stations()), [], "a quaternion has length 1.500"),
+    "link of --tip not in the URDF": (stations, ["--tip", "tool1"], "link 'tool1': is not in the robot .*tool0"),
+    "no robot description": (lambda: replace(stations(), robot_description=None), [], "holds no robot_description.*--urdf"),
+    "robot description is no URDF": (lambda: replace(stations(), robot_description="<sdf/>"), [], "is <sdf>, not <robot>"),
+    "another robot's URDF": (
+        lambda: replace(stations(), robot_description=URDF.read_text().replace('"-0.612 0 0"', '"-0.4 0 0"')), [],
+        "check that the URDF",
+    ),
+    "5 stations for 42 parameters": (lambda: few(stations()), [], "5 stations for 30 parameters: the 50% of them that fit give 15"),
+    "--fix names nothing": (stations, ["--fix", "elbow"], "fixed parameter 'elbow': names no parameter"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_recordings(case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    make, arguments, said = CASES[case]
+    write_recording(make(), tmp_path / "bag")
+    refused(["calibrate", str(tmp_path / "bag"), *arguments, "--out", str(tmp_path / "out")], said, capfd)
+    assert not (tmp_path / "out").exists()
+    assert {p.name for p in tmp_path.iterdir()} == {"bag"}
+
+
+def refused(arguments: list[str], said: str, capfd: pytest.CaptureFixture[str]) -> None:
+    import re
+
+    capfd.readouterr()
+    assert run(arguments) == 2
+    line = capfd.readouterr().err
+    assert re.search(said, line), line
+    assert line.count("\n") == 1
+    assert line.startswith("modcal: ")
+
+
+def empty(folder: Path) -> Path:
+    from modcal_msgs_py.mcap_write import BagWriter
+
+    with BagWriter(folder / "empty") as bag:
+        bag.add_topic("/joint_states", "sensor_msgs/msg/JointState")
+    return folder / "empty"
+
+
+def text_file(folder: Path) -> Path:
+    (folder / "notes.mcap").write_text("these are my notes")
+    return folder / "notes.mcap"
+
+
+def zero_bytes(folder: Path) -> Path:
+    (folder / "zero.mcap").touch()
+    return folder / "zero.mcap"
+
+
+def bare_folder(folder: Path) -> Path:
+    (folder / "nothing").mkdir()
+    return folder / "nothing"
+
+
+def sqlite_bag(folder: Path) -> Path:
+    (folder / "old").mkdir()
+    (folder / "old" / "old_0.db3").write_bytes(b"SQLite format 3\x00")
+    return folder / "old"
+
+
+FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "bag without messages": (empty, "holds no message"),
+    "file that is not MCAP": (text_file, "is not an MCAP file"),
+    "file of no bytes": (zero_bytes, "is empty"),
+    "folder without a bag": (bare_folder, "holds no .mcap file"),
+    "SQLite bag": (sqlite_bag, "is a SQLite bag: convert it"),
+    "path that does not exist": (lambda folder: folder / "no_such_bag", "does not exist"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+@pytest.mark.parametrize("verb", ["calibrate", "info"])
+def test_bad_files(case: str, verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    make, said = FILES[case]
+    refused([verb, str(make(tmp_path))], said, capfd)
+
+
+def test_cut_bag_is_read_up_to_the_cut(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(streams(60), tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_0.mcap"
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
+    assert "bag_0.mcap was read up to its message" in " ".join(capfd.readouterr().out.split())
+    assert "read up to its message" in (tmp_path / "out" / "report.json").read_text()
+    recording = read_bag(tmp_path / "bag")
+    assert 0.4 < recording.duration / read_whole(whole, tmp_path).duration < 0.6
+
+
+def read_whole(data: bytes, folder: Path) -> Recording:
+    (folder / "whole.mcap").write_bytes(data)
+    return read_bag(folder / "whole.mcap")
+
+
+def test_a_small_clock_offset_is_corrected_and_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(streams(40, late=0.12), tmp_path / "bag")
+    assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
+    assert "off the joint states' clock" in " ".join(capfd.readouterr().out.split())
+
+
+def test_usage_errors_are_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+    refused(["calibrate"], "Missing argument 'BAG'", capfd)
+    refused(["calibrat"], "No such command", capfd)
+
+
+def test_the_page_lists_every_case() -> None:
+    page = (ROOT / "docs" / "bad_input.md").read_text()
+    for case in (*CASES, *FILES):
+        assert f"| {case} |" in page, case
