@@ -182,7 +182,7 @@ def _default_tip(robot: Any, base: str, recorded: Collection[str] | None) -> str
 
 
 def _opens_gripper(robot: Any, joint: Any) -> bool:
-    """Whether a moving joint begins a finger: short branches side by side, or joints that mimic each other."""
+    """Whether a moving joint begins a finger: one of several short moving branches at the same link."""
     children: dict[str, list[Any]] = {}
     for j in robot.joints:
         children.setdefault(j.parent, []).append(j)
@@ -190,12 +190,8 @@ def _opens_gripper(robot: Any, joint: Any) -> bool:
     def depth(j: Any) -> int:
         return (j.type != "fixed") + max((depth(c) for c in children.get(j.child, [])), default=0)
 
-    def mimics(j: Any) -> bool:
-        return j.mimic is not None or any(mimics(c) for c in children.get(j.child, []))
-
-    siblings = [(depth(j), mimics(j)) for j in children[joint.parent]]
-    moving = [d for d, _ in siblings if d > 0]
-    return max(moving) <= _FINGER_JOINTS and (len(moving) > 1 or any(m for _, m in siblings))
+    moving = [d for d in map(depth, children[joint.parent]) if d > 0]
+    return len(moving) > 1 and max(moving) <= _FINGER_JOINTS
 
 
 def _numbers(values: Any, count: int, what: str) -> Array:
