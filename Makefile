@@ -53,6 +53,6 @@ lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 an
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
-	@rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log demo .mypy_cache .ruff_cache .pytest_cache \
-		.hypothesis
+	@rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log demo
+	@rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +
