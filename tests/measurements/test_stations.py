@@ -1,0 +1,140 @@
+"""Stations: dwells are found where the arm stood, their uncertainty is right, and clocks are put right first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import ur10
+from cli.recordings import START, stations, streams, with_reading
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.alignment import align, clock_offset
+from modcal_core.measurements.inspection import inspect
+from modcal_core.measurements.prepare import prepare
+from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.stations import cut_stations, deviation_of_mean
+from modcal_core.robots.kinematics import forward
+
+NAMES = ur10().names
+
+
+def tip(q: np.ndarray) -> np.ndarray:
+    return forward(ur10(), q)[:, :3, 3]
+
+
+def test_every_dwell_becomes_one_station() -> None:
+    samples = cut_stations(streams(25), NAMES)
+    assert samples.stations == 25
+    assert not samples.moving.any()
+    # 20 µm noise, about 37 readings in 0.75 s
+    assert np.median(samples.sigma_position) == pytest.approx(2e-5 / np.sqrt(37), rel=0.3)
+
+
+def test_paired_readings_are_stations_as_they_are() -> None:
+    recording = stations(30)
+    samples = cut_stations(recording, NAMES)
+    assert np.array_equal(samples.q, recording.joints[0].position)
+    assert np.array_equal(samples.position, recording.readings[0].values[:, :3])
+    assert np.isnan(samples.sigma_position).all()
+
+
+def test_a_motion_is_used_reading_by_reading() -> None:
+    samples = cut_stations(streams(10, dwell=0.0), NAMES)
+    assert samples.moving.all()
+    assert len(samples) > 250
+    # the posture is interpolated to the reading's moment: compared with the course itself
+    again = prepare(streams(10, dwell=0.0), ur10())
+    assert "hardly stood still" in " ".join(again.notes)
+
+
+def test_joints_come_by_name() -> None:
+    recording = stations(10)
+    shuffled = [3, 1, 0, 5, 4, 2]
+    track = recording.joints[0]
+    from dataclasses import replace
+
+    other = replace(
+        track,
+        names=(*[NAMES[j] for j in shuffled], "gripper"),
+        position=np.c_[track.position[:, shuffled], np.zeros(10)],
+        velocity=np.full((10, 7), np.nan),
+        effort=np.full((10, 7), np.nan),
+    )
+    assert np.array_equal(cut_stations(replace(recording, joints=(other,)), NAMES).q, track.position)
+
+
+def test_correlated_readings_count_less() -> None:
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(4000, 3))
+    walk = np.zeros_like(white)
+    for k in range(1, len(walk)):
+        walk[k] = 0.9 * walk[k - 1] + white[k]
+    assert deviation_of_mean(white - white.mean(0)) == pytest.approx(1 / np.sqrt(4000), rel=0.1)
+    means = [w.mean() for w in np.array_split(walk[:, 0], 20)]
+    expected = np.std(means) / np.sqrt(20)
+    assert deviation_of_mean(walk - walk.mean(0)) == pytest.approx(expected, rel=0.5)
+
+
+@pytest.mark.parametrize("late", [-0.31, -0.02, 0.0, 0.045, 0.4])
+def test_clock_offset_is_found_on_motion(late: float) -> None:
+    recording = streams(20, late=late)
+    clock = clock_offset(recording.readings[0], recording.joints[0].stamps, recording.joints[0].position, tip)
+    assert clock is not None
+    assert clock.offset == pytest.approx(late, abs=4e-3)
+    aligned, notes = align(recording, NAMES, tip)
+    assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 4e-3
+    assert bool(notes) == (late != 0.0)
+
+
+def test_drift_is_found() -> None:
+    recording = streams(120, drift=5e-4)
+    aligned, notes = align(recording, NAMES, tip)
+    assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 6e-3
+    assert "drifted" in notes[0]
+
+
+def test_silence_in_motion_tells_no_offset() -> None:
+    """A tracker that only speaks while the arm stands still shows no speed to compare."""
+    recording = streams(20)
+    t, q = recording.joints[0].stamps, recording.joints[0].position
+    s = recording.readings[0].stamps
+    speed = np.interp(s, t[1:], np.abs(np.diff(q, axis=0)).max(axis=1))
+    still = speed == 0.0
+    quiet = with_reading(
+        recording, stamps=s[still], values=recording.readings[0].values[still], received=s[still]
+    )
+    assert clock_offset(quiet.readings[0], t, q, tip) is None
+
+
+def findings(recording: Recording) -> str:
+    return " ".join(inspect(recording, ur10()).findings)
+
+
+def test_a_clean_recording_has_no_findings() -> None:
+    seen = inspect(streams(12), ur10())
+    assert seen.findings == ()
+    assert seen.uses == ("calibration from poses in 12 dwells",)
+    assert inspect(stations(12), ur10()).uses == ("calibration from 12 finished stations (poses)",)
+
+
+def test_each_fault_is_found() -> None:
+    clean = streams(12)
+    reading = clean.readings[0]
+    jump = reading.stamps.copy()
+    jump[300:] -= 5.0
+    assert "jumps back 1 times, by up to" in findings(with_reading(clean, stamps=jump))
+    gap = np.r_[0:300, 400 : len(jump)]
+    cut = with_reading(clean, stamps=reading.stamps[gap], values=reading.values[gap], received=reading.received[gap])
+    assert "silent 1 times for up to 2.0" in findings(cut)
+    stuck = reading.values.copy()
+    stuck[100:120] = stuck[100]
+    assert "the target may have been lost" in findings(with_reading(clean, values=stuck))
+    assert "its clock is +0.200 s off" in findings(with_reading(clean, stamps=reading.stamps + 0.2))
+    far = reading.values.copy()
+    far[:, :3] *= 1000.0
+    assert "looks like millimetres" in findings(with_reading(clean, values=far))
+
+
+def test_readings_and_joints_of_different_days() -> None:
+    with pytest.raises(BadRecording, match="do not overlap"):
+        cut_stations(streams(5, late=START), NAMES)

@@ -1,0 +1,165 @@
+"""Bags: what is written is what ros2 bag record lays out, and what was written can be read, whole or cut."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cli.recordings import stations, streams
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from modcal_core.errors import BadRecording
+from modcal_msgs_py.mcap_read import McapFile, read_bag
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.types import message_class, serialise
+
+
+def test_a_recording_survives_its_bag(tmp_path: Path) -> None:
+    recording = stations(30)
+    write_recording(recording, tmp_path / "bag")
+    for path in (tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
+        again = read_bag(path)
+        assert np.array_equal(again.joints[0].position, recording.joints[0].position)
+        assert again.joints[0].names == recording.joints[0].names
+        assert np.array_equal(again.readings[0].values, recording.readings[0].values)
+        assert np.abs(again.readings[0].stamps - recording.readings[0].stamps).max() < 1e-6
+        assert again.robot_description == recording.robot_description
+        assert again.warnings == ()
+
+
+def test_an_independent_reader_finds_the_same(tmp_path: Path) -> None:
+    recording = streams(4)
+    write_recording(recording, tmp_path / "bag")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == len(recording.joints[0].stamps) + len(recording.readings[0].stamps) + 1
+        positions = [
+            store.deserialize_cdr(raw, c.msgtype).position for c, _, raw in reader.messages() if c.topic == "/joint_states"
+        ]
+    assert np.array_equal(np.array(positions), recording.joints[0].position)
+
+
+def test_layout_is_that_of_ros2_bag_record(tmp_path: Path) -> None:
+    write_recording(stations(10), tmp_path / "bag")
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["version"] == 9
+    assert information["storage_identifier"] == "mcap"
+    assert information["ros_distro"] == "jazzy"
+    assert information["relative_file_paths"] == ["bag_0.mcap"]
+    assert information["message_count"] == 21
+    assert information["duration"]["nanoseconds"] == 18_000_000_000
+    topics = {t["topic_metadata"]["name"]: t for t in information["topics_with_message_count"]}
+    description = topics["/robot_description"]["topic_metadata"]["offered_qos_profiles"][0]
+    assert (description["durability"], description["depth"]) == ("transient_local", 1)
+    assert topics["/joint_states"]["message_count"] == 10
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert summary is not None
+        for channel in summary.channels.values():
+            assert channel.message_encoding == "cdr"
+            assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+            assert yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]["reliability"] == "reliable"
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
+
+
+def test_every_cut_leaves_a_true_beginning(tmp_path: Path) -> None:
+    write_recording(streams(2), tmp_path / "bag")
+    whole = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    complete = [bytes(m.cdr) for m in McapFile(tmp_path / "bag" / "bag_0.mcap").messages()]
+    cut = tmp_path / "cut.mcap"
+    last = -1
+    for size in np.linspace(8, len(whole), 120).astype(int):
+        cut.write_bytes(whole[:size])
+        file = McapFile(cut)
+        found = [bytes(m.cdr) for m in file.messages()]
+        assert found == complete[: len(found)]
+        assert len(found) >= last
+        assert (file.cut is None) <= (found == complete)
+        last = len(found)
+    assert last == len(complete)
+
+
+def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    write_recording(stations(20), tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4] ^= 4
+    file.write_bytes(bytes(data))
+    with pytest.raises(BadRecording, match="holds no message"):
+        read_bag(file)
+
+
+def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(BadRecording, match="exists already"):
+        BagWriter(tmp_path / "bag")
+
+
+def test_messages_of_the_wire_take_the_same_path() -> None:
+    """A message of rclpy and one of a bag give the same recording, and each reads the other's bytes."""
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import JointState
+
+    wire = JointState(name=["b", "a"], position=[1.0, 2.0], effort=[3.0, 4.0])
+    wire.header.stamp.sec, wire.header.stamp.nanosec = 12, 500_000_000
+    Header, Time = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
+    header = Header(stamp=Time(sec=12, nanosec=500_000_000), frame_id="")
+    rest = message_class("sensor_msgs/msg/JointState")(
+        header=header, name=["b", "a"], position=np.array([1.0, 2.0]), velocity=np.empty(0), effort=np.array([3.0, 4.0])
+    )
+    # bytes between fields are padding that nobody sets, so messages are compared, not bytes
+    assert deserialize_message(serialise(rest, "sensor_msgs/msg/JointState"), JointState) == wire
+    pose = PoseStamped()
+    pose.header.frame_id = "tracker"
+    pose.pose.position.x = 0.5
+    tracks = []
+    for message in (wire, rest):
+        builder = RecordingBuilder()
+        builder.add("/joint_states", "sensor_msgs/msg/JointState", message, 13.0)
+        builder.add("/cell/tracker/pose", "geometry_msgs/msg/PoseStamped", pose, 13.0)
+        recording = builder.recording()
+        tracks.append(recording.joints[0])
+        assert recording.readings[0].frame == "tracker"
+        assert recording.readings[0].stamps[0] == 13.0  # it had no stamp
+        assert "no stamp" in recording.warnings[0]
+    for field in ("names", "stamps", "position", "effort", "received"):
+        assert np.array_equal(getattr(tracks[0], field), getattr(tracks[1], field))
+    assert np.isnan(tracks[0].velocity).all()
+
+
+def test_joint_states_that_contradict_themselves_are_refused() -> None:
+    Header, Time = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
+    message = message_class("sensor_msgs/msg/JointState")(
+        header=Header(stamp=Time(sec=1, nanosec=0), frame_id=""),
+        name=["a", "b"],
+        position=np.array([1.0]),
+        velocity=np.empty(0),
+        effort=np.empty(0),
+    )
+    with pytest.raises(BadRecording, match="1 positions for 2 names"):
+        RecordingBuilder().add("/joint_states", "sensor_msgs/msg/JointState", message)
+
+
+def test_a_killed_recorder_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
+    """What was flushed is on disk although nothing was ever closed."""
+    bag = BagWriter(tmp_path / "bag")
+    bag.add_topic("/robot_description", "std_msgs/msg/String")
+    cdr = serialise(message_class("std_msgs/msg/String")(data="x"), "std_msgs/msg/String")
+    for k in range(100):
+        bag.write_raw("/robot_description", cdr, k)
+        if k == 59:
+            bag.flush()
+    file = McapFile(tmp_path / "bag" / "bag_0.mcap")
+    assert len(list(file.messages())) == 60
+    assert file.cut == "it ends without an index"
+    assert "no metadata.yaml" in read_bag(tmp_path / "bag").warnings[0]

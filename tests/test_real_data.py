@@ -1,0 +1,68 @@
+"""Real arms: figures that others reached, or that a plain fit must reach, on data beside the checkout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modcal_nodes.cli.main import run
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    folder = tmp_path_factory.mktemp("bags")
+
+    def make(name: str) -> Path:
+        bag = folder / name
+        if not bag.exists():
+            mapping = ROOT / "examples" / "import" / f"{name}.yaml"
+            assert run(["import", str(mapping), "--data", str(shared_data), "--out", str(bag)]) == 0
+        return bag
+
+    return make
+
+
+def report_of(out: Path, *arguments: str) -> dict[str, Any]:
+    assert run([*arguments, "--out", str(out)]) == 0
+    return json.loads((out / "report.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("name", "nominal", "geometric"), [("ipa_ur10_series_a", 0.838, 0.445), ("ipa_ur10_series_d", 0.772, 0.418)]
+)
+def test_ur10(name: str, nominal: float, geometric: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
+    """Random stations, as in the published figures, averaged over three splits; 190 stations scatter by about 5 %."""
+    bag = imported(name)
+    reports = [report_of(tmp_path / f"{k}", "calibrate", str(bag), "--block", "1", "--seed", str(k)) for k in range(3)]
+    for stage, expected in (("nominal", nominal), ("geometric", geometric)):
+        mean = sum(r["error_mm"][stage]["rms"] for r in reports) / 3
+        assert mean == pytest.approx(expected, rel=0.05)
+    assert all(r["error_deg"]["geometric"]["rms"] < 0.65 * r["error_deg"]["nominal"]["rms"] for r in reports)
+
+
+def test_ur10_frozen_from_one_series_to_the_other(imported: Callable[[str], Path], tmp_path: Path) -> None:
+    """Blocks of 200 poses; another tracker place and another tool, found again on a part of the second series."""
+    first = report_of(tmp_path / "a", "calibrate", str(imported("ipa_ur10_series_a")), "--block", "200")
+    assert first["split"]["unit"] == "block"
+    assert first["error_mm"]["final"]["rms"] < 0.55 * first["error_mm"]["nominal"]["rms"]
+    frozen = report_of(
+        tmp_path / "d", "evaluate", str(tmp_path / "a"), str(imported("ipa_ur10_series_d")), "--refit-base", "--refit-tool"
+    )
+    assert frozen["error_mm"]["final"]["rms"] < 0.6 * frozen["error_mm"]["nominal"]["rms"]
+
+
+@pytest.mark.parametrize(("name", "scatter"), [("panda_3", 0.22), ("panda_4", 0.25), ("kuka_14", 0.25)])
+def test_ball_in_sockets(name: str, scatter: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
+    cell = ROOT / "examples" / "import" / f"mukca_{name}_cell.yaml"
+    arguments = ["calibrate", str(imported(f"mukca_{name}")), "--tip", "ball_link", "--cell", str(cell)]
+    reports = [report_of(tmp_path / f"{k}", *arguments, "--block", "1", "--seed", str(k)) for k in range(3)]
+    assert all(r["recording"]["measurement"] == "same_point" for r in reports)
+    mean = sum(r["error_mm"]["final"]["rms"] for r in reports) / 3
+    assert mean < 1.1 * scatter
+    assert all(r["error_mm"]["nominal"]["rms"] > 2.5 * r["error_mm"]["final"]["rms"] for r in reports)
