@@ -1,0 +1,92 @@
+"""Kinematics against differences, and against an independent library that reads the same URDFs with its own parser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from cells import slider_arm
+from finite_differences import assert_jacobian
+
+from modcal_core.geometry import se3
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import body_jacobian, forward, place_jacobian, spatial_jacobian
+from modcal_core.robots.urdf import read_chain
+
+ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
+ARMS = ("ur10", "panda", "xarm7", "iiwa14")
+
+
+def urdf(arm: str) -> str:
+    return (ROBOTS / f"{arm}.urdf").read_text()
+
+
+def chain_of(arm: str) -> Chain:
+    return slider_arm() if arm == "sliders" else read_chain(urdf(arm))
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
+    chain = chain_of(arm)
+    model = pin.buildModelFromXML(urdf(arm))
+    data = model.createData()
+    frame = model.getFrameId(chain.tip)
+    order = [model.joints[model.getJointId(name)].idx_q for name in chain.names]
+    q = rng.uniform(chain.lower, chain.upper, (100, chain.n))
+    T, J_space, J_body = forward(chain, q), spatial_jacobian(chain, q), body_jacobian(chain, q)
+    for i in range(len(q)):
+        configuration = pin.neutral(model)
+        configuration[order] = q[i]
+        pin.computeJointJacobians(model, data, configuration)
+        pin.updateFramePlacements(model, data)
+        assert np.abs(T[i] - data.oMf[frame].homogeneous).max() < 1e-12
+        world = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.WORLD)[:, order]
+        local = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL)[:, order]
+        assert np.abs(J_space[i] - world).max() < 1e-12
+        assert np.abs(J_body[i] - local).max() < 1e-12
+
+
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
+    chain = chain_of(arm)
+    for q in rng.uniform(chain.lower, chain.upper, (5, chain.n)):
+        T = forward(chain, q)
+        assert_jacobian(lambda x, T=T: se3.log(forward(chain, x) @ se3.inverse(T)), spatial_jacobian(chain, q[None])[0], q)
+        assert_jacobian(lambda x, T=T: se3.log(se3.inverse(T) @ forward(chain, x)), body_jacobian(chain, q[None])[0], q)
+
+
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_errors_at_every_place(arm: str, rng: np.random.Generator) -> None:
+    """A small twist put in before a joint, or at the tip, moves the tip as its column says."""
+    chain = chain_of(arm)
+    q = rng.uniform(chain.lower, chain.upper)
+    T = forward(chain, q)
+    bases = [*chain.joint_basis, np.eye(3)]
+    for place in range(chain.n + 1):
+        A = se3.transform(bases[place])
+
+        def moved(xi: np.ndarray, place: int = place, A: np.ndarray = A) -> np.ndarray:
+            origins = np.array(chain.origins)
+            origins[place] = origins[place] @ A @ se3.exp(xi) @ se3.inverse(A)
+            return se3.log(forward(chain.with_origins(origins), q) @ se3.inverse(T))
+
+        assert_jacobian(moved, place_jacobian(chain, q[None], place)[0], np.zeros(6))
+
+
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_product_of_exponentials(arm: str, rng: np.random.Generator) -> None:
+    chain = chain_of(arm)
+    q = rng.uniform(chain.lower, chain.upper, (20, chain.n))
+    T = np.tile(np.eye(4), (20, 1, 1))
+    for k in range(chain.n):
+        T = T @ se3.exp(chain.spatial_twists[k] * q[:, k, None])
+    assert np.abs(T @ chain.home - forward(chain, q)).max() < 1e-13
+    again = Chain.from_spatial_twists(chain.names, chain.spatial_twists, chain.home)
+    assert np.abs(forward(again, q) - forward(chain, q)).max() < 1e-13
+
+
+def test_arrays_of_a_chain_cannot_be_changed() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        chain_of("ur10").origins[0, 0, 0] = 2.0
