@@ -68,7 +68,7 @@ def test_a_change_with_nowhere_to_go_is_refused() -> None:
     origins[-1, 0, 3] = 0.1
     with pytest.raises(NotRepresentable, match="wrist_3_link"):
         calibrated_urdf(urdf("ur10"), chain, chain.with_origins(origins))
-    with pytest.raises(BadRobot, match="'elbow' is not in"):
+    with pytest.raises(BadRobot, match="'elbow': is not in"):
         write_origins(urdf("ur10"), {"elbow": np.eye(4)})
 
 
@@ -89,7 +89,7 @@ BAD = {
     "is not XML": "",
     "is not XML (": "<robot",
     "is <sdf>, not <robot>": "<sdf/>",
-    "holds xacro commands": '<robot name="x" xmlns:xacro="http://x"><xacro:include filename="y"/></robot>',
+    "holds xacro commands": '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="y"/></robot>',
     "has 0 root links": '<robot name="x"/>',
     "has 2 root links": '<robot name="x"><link name="a"/><link name="b"/></robot>',
     "no moving joint": '<robot name="x"><link name="a"/></robot>',

@@ -1,0 +1,90 @@
+"""Derivatives of every parameter, at values away from zero, for every kind of reading."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import record, samples_of, slider_arm, ur10
+from finite_differences import assert_jacobian
+
+from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.initial import locate
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.parameters import ordered_candidates
+from modcal_core.calibration.structure import views_of
+from modcal_core.geometry import se3
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+
+SHIFT, TURN = 0.01, 0.05  # far from zero, where first order is not enough
+
+
+def cell(chain: Chain, kinds: tuple[str, ...]) -> tuple[Model, Samples]:
+    """Readings of the given kinds, each in a frame of its own, eight postures each."""
+    rng = np.random.default_rng(1)
+    frames = tuple(f"frame_{k}" for k in range(len(kinds)))
+    T = se3.exp(rng.normal(size=(len(kinds), 6)))
+    model = Model(chain, frames, T, se3.exp(0.3 * rng.normal(size=6)))
+    parts = []
+    for k, kind in enumerate(kinds):
+        q = rng.uniform(np.maximum(chain.lower, -2), np.minimum(chain.upper, 2), (8, chain.n))
+        part = samples_of(chain, q, model.predict(q, np.full(8, k)) @ se3.exp(0.02 * rng.normal(size=(8, 6))), kind)
+        parts.append(part)
+    joined = {
+        name: np.concatenate([getattr(p, name) for p in parts])
+        for name in ("q", "stamps", "position", "R", "kind", "sigma_position", "sigma_rotation", "moving")
+    }
+    frame = np.repeat(np.arange(len(kinds)), 8)
+    return model, Samples(chain.names, frames, station=np.arange(8 * len(kinds)), frame=frame, **joined)
+
+
+@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
+@pytest.mark.parametrize("kinds", [("pose",), ("point",), ("pose", "point", "pose")])
+def test_predictions(chain: Chain, kinds: tuple[str, ...]) -> None:
+    model, samples = cell(chain, kinds)
+    parameters = ordered_candidates(chain, model.frames, views_of(samples))
+    rng = np.random.default_rng(2)
+    scale = np.array([SHIFT if p.direction < 3 else TURN for p in parameters])
+    x = scale * rng.normal(size=len(parameters))
+    exact = np.repeat(samples.kind[:, None] == "pose", 1, axis=1)[:, 0]
+    assert exact.any() == ("pose" in kinds)
+
+    def position(values: np.ndarray) -> np.ndarray:
+        return -linearise(model, parameters, values, samples, jacobian=False).position.ravel()
+
+    at = linearise(model, parameters, x, samples)
+    count = at.position.size
+    assert_jacobian(position, at.J[:, :count].T, x)
+
+
+@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
+def test_gradient_is_exact_although_the_logarithm_is_not_differentiated(chain: Chain) -> None:
+    model, samples = cell(chain, ("pose", "pose"))
+    parameters = ordered_candidates(chain, model.frames, views_of(samples))
+    x = np.array([SHIFT if p.direction < 3 else TURN for p in parameters])
+
+    def half_square(values: np.ndarray) -> np.ndarray:
+        rotation = linearise(model, parameters, values, samples, jacobian=False).rotation
+        return np.array([0.5 * np.sum(rotation**2)])
+
+    at = linearise(model, parameters, x, samples)
+    gradient = -at.J[:, at.position.size :] @ at.rotation.ravel()
+    assert_jacobian(half_square, gradient[None], x)
+
+
+def test_distances_between_frames() -> None:
+    model, samples = cell(ur10(), ("point", "point", "pose"))
+    parameters = ordered_candidates(ur10(), model.frames, views_of(samples))
+    known = [Distance(("frame_0", "frame_1"), 0.05), Distance(("frame_2", "frame_1"), 1.0)]
+    x = np.array([SHIFT if p.direction < 3 else TURN for p in parameters])
+    rows = distance_rows(model, parameters, x, known)
+    assert_jacobian(lambda v: -distance_rows(model, parameters, v, known).residual, rows.J.T, x)
+
+
+def test_what_is_located_meets_exact_readings() -> None:
+    for kind in ("pose", "point"):
+        made = record(5, 60, kind, length_std=0.0, angle_std=0.0)
+        found = locate(place_model(ur10(), ("tracker",)), made.exact)
+        gap = found.predict(made.samples.q)[:, :3, 3] - made.exact.position
+        assert np.abs(gap).max() < 1e-5
