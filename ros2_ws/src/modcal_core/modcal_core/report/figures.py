@@ -12,6 +12,7 @@ from modcal_core.report.report import Report
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_MOST_POINTS = 1200  # more make the page heavy and show no more
 _COLOURS = {"nominal": "#b0b7c3", "final": "#1f6feb"}
 
 
@@ -36,7 +37,8 @@ def error_by_joint(report: Report) -> str:
     """What is left, against each joint's position: a pattern here is an effect that the model lacks."""
     from matplotlib.figure import Figure
 
-    samples, left = report.scored, report.errors["final"].position
+    rows = np.linspace(0, len(report.scored) - 1, min(len(report.scored), _MOST_POINTS)).astype(int)
+    samples, left = report.scored.select(rows), report.errors["final"].position[rows]
     n = len(samples.names)
     columns = min(n, 4)
     rows = -(-n // columns)
