@@ -62,7 +62,7 @@ def calibration(table: Table) -> None:
             start = fit_cell(ur10(), samples, Cell()).model
             parameters = choose_parameters(start, views_of(samples)).parameters
             ours = identify(start, samples, parameters, robust=False)
-            whole = median_ms(lambda s=samples: identify(fit_cell(ur10(), s, Cell()).model, s, parameters))
+            whole = median_ms(lambda s=samples, p=parameters: identify(fit_cell(ur10(), s, Cell()).model, s, p))
             fit = median_ms(lambda m=start, s=samples, p=parameters: identify(m, s, p, robust=False))
             other = float("nan")
             if count <= 1_000:

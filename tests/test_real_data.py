@@ -52,7 +52,12 @@ def test_ur10_frozen_from_one_series_to_the_other(imported: Callable[[str], Path
     assert first["split"]["unit"] == "block"
     assert first["error_mm"]["final"]["rms"] < 0.55 * first["error_mm"]["nominal"]["rms"]
     frozen = report_of(
-        tmp_path / "d", "evaluate", str(tmp_path / "a"), str(imported("ipa_ur10_series_d")), "--refit-base", "--refit-tool"
+        tmp_path / "d",
+        "evaluate",
+        str(tmp_path / "a"),
+        str(imported("ipa_ur10_series_d")),
+        "--refit-base",
+        "--refit-tool",
     )
     assert frozen["error_mm"]["final"]["rms"] < 0.6 * frozen["error_mm"]["nominal"]["rms"]
 

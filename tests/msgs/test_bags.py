@@ -40,7 +40,9 @@ def test_an_independent_reader_finds_the_same(tmp_path: Path) -> None:
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == len(recording.joints[0].stamps) + len(recording.readings[0].stamps) + 1
         positions = [
-            store.deserialize_cdr(raw, c.msgtype).position for c, _, raw in reader.messages() if c.topic == "/joint_states"
+            store.deserialize_cdr(raw, c.msgtype).position
+            for c, _, raw in reader.messages()
+            if c.topic == "/joint_states"
         ]
     assert np.array_equal(np.array(positions), recording.joints[0].position)
 

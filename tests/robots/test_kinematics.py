@@ -53,7 +53,9 @@ def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
     for q in rng.uniform(chain.lower, chain.upper, (5, chain.n)):
         T = forward(chain, q)
-        assert_jacobian(lambda x, T=T: se3.log(forward(chain, x) @ se3.inverse(T)), spatial_jacobian(chain, q[None])[0], q)
+        assert_jacobian(
+            lambda x, T=T: se3.log(forward(chain, x) @ se3.inverse(T)), spatial_jacobian(chain, q[None])[0], q
+        )
         assert_jacobian(lambda x, T=T: se3.log(se3.inverse(T) @ forward(chain, x)), body_jacobian(chain, q[None])[0], q)
 
 

@@ -8,9 +8,9 @@ is carried there by the frame's current pose; the tool is carried there by the c
     ∂p/∂θ_j   = R_k v_j + (R_k ω_j) × (p − p_k)        ∂rot/∂θ_j = R_k ω_j
 
 where (v_j, ω_j) is the twist, in the frame of its place, that parameter j makes per unit. Distances between places
-do not change with the root, so isotropic noise stays isotropic. Two factors are left out: the derivative of the logarithm,
-and the turn of the root that a frame's own error makes. The transpose of either maps r to itself, so the gradient Jᵀr is
-exact and only the curvature is rounded.
+do not change with the root, so isotropic noise stays isotropic. Two factors are left out: the derivative of the
+logarithm, and the turn of the root that a frame's own error makes. The transpose of either maps r to itself, so the
+gradient Jᵀr is exact and only the curvature is rounded.
 
 Arrays are component-major, (3, N): ``J[j]`` holds all x, y, z of the positions and then of the orientations, so each
 parameter is written in contiguous sweeps and the normal equations are one matrix product.

@@ -37,8 +37,8 @@ def error_by_joint(report: Report) -> str:
     """What is left, against each joint's position: a pattern here is an effect that the model lacks."""
     from matplotlib.figure import Figure
 
-    rows = np.linspace(0, len(report.scored) - 1, min(len(report.scored), _MOST_POINTS)).astype(int)
-    samples, left = report.scored.select(rows), report.errors["final"].position[rows]
+    shown = np.linspace(0, len(report.scored) - 1, min(len(report.scored), _MOST_POINTS)).astype(int)
+    samples, left = report.scored.select(shown), report.errors["final"].position[shown]
     n = len(samples.names)
     columns = min(n, 4)
     rows = -(-n // columns)
