@@ -94,5 +94,6 @@ def samples_of(chain: Chain, q: Array, T: Array, kind: str = "pose", frame: str 
         R=T[:, :3, :3] if kind == "pose" else np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),
+        velocity=np.zeros_like(q),
         moving=np.zeros(N, bool),
     )

@@ -33,7 +33,7 @@ def cell(chain: Chain, kinds: tuple[str, ...]) -> tuple[Model, Samples]:
         parts.append(part)
     joined = {
         name: np.concatenate([getattr(p, name) for p in parts])
-        for name in ("q", "stamps", "position", "R", "kind", "sigma_position", "sigma_rotation", "moving")
+        for name in ("q", "stamps", "position", "R", "kind", "sigma_position", "sigma_rotation", "velocity", "moving")
     }
     frame = np.repeat(np.arange(len(kinds)), 8)
     return model, Samples(chain.names, frames, station=np.arange(8 * len(kinds)), frame=frame, **joined)

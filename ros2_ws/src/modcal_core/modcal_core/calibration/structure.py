@@ -86,6 +86,7 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
         R=np.where((np.array(kind) == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),
+        velocity=np.zeros_like(q),
         moving=np.zeros(N, bool),
     )
 

@@ -19,7 +19,7 @@ class Samples:
     together. frame: index into ``frames``. kind: "pose" or "point".
     position: reading in its frame [m], (N, 3). R: orientation reading, (N, 3, 3), identity for points.
     sigma_position [m], sigma_rotation [rad]: standard deviation of the reading per axis, (N,), NaN where unknown.
-    moving: the sample was taken in motion.
+    velocity: of the joints [rad/s, m/s], (N, n), zero in a dwell, NaN where unknown. moving: taken in motion.
     """
 
     names: tuple[str, ...]
@@ -33,6 +33,7 @@ class Samples:
     R: Array
     sigma_position: Array
     sigma_rotation: Array
+    velocity: Array
     moving: np.ndarray
 
     def __len__(self) -> int:

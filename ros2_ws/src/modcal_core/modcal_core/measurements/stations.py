@@ -45,6 +45,7 @@ class _Piece:
     R: Array
     sigma_position: Array
     sigma_rotation: Array
+    velocity: Array
     moving: bool
 
 
@@ -84,6 +85,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         R=np.concatenate([p.R for p in pieces]),
         sigma_position=np.concatenate([p.sigma_position for p in pieces]),
         sigma_rotation=np.concatenate([p.sigma_rotation for p in pieces]),
+        velocity=np.concatenate([p.velocity for p in pieces]),
         moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
     )
 
@@ -116,7 +118,8 @@ def _cut(track: ReadingTrack, t: Array, q: Array, dwells: Array, rules: StationR
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     if len(pairs) >= 0.5 * len(track.stamps) and (sparse or len(dwells) < _LEAST_DWELLS):
-        return _as_is(track, pairs[:, 0], q[pairs[:, 1]], moving=not sparse)
+        velocity = np.full_like(q, np.nan) if sparse else _course(t, q)(t - t[0], 1)
+        return _as_is(track, pairs[:, 0], q[pairs[:, 1]], velocity[pairs[:, 1]], moving=not sparse)
     if len(dwells) >= _LEAST_DWELLS:
         return _averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
@@ -135,24 +138,35 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
     return values, np.tile(np.eye(3), (len(values), 1, 1))
 
 
-def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, moving: bool) -> _Piece:
+def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, moving: bool) -> _Piece:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
-    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, moving)
+    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, moving)
+
+
+def _nothing(track: ReadingTrack, joints: int) -> _Piece:
+    none = np.empty((0, joints))
+    return _as_is(track, np.empty(0, int), none, none, moving=False)
+
+
+def _course(t: Array, q: Array) -> CubicSpline:
+    """Joint positions as a smooth function of the time since the first stamp; later repeats of a stamp are left out.
+
+    Seconds since the epoch would lose digits in the powers of a spline.
+    """
+    keep = np.r_[True, np.diff(t) > 0.0]
+    return CubicSpline(t[keep] - t[0], q[keep])
 
 
 def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> _Piece:
     """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
-    keep = np.r_[True, np.diff(t) > 0.0] if len(t) else np.empty(0, bool)
-    t, q = t[keep], q[keep]
-    if len(t) < 4:
-        return _as_is(track, np.empty(0, int), np.empty((0, q.shape[1])), moving=True)
+    if len(np.unique(t)) < 4:
+        return _nothing(track, q.shape[1])
     after = np.searchsorted(t, track.stamps)
-    inside = (after > 0) & (after < len(t))
-    rows = np.flatnonzero(inside)
+    rows = np.flatnonzero((after > 0) & (after < len(t)))
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
-    origin = t[0]  # a spline in seconds since the epoch would lose digits
-    return _as_is(track, rows, CubicSpline(t - origin, q)(track.stamps[rows] - origin), moving=True)
+    course, at = _course(t, q), track.stamps[rows] - t[0]
+    return _as_is(track, rows, course(at), course(at, 1), moving=True)
 
 
 def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
@@ -182,9 +196,9 @@ def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
             )
         )
     if not out:
-        return _as_is(track, np.empty(0, int), np.empty((0, q.shape[1])), moving=False)
+        return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
-    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, moving=False)
+    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, np.zeros_like(q_mean), moving=False)
 
 
 def _inliers(position: Array) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from modcal_core.loop import calibrate, evaluate
-from modcal_core.measurements.prepare import Prepared, prepare
+from modcal_core.prepare import Prepared, prepare
 from modcal_core.measurements.recording import Recording
 from modcal_core.report.report import Report
 from modcal_msgs_py.mcap_read import read_bag
