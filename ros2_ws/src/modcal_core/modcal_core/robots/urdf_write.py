@@ -1,13 +1,15 @@
 """Writing corrected origins back into a URDF, and nothing else.
 
 People keep comments, order and spacing in these files, and tools keep hashes of them, so the text is not parsed and
-printed again: the corrected ``<origin .../>`` is put over the old one, byte by byte, where a real XML parser says it
-is.
+printed again. A real XML parser says where an ``<origin>`` stands; the values of its ``xyz`` and ``rpy`` are put over
+the old ones, and every other character stays.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from xml.parsers import expat
 
 import numpy as np
@@ -18,26 +20,31 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import joint_origins, read_path
 
-_SAME = 1e-15
+_SAME = 1e-15  # a constant that differs by less was not corrected
+# An attribute inside a start tag that is known to be well formed: its name, its quote, its value.
+_ATTRIBUTE = re.compile(rb"""([^\s=<>"'/]+)\s*=\s*("|')(.*?)\2""", re.DOTALL)
 
 
 def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
     """The URDF in which the moving joints' origins give the calibrated chain; reloading it gives the same kinematics.
 
-    The constant before a joint changes through that joint's own origin. What comes after the last joint belongs to the
-    tool; where it changed, the last fixed joint before the tip takes it, and NotRepresentable is raised if there is
-    none.
+    nominal: the chain as read from this URDF. The constant before a joint changes through that joint's own origin. What
+    comes after the last joint belongs to the tool; where it changed, the last fixed joint before the tip takes it, and
+    NotRepresentable is raised if there is none. Raises BadRobot when the chain is not of this URDF.
     """
     path = read_path(urdf_xml, nominal.base, nominal.tip)
+    moving = tuple(segment[-1] for segment in path.segments[:-1])
+    if not moving == nominal.names == calibrated.names:
+        said = f"moves by {', '.join(moving)} and not by {', '.join(calibrated.names)}"
+        raise BadRobot(f"robot from {nominal.base} to {nominal.tip}", said, "give the URDF the chain came from")
     old = joint_origins(urdf_xml)
     new: dict[str, Array] = {}
     for k, segment in enumerate(path.segments):
         if np.abs(nominal.origins[k] - calibrated.origins[k]).max() <= _SAME:
             continue
         if not segment:
-            raise NotRepresentable(
-                f"tip '{nominal.tip}'", "no joint of the URDF lies before it to take the change", "keep it in the tool"
-            )
+            said = f"no fixed joint lies between joint {nominal.names[-1]} and it to take the change"
+            raise NotRepresentable(f"link '{nominal.tip}'", said, "keep the change in the tool")
         before = np.eye(4)
         for name in segment[:-1]:
             before = before @ old[name]
@@ -46,63 +53,96 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
 
 
 def write_origins(urdf_xml: str, origins: Mapping[str, Array]) -> str:
-    """The same text with the origins (4, 4) [m] of the named joints put in; every other byte is kept.
+    """The same text with the origins (4, 4) [m] of the named joints put in.
 
+    A value that already says the same is kept as it is written. A joint without an origin gets one as its first child.
     Raises BadRobot for a joint that the URDF does not have.
     """
-    raw = urdf_xml.encode()
-    places = _find_origins(raw)
-    edits = []
+    raw = urdf_xml.encode("utf-8", errors="surrogatepass")
+    places = _find_joints(raw)
+    edits: list[tuple[int, int, bytes]] = []
     for name, T in origins.items():
         if name not in places:
             raise BadRobot(f"joint '{name}'", "is not in the robot description", "write into the URDF it came from")
-        start, end, indent = places[name]
-        element = f'<origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(so3.to_rpy(T[:3, :3]))}"/>'
-        edits.append((start, end, indent + element.encode()))
+        edits += _edits(raw, places[name], np.asarray(T, dtype=float))
     for start, end, new in sorted(edits, reverse=True):
         raw = raw[:start] + new + raw[end:]
-    return raw.decode()
+    return raw.decode("utf-8", errors="surrogatepass")
 
 
-def _numbers(values: Array) -> str:
-    return " ".join(repr(float(v)) for v in values)
+@dataclass
+class _Place:
+    """Where things stand in the bytes of one joint: the end of its start tag, and its origin's start tag."""
+
+    inside: int
+    origin: tuple[int, int] | None = None
 
 
-def _find_origins(raw: bytes) -> dict[str, tuple[int, int, bytes]]:
-    """For each joint, the bytes from and to which its origin stands, and what to put before a new one.
+def _edits(raw: bytes, place: _Place, T: Array) -> list[tuple[int, int, bytes]]:
+    """Replacements (from, to, new bytes) that give one joint its origin."""
+    values = {b"xyz": _text(T[:3, 3]), b"rpy": _text(so3.to_rpy(T[:3, :3]))}
+    if place.origin is None:
+        # set off from the start tag as the next child is
+        space = re.compile(rb"\s*").match(raw, place.inside)
+        indent = space.group() if space else b""
+        element = b'<origin xyz="%s" rpy="%s"/>' % (values[b"xyz"], values[b"rpy"])
+        return [(place.inside, place.inside, indent + element)]
+    start, end = place.origin
+    edits = []
+    for attribute in _ATTRIBUTE.finditer(raw, start, end):
+        key = attribute.group(1)
+        if key in values:
+            new = values.pop(key)
+            if not _says(key, attribute.group(3), T):
+                edits.append((attribute.start(3), attribute.end(3), new))
+    behind_tag = start + len(b"<origin")
+    nothing = np.zeros(3), np.eye(3)  # what a missing attribute stands for
+    for key, new in values.items():
+        if not np.array_equal(T[:3, 3] if key == b"xyz" else T[:3, :3], nothing[key == b"rpy"]):
+            edits.append((behind_tag, behind_tag, b' %s="%s"' % (key, new)))
+    return edits
 
-    A joint without an origin gets one just behind its start tag.
-    """
+
+def _says(key: bytes, text: bytes, T: Array) -> bool:
+    """Whether an attribute's text already gives this value, to the last bit."""
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:  # written through an entity
+        return False
+    if numbers.shape != (3,):
+        return False
+    return np.array_equal(numbers, T[:3, 3]) if key == b"xyz" else np.array_equal(so3.from_rpy(numbers), T[:3, :3])
+
+
+def _text(values: Array) -> bytes:
+    return " ".join(repr(float(v) + 0.0) for v in values).encode()
+
+
+def _find_joints(raw: bytes) -> dict[str, _Place]:
+    """The place of every joint of the robot, by its name."""
+    # what stands before the XML declaration is against the rules but common; ROS's parsers pass over it
+    skip = len(raw) - len(raw.removeprefix(b"\xef\xbb\xbf").lstrip())
     parser = expat.ParserCreate("utf-8")
     stack: list[str] = []
-    places: dict[str, tuple[int, int, bytes]] = {}
+    places: dict[str, _Place] = {}
     joint = ""
-    open_origin = -1
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal joint, open_origin
+        nonlocal joint
+        at = skip + parser.CurrentByteIndex
         if tag == "joint" and stack == ["robot"]:
             joint = attributes.get("name", "")
-            after = _end_of_tag(raw, parser.CurrentByteIndex)
-            if raw[after - 2 : after] != b"/>":
-                places[joint] = (after, after, b"\n    ")
-        elif tag == "origin" and stack == ["robot", "joint"]:
-            open_origin = parser.CurrentByteIndex
+            places[joint] = _Place(_end_of_tag(raw, at))
+            if raw[: places[joint].inside].endswith(b"/>"):  # no inside to put anything in
+                del places[joint]
+        elif tag == "origin" and stack == ["robot", "joint"] and places[joint].origin is None:
+            places[joint].origin = (at, _end_of_tag(raw, at))
         stack.append(tag)
 
-    def end(tag: str) -> None:
-        nonlocal open_origin
-        stack.pop()
-        if tag == "origin" and stack == ["robot", "joint"] and open_origin >= 0:
-            after = _end_of_tag(raw, open_origin)
-            if raw[after - 2 : after] != b"/>":
-                after = _end_of_tag(raw, parser.CurrentByteIndex)
-            places[joint] = (open_origin, after, b"")
-            open_origin = -1
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        parser.Parse(raw, True)
+        parser.Parse(raw[skip:], True)
     except expat.ExpatError as error:
         raise BadRobot("robot description", f"is not XML ({error})", "give a URDF file") from error
     return places
@@ -110,13 +150,7 @@ def _find_origins(raw: bytes) -> dict[str, tuple[int, int, bytes]]:
 
 def _end_of_tag(raw: bytes, start: int) -> int:
     """Index behind the ``>`` of the tag that starts here; one inside an attribute's quotes does not count."""
-    quote = 0
-    for i in range(start, len(raw)):
-        c = raw[i]
-        if quote:
-            quote = 0 if c == quote else quote
-        elif c in b"\"'":
-            quote = c
-        elif c == ord(">"):
-            return i + 1
+    for match in re.compile(rb""""[^"]*"|'[^']*'|(>)""").finditer(raw, start):
+        if match.group(1):
+            return match.end()
     return len(raw)

@@ -1,0 +1,78 @@
+"""What each joint of a chain carries by itself: the links that move with it but not with the next joint, lumped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_tree import Joint, Tree, parse
+
+
+@dataclass(frozen=True)
+class Inertias:
+    """Lumped bodies of a chain's joints, each in the frame of its joint after the joint's motion.
+
+    mass: (n,) [kg]. com: centres of mass, (n, 3) [m]. inertia: about those centres, (n, 3, 3) [kg m²]. All are zero for
+    a joint whose links state no mass.
+    """
+
+    mass: Array
+    com: Array
+    inertia: Array
+
+    @property
+    def known(self) -> bool:
+        """Whether the robot description states any mass."""
+        return bool(self.mass.any())
+
+
+def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
+    """The lumped bodies of a chain that was read from this URDF.
+
+    With each joint moves everything that hangs on its link up to the chain's next joint: fixed parts, and branches such
+    as grippers, which are taken with their joints at zero. Raises BadRobot when the chain is not of this URDF.
+    """
+    tree = parse(urdf_xml)
+    joints = {joint.name: joint for joint in tree.joints}
+    missing = [name for name in chain.names if name not in joints]
+    if missing:
+        raise BadRobot(f"joint {missing[0]}", f"is not in robot '{tree.name}'", "give the URDF the chain came from")
+    mass, com, inertia = np.zeros(chain.n), np.zeros((chain.n, 3)), np.zeros((chain.n, 3, 3))
+    for k, name in enumerate(chain.names):
+        bodies = _carried(tree, joints[name].child, np.eye(4), set(chain.names[k + 1 :]))
+        masses = np.array([m for m, _, _ in bodies])
+        mass[k] = masses.sum()
+        if mass[k] == 0.0:
+            continue
+        centres = np.array([c for _, c, _ in bodies])
+        com[k] = masses @ centres / mass[k]
+        for (m, _, own), r in zip(bodies, centres - com[k], strict=True):
+            inertia[k] += own + m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
+    for array in (mass, com, inertia):
+        array.flags.writeable = False
+    return Inertias(mass, com, inertia)
+
+
+def _carried(tree: Tree, link: str, T: Array, stop: set[str]) -> list[tuple[float, Array, Array]]:
+    """Mass, centre and inertia, in the frame that sees the link at T, of the link and what hangs on it."""
+    bodies = []
+    if link in tree.inertials:
+        own, R = tree.inertials[link], T[:3, :3]
+        bodies.append((own.mass, se3.apply(T, own.centre), R @ own.inertia @ R.T))
+    for joint in tree.below[link]:
+        if joint.name not in stop:
+            bodies += _carried(tree, joint.child, T @ joint.T_parent_joint @ _at_zero(joint), stop)
+    return bodies
+
+
+def _at_zero(joint: Joint) -> Array:
+    """The motion of a joint while all that lead stand at zero: none, but for one that mimics with an offset."""
+    if joint.mimic_offset == 0.0 or not joint.axis.any():
+        return np.eye(4)
+    reach = joint.axis / np.linalg.norm(joint.axis) * joint.mimic_offset
+    return se3.exp(np.r_[reach, 0, 0, 0] if joint.kind == "prismatic" else np.r_[0, 0, 0, reach])

@@ -1,0 +1,273 @@
+"""The links and joints of a URDF, checked, as plain values.
+
+``urdf_parser_py`` (the parser of ROS's own Python tools) reads the document. It is given only what kinematics and
+gravity need: what simulators, drivers and meshes add can neither break the reading nor make the parser speak on stderr.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from urdf_parser_py.urdf import URDF
+from urdf_parser_py.xml_reflection.core import ParseError
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+
+# Moving joints that a chain may hold: True where the joint turns.
+TURNS = {"revolute": True, "continuous": True, "prismatic": False}
+_FIX = "correct the URDF"
+_MOST_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
+
+# The children that are read in each element, and the attributes in each of those.
+_CHILDREN: Mapping[str, set[str]] = {
+    "robot": {"link", "joint"},
+    "link": {"inertial"},
+    "joint": {"origin", "axis", "parent", "child", "limit", "mimic"},
+    "inertial": {"origin", "mass", "inertia"},
+}
+_ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
+    "robot": ("name", "version"),
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "parent": ("link",),
+    "child": ("link",),
+    "limit": ("lower", "upper"),
+    "mimic": ("joint", "multiplier", "offset"),
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+}
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint. T_parent_joint (4, 4) [m]; axis (3,) as written; limits [rad or m]; ``mimic_offset`` is its position
+    while the joint that it mimics stands at zero.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent_joint: Array
+    axis: Array
+    lower: float
+    upper: float
+    mimics: str | None
+    mimic_offset: float
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is anything but fixed."""
+        return self.kind != "fixed"
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """What a link weighs: mass [kg], centre (3,) [m], and inertia (3, 3) [kg m²] about the centre, in its link."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Links and joints of one robot, connected and free of doubles."""
+
+    name: str
+    links: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    inertials: Mapping[str, Inertial]
+
+    @cached_property
+    def above(self) -> dict[str, Joint]:
+        """The joint that carries each link but the roots."""
+        return {joint.child: joint for joint in self.joints}
+
+    @cached_property
+    def below(self) -> dict[str, list[Joint]]:
+        """The joints that each link carries."""
+        return {link: [j for j in self.joints if j.parent == link] for link in self.links}
+
+    def root(self) -> str:
+        """The one link that no joint carries. Raises BadRobot when there is none, or more than one."""
+        roots = [link for link in self.links if link not in self.above]
+        if len(roots) != 1:
+            said = f"has {len(roots)} root links" + (f" ({', '.join(roots[:4])})" if roots else "")
+            raise BadRobot("robot description", said, "connect its links to one tree, or give --base")
+        return roots[0]
+
+    def link(self, name: str) -> str:
+        """The name, if there is such a link. Raises BadRobot, with the names that come closest."""
+        if name not in self.links:
+            close = difflib.get_close_matches(name, self.links, n=3, cutoff=0.3) or self.links[:5]
+            raise BadRobot(
+                f"link '{name}'", "is not in the robot description", f"choose one such as {', '.join(close)}"
+            )
+        return name
+
+    def path(self, base: str, tip: str) -> list[Joint]:
+        """The joints from base to tip. Raises BadRobot when the tip is not carried by the base."""
+        path: list[Joint] = []
+        link = tip
+        while link != base:
+            if link not in self.above or len(path) > len(self.joints):
+                raise BadRobot(f"link '{tip}'", f"is not behind link '{base}'", "give --base and --tip of one arm")
+            path.append(self.above[link])
+            link = path[-1].parent
+        return path[::-1]
+
+
+def parse(urdf_xml: str) -> Tree:
+    """The checked tree of a URDF text. Raises BadRobot for anything that is not one."""
+    robot = _parsed(_essential(_document(urdf_xml)))
+    joints = tuple(_joint(joint) for joint in robot.joints)
+    links = tuple(link.name for link in robot.links)
+    inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
+    tree = Tree(robot.name, links, joints, inertials)
+    _check(tree)
+    return tree
+
+
+def _document(urdf_xml: str) -> Any:
+    # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
+    parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True)
+    text = urdf_xml.lstrip("\ufeff \t\r\n")
+    if not text:
+        raise BadRobot("robot description", "is not XML (it is empty)", "give a URDF file")
+    try:
+        root = etree.fromstring(text.encode("utf-8", errors="replace"), parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        if "<xacro:" in text:
+            raise _unexpanded() from error
+        said = getattr(error, "msg", None) or str(error)
+        raise BadRobot("robot description", f"is not XML ({said})", "give a URDF file") from error
+    if _local(root) != "robot":
+        raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
+    if any(isinstance(e.tag, str) and "xacro" in (etree.QName(e).namespace or e.tag) for e in root.iter()):
+        raise _unexpanded()
+    return root
+
+
+def _unexpanded() -> BadRobot:
+    return BadRobot("robot description", "holds xacro commands", "expand it first: xacro FILE > robot.urdf")
+
+
+def _local(element: Any) -> str:
+    """The name of an element; one with a prefix is somebody else's and has none."""
+    if not isinstance(element.tag, str) or element.prefix is not None:
+        return ""
+    return str(etree.QName(element).localname)
+
+
+def _essential(element: Any) -> Any:
+    """A copy of an element with only what is read here; of what may stand once, the first counts."""
+    tag = _local(element)
+    copy = etree.Element(tag, {key: element.get(key) for key in _ATTRIBUTES.get(tag, ()) if element.get(key)})
+    if tag == "limit":
+        for key in ("effort", "velocity"):  # the parser insists on them
+            copy.set(key, "0")
+    for child in element:
+        name = _local(child)
+        if name in _CHILDREN.get(tag, ()) and (tag == "robot" or copy.find(name) is None):
+            copy.append(_essential(child))
+    return copy
+
+
+def _parsed(root: Any) -> Any:
+    try:
+        return URDF.from_xml_string(etree.tostring(root))
+    except ParseError as error:
+        if "${" in str(error.e) or "$(" in str(error.e):
+            raise _unexpanded() from error
+        said = " ".join(str(error.e).split()) or type(error.e).__name__
+        raise BadRobot(f"robot description, {error.path}", said, _FIX) from error
+    except (AssertionError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise BadRobot("robot description", f"is not a URDF ({error})", _FIX) from error
+
+
+def _joint(joint: Any) -> Joint:
+    limit = joint.limit if joint.type != "continuous" else None
+    lower, upper = (-np.inf, np.inf) if limit is None else (float(limit.lower), float(limit.upper))
+    if not lower <= upper:
+        raise BadRobot(f"joint {joint.name}", f"its limits run from {lower:g} to {upper:g}", _FIX)
+    if lower == upper == 0.0:  # the parser's word for none
+        lower, upper = -np.inf, np.inf
+    axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
+    offset = 0.0 if joint.mimic is None else float(joint.mimic.offset or 0.0)
+    return Joint(
+        name=joint.name,
+        kind=joint.type,
+        parent=joint.parent,
+        child=joint.child,
+        T_parent_joint=_origin(joint.origin, f"joint {joint.name}: <origin"),
+        axis=_finite(axis, 3, f"joint {joint.name}: <axis>"),
+        lower=lower,
+        upper=upper,
+        mimics=None if joint.mimic is None else joint.mimic.joint,
+        mimic_offset=float(_finite([offset], 1, f"joint {joint.name}: <mimic offset>")[0]),
+    )
+
+
+def _inertial(link: Any) -> Inertial:
+    what = f"link {link.name}: <inertial>"
+    mass = float(_finite([link.inertial.mass or 0.0], 1, f"{what} <mass>")[0])
+    if mass < 0.0:
+        raise BadRobot(f"{what} <mass>", f"{mass:g} kg is below 0", _FIX)
+    T = _origin(link.inertial.origin, f"{what} <origin")
+    inertia = np.zeros((3, 3)) if link.inertial.inertia is None else np.array(link.inertial.inertia.to_matrix(), float)
+    R = T[:3, :3]
+    return Inertial(mass, T[:3, 3], R @ _finite(inertia.ravel(), 9, f"{what} <inertia>").reshape(3, 3) @ R.T)
+
+
+def _origin(origin: Any, what: str) -> Array:
+    if origin is None:
+        return np.eye(4)
+    xyz = _finite(origin.xyz or (0, 0, 0), 3, f"{what} xyz>")
+    rpy = _finite(origin.rpy or (0, 0, 0), 3, f"{what} rpy>")
+    if np.abs(rpy).max() > _MOST_TURN:
+        said = f"{rpy[np.argmax(np.abs(rpy))]:g} rad is beyond {_MOST_TURN:.1f}: it looks like degrees"
+        raise BadRobot(f"{what} rpy>", said, "give it in radians")
+    return se3.transform(so3.from_rpy(rpy), xyz)
+
+
+def _finite(values: Any, count: int, what: str) -> Array:
+    out = np.array([float(v) for v in values])
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise BadRobot(what, f"needs {count} finite numbers", _FIX)
+    return out
+
+
+def _check(tree: Tree) -> None:
+    for kind, names in (("link", tree.links), ("joint", [joint.name for joint in tree.joints])):
+        name, count = Counter(names).most_common(1)[0] if names else ("", 1)
+        if count > 1:
+            raise BadRobot(f"{kind} '{name}'", f"stands {count} times in robot '{tree.name}'", "name each once")
+    carried: dict[str, str] = {}
+    for joint in tree.joints:
+        for link in (joint.parent, joint.child):
+            if link not in tree.links:
+                close = difflib.get_close_matches(link, tree.links, n=1, cutoff=0.3)
+                hint = f"add it, or name {close[0]}" if close else "add it"
+                raise BadRobot(f"joint {joint.name}", f"names link '{link}', which is not there", hint)
+        if joint.child in carried:
+            said = f"is the child of joints {carried[joint.child]} and {joint.name}"
+            raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")
+        carried[joint.child] = joint.name
+    for joint in tree.joints:
+        link, steps = joint.parent, 0
+        while link in carried and steps <= len(tree.links):
+            link, steps = tree.above[link].parent, steps + 1
+        if steps > len(tree.links):
+            raise BadRobot(f"joint {joint.name}", "closes a loop", "give a tree of links")
