@@ -1,84 +1,100 @@
-"""The complete and parametrically continuous model (Zhuang, Roth & Hamano 1992): DH without its jump.
+"""Complete and parametrically continuous (CPC) tables, to and from chains.
 
-A link is ``R(b) Tx(l_x) Ty(l_y)``: the shortest turn that takes z to the next joint's axis b = (b_x, b_y, b_z), then a
-shift across that axis. b_x and b_y are two numbers that pass smoothly through zero where axes are parallel. Base and tool
-links have a turn β about z and a shift l_z besides, which makes the model complete. Where the next axis points backwards
-the joint is counted the other way round (direction −1), so that b_z never comes near −1, where R(b) has its only gap.
+After H. Zhuang, Z. S. Roth and F. Hamano, "A complete and parametrically continuous kinematic model for robot
+manipulators", IEEE Transactions on Robotics and Automation 8(4), 1992. With each joint axis as z of its frame, the step
+from one joint to the next is ``V = R(b) Rz(beta) Trans(l)``: b (3,) is the direction of the next axis seen from this
+one, and
+
+            | 1 - bx²/(1+bz)    -bx by/(1+bz)    bx |
+    R(b) =  | -bx by/(1+bz)     1 - by²/(1+bz)   by |
+            | -bx               -by              bz |
+
+is the shortest turn that brings z there. l (3,) [m] leads to the next joint's frame. A row is the step *behind* its
+joint; beta and the third component of l commute with the next joint's motion, so an export leaves them 0: four numbers
+a joint, and no angle at which they jump but for opposite axes. Those are avoided by ``reversed: true``, which says that
+the joint counts negatively about its b. Base and tool, which need all six, are poses; the rest of the table is as in
+:mod:`modcal_core.robots.table_rows`.
+
+The paper keeps bx and by and takes bz = √(1 - bx² - by²) ≥ 0. Between perpendicular axes, the commonest case, that root
+loses half of the digits, so all three are written here; two are read, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.table_rows import plain, read_rows, vector, write_rows
+
+_KEYS = {"b", "l", "beta", "reversed"}
+_FLIP_BELOW = -0.5  # an axis that points more than 120° away is followed backwards
+_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # about x: takes z to -z
 
 
-@dataclass(frozen=True)
-class CpcTable:
-    """links: b_x, b_y, β [rad], l_x, l_y, l_z [m] of links 0 … n, (n + 1, 6). β is zero but at the tool, l_z but at the
-    tool and before a sliding joint. direction: ±1 of each joint's motion and, last, of the tool, (n + 1,); a tool of
-    direction −1 is turned by half a turn about its x axis.
-    """
+def from_cpc(table: Mapping[str, Any]) -> Chain:
+    """The chain of a CPC table. Raises BadTable."""
+    rows = read_rows(table, "cpc", _KEYS)
+    beta = rows.column("beta")
+    steps = [np.eye(4)]
+    for name, row, turn in zip(rows.names, rows.rows, beta, strict=True):
+        b = _direction(row.get("b", (0.0, 0.0, 1.0)), f"cpc table, joint {name}: b")
+        shift = vector(row.get("l", (0.0, 0.0, 0.0)), 3, f"cpc table, joint {name}: l")
+        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=shift))
+        if not isinstance(row.get("reversed", False), bool):
+            raise BadTable(f"cpc table, joint {name}: reversed", f"is {row['reversed']!r}", "give true or false")
+    side = np.array([-1.0 if row.get("reversed", False) else 1.0 for row in rows.rows])
+    return rows.chain(np.stack(steps), side[:, None] * [0.0, 0.0, 1.0])
 
-    names: tuple[str, ...]
-    links: Array
-    direction: Array
-    revolute: np.ndarray
+
+def to_cpc(chain: Chain) -> dict[str, Any]:
+    """The CPC table of a chain, with the same kinematics to rounding. Any serial chain has one."""
+    constants = chain.along_z
+    flip, rest = np.eye(4), np.eye(4)
+    columns: list[dict[str, Any]] = []
+    flipped = False
+    for k in range(chain.n):
+        own: dict[str, Any] = {"reversed": True} if flipped else {}
+        # where the last joint's axis leads is the tool's business
+        V = np.eye(4)
+        if k < chain.n - 1:
+            T = rest @ flip @ constants[k + 1]
+            flipped = bool(T[2, 2] < _FLIP_BELOW)
+            flip = _HALF_TURN if flipped else np.eye(4)
+            T = T @ flip
+            V = _tilt(T[:3, 2])
+            V[:3, 3] = T[:3, 3]
+            V = V @ se3.transform(p=[0.0, 0.0, -(se3.inverse(V)[:3, :3] @ T[:3, 3])[2]])
+            rest = se3.inverse(V) @ T
+        shift = V[:3, :3].T @ V[:3, 3]
+        shift[2] = 0.0
+        columns.append({"b": plain(V[:3, 2]), "l": plain(shift), **own})
+    return write_rows("cpc", chain, columns, constants[0], rest @ flip @ constants[-1])
 
 
-_BACK = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x; its own inverse
+def _direction(values: object, what: str) -> Array:
+    count = len(values) if isinstance(values, list | tuple) else 3
+    b = vector(values, 2 if count == 2 else 3, what)
+    if len(b) == 2:
+        if b @ b > 1.0:
+            raise BadTable(what, f"is longer than 1 ({np.sqrt(b @ b):.6g})", "give a direction")
+        b = np.r_[b, np.sqrt(1.0 - b @ b)]
+    length = float(np.linalg.norm(b))
+    if abs(length - 1.0) > 1e-6:
+        raise BadTable(what, f"has length {length:.6g}, not 1", "give a direction")
+    if b[2] / length < -1.0 + 1e-9:
+        raise BadTable(what, "points straight back, where CPC is singular", "write b forwards and reversed: true")
+    return b / length
 
 
-def axis_rotation(b: ArrayLike) -> Array:
-    """R(b) (3, 3): the shortest rotation that takes z to the unit vector with these x and y (2,) and z ≥ 0."""
-    x, y = np.asarray(b, dtype=float)
-    z = np.sqrt(max(1.0 - x * x - y * y, 0.0))
+def _tilt(b: Array) -> Array:
+    """R(b) of the module's heading, as a transform (4, 4)."""
+    x, y, z = b
     k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
-
-
-def to_cpc(chain: Chain) -> CpcTable:
-    """The CPC table of a chain, with the same kinematics to rounding; every chain has one."""
-    links = np.zeros((chain.n + 1, 6))
-    direction = np.ones(chain.n + 1)
-    passed = np.eye(4)  # what the joint before lets through: it belongs to the link behind
-    for k, M in enumerate(chain.along_z):
-        X = passed @ M
-        back = np.eye(4)
-        if X[2, 2] < 0.0:
-            back, direction[k] = _BACK, -1.0
-        X = X @ back
-        Rb = axis_rotation(X[:2, 2])
-        turn = Rb.T @ X[:3, :3]
-        beta = float(np.arctan2(turn[1, 0], turn[0, 0]))
-        shift = Rb.T @ X[:3, 3]
-        links[k] = [*X[:2, 2], beta, *shift]
-        if k < chain.n:
-            links[k, 2] = 0.0
-            through = np.zeros(3)
-            if chain.revolute[k]:
-                links[k, 5], through = 0.0, np.array([0.0, 0.0, shift[2]])
-            passed = se3.transform(so3.exp([0.0, 0.0, beta]), through) @ back
-    return CpcTable(chain.names, links, direction, chain.revolute)
-
-
-def from_cpc(table: CpcTable) -> Chain:
-    """The chain of a table. Raises BadTable for a wrong shape, or an axis of more than unit length."""
-    links, n = np.asarray(table.links, dtype=float), len(table.names)
-    if links.shape != (n + 1, 6) or len(table.direction) != n + 1 or not np.isfinite(links).all():
-        raise BadTable("CPC table", f"needs {n + 1} links of 6 finite numbers", "give b_x, b_y, β, l_x, l_y, l_z for each")
-    if (np.hypot(links[:, 0], links[:, 1]) > 1.0 + 1e-12).any():
-        raise BadTable("CPC table", "an axis has b_x² + b_y² above 1", "give the x and y of unit vectors")
-    origins = np.tile(np.eye(4), (n + 1, 1, 1))
-    for k, (bx, by, beta, *shift) in enumerate(links):
-        origins[k] = se3.transform(axis_rotation([bx, by])) @ se3.transform(so3.exp([0.0, 0.0, beta]), shift)
-    if table.direction[n] < 0.0:
-        origins[n] = origins[n] @ _BACK
-    axes = np.c_[np.zeros((n, 2)), table.direction[:n]]
-    return Chain.build(table.names, origins, axes, table.revolute)
+    R = np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+    return se3.transform(R)

@@ -1,193 +1,198 @@
-"""Denavit–Hartenberg tables, classical and modified, in and out.
+"""Denavit-Hartenberg tables, classical and modified (Craig), to and from chains.
 
-Classical (Denavit & Hartenberg 1955): ``T_{i-1,i} = Rz(θ_i) Tz(d_i) Tx(a_i) Rx(α_i)``; the joint turns about the z axis of
-the frame before it. Modified (Craig 1986): ``T_{i-1,i} = Rx(α_{i-1}) Tx(a_{i-1}) Rz(θ_i) Tz(d_i)``; about that of its own.
+Classical: joint k turns about (or slides along) z of frame k - 1, and ``A_k = Rz(theta + q) Tz(d) Tx(a) Rx(alpha)``.
+Modified: it does so about z of its own frame, and ``A_k = Rx(alpha) Tx(a) Rz(theta + q) Tz(d)``, where alpha and a lead
+from the axis before. theta is the joint's offset; a prismatic joint's q is added to d instead. Rows: ``theta, d, a,
+alpha`` [rad, m]; the rest of the table is as in :mod:`modcal_core.robots.table_rows`.
 
-Both put frames on the common normals of neighbouring axes. That is exact for any chain, but where two axes are nearly and
-not quite parallel the normal lies far away and jumps with the smallest change: such a chain is refused by name.
+Export. Between two axes a DH row places its frame on their common normal. With both joint axes as z, the constant
+between them is ``Rz(theta) Tz(d) Tx(a) Rx(alpha) Rz(phi) Tz(c)``, six numbers for six; the last two commute with the
+next joint's motion, so they are added to its theta and d. Where the axes are nearly parallel, the common normal is far
+away: an offset |c| of lateral distance / sin(angle), which is why DH cannot carry small corrections of parallel axes.
+Exactly parallel axes are no trouble.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadTable, NotRepresentable
+from modcal_core.errors import NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.table_rows import read_rows, write_rows
 
-PARALLEL_RAD = 1e-9  # axes closer than this are parallel
-FARTHEST_M = 20.0  # an offset beyond this only says that two axes are nearly parallel
+_KEYS = {"theta", "d", "a", "alpha"}
+_PARALLEL = 1e-11  # sine of the angle below which axes count as parallel; FK is then off by that times the reach
+_NEARLY = 0.1  # sine of the angle below which a slide is moved, for its line may lie anywhere
+
+
+def from_dh(table: Mapping[str, Any]) -> Chain:
+    """The chain of a classical DH table. Raises BadTable."""
+    rows = read_rows(table, "dh", _KEYS)
+    theta, d, a, alpha = (rows.column(key) for key in ("theta", "d", "a", "alpha"))
+    return rows.chain(np.concatenate([np.eye(4)[None], _about_z(theta, d) @ _about_x(alpha, a)]))
+
+
+def from_mdh(table: Mapping[str, Any]) -> Chain:
+    """The chain of a modified (Craig) DH table. Raises BadTable."""
+    rows = read_rows(table, "mdh", _KEYS)
+    theta, d, a, alpha = (rows.column(key) for key in ("theta", "d", "a", "alpha"))
+    return rows.chain(np.concatenate([_about_x(alpha, a) @ _about_z(theta, d), np.eye(4)[None]]))
+
+
+def to_dh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
+    """The classical DH table of a chain, with the same kinematics to 1e-9.
+
+    largest_offset: a row that needs a larger d [m] is refused, with NotRepresentable naming the two joints.
+    """
+    rows = _rows(chain, largest_offset)
+    last = rows.last
+    try:
+        end = _between(rows.beyond, largest_offset, keep=True)
+        last = end.turned(_wrap(last.theta + end.theta), last.d + end.d)
+        T_tool = _about_z(last.phi, last.c)
+    except _TooFar:  # the tool pose takes what a row cannot
+        T_tool = rows.beyond
+    return write_rows("dh", chain, [link.data() for link in [*rows.links, last]], rows.T_base, T_tool)
+
+
+def to_mdh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
+    """The modified DH table of a chain, with the same kinematics to 1e-9. Refuses as :func:`to_dh` does."""
+    rows = _rows(chain, largest_offset)
+    twist = _twist(rows.beyond[:3, :3])
+    along = float(rows.beyond[2, 3])
+    last = _Link(_wrap(rows.last.theta + twist), rows.last.d + along)
+    T_tool = _about_z(-twist, -along) @ rows.beyond
+    joints = [*rows.links, last]
+    before = [_Link(0.0, 0.0), *rows.links]
+    columns = [own.data() | {"a": b.a, "alpha": b.alpha} for own, b in zip(joints, before, strict=True)]
+    return write_rows("mdh", chain, columns, rows.T_base, T_tool)
+
+
+class _TooFar(Exception):
+    """A common normal farther away than allowed; holds its distance [m]."""
 
 
 @dataclass(frozen=True)
-class DhTable:
-    """rows: θ offset [rad], d [m], a [m], α [rad] of each joint, (n, 4). For a sliding joint, d is the offset.
+class _Link:
+    """``Rz(theta) Tz(d) Tx(a) Rx(alpha) Rz(phi) Tz(c)`` between two joint axes [rad, m]."""
 
-    modified: Craig's convention; a and α of row i are then those before joint i. T_base: first frame in the base,
-    T_tool: tip in the last frame, (4, 4).
-    """
+    theta: float
+    d: float
+    a: float = 0.0
+    alpha: float = 0.0
+    phi: float = 0.0
+    c: float = 0.0
 
-    names: tuple[str, ...]
-    rows: Array
-    revolute: np.ndarray
+    def turned(self, theta: float, d: float) -> _Link:
+        """The same with another theta and d; of the two x axes along the normal, the one nearer to theta = 0."""
+        coaxial = self.a == 0.0 and self.alpha == 0.0
+        if coaxial or abs(theta) <= 0.5 * np.pi + 1e-9:
+            return _Link(theta, d, self.a, self.alpha, self.phi, self.c)
+        return _Link(_wrap(theta + np.pi), d, -self.a, -self.alpha, _wrap(self.phi - np.pi), self.c)
+
+    def data(self) -> dict[str, float]:
+        return {key: float(getattr(self, key)) + 0.0 for key in ("theta", "d", "a", "alpha")}
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """links: rows of joints 1 … n - 1. last: theta and d of joint n so far. beyond: what follows it, (4, 4)."""
+
     T_base: Array
-    T_tool: Array
-    modified: bool = False
+    links: list[_Link]
+    last: _Link
+    beyond: Array
 
 
-def from_dh(
-    names: Sequence[str],
-    rows: ArrayLike,
-    revolute: ArrayLike | None = None,
-    T_base: ArrayLike | None = None,
-    T_tool: ArrayLike | None = None,
-    modified: bool = False,
-) -> Chain:
-    """The chain of a table with rows (θ offset, d, a, α) [rad, m, m, rad]. Raises BadTable for a wrong shape."""
-    table = np.asarray(rows, dtype=float)
-    if table.shape != (len(names), 4) or not np.isfinite(table).all():
-        raise BadTable("DH table", f"needs {len(names)} rows of 4 finite numbers", "give θ offset, d, a, α for each joint")
-    theta, d, a, alpha = table.T
-    turn = _screw_z(theta, d)
-    link = _screw_x(alpha, a)
-    origins = np.tile(np.eye(4), (len(names) + 1, 1, 1))
-    if modified:
-        origins[:-1] = link
-        origins[1:] = turn @ origins[1:]
-    else:
-        origins[1:] = turn @ link
-    origins[0] = (np.eye(4) if T_base is None else np.asarray(T_base, dtype=float)) @ origins[0]
-    origins[-1] = origins[-1] @ (np.eye(4) if T_tool is None else np.asarray(T_tool, dtype=float))
-    return Chain.build(names, origins, None, revolute)
+def _rows(chain: Chain, largest_offset: float) -> _Rows:
+    constants = _with_slides_moved(chain)
+    # what the base has along and about the first axis belongs to the first row
+    first = constants[0]
+    theta, d = _twist(first[:3, :3]), float(first[:3, 2] @ first[:3, 3])
+    T_base = first @ _about_z(-theta, -d)
+    links = []
+    for k in range(1, chain.n):
+        try:
+            link = _between(constants[k], largest_offset)
+        except _TooFar as far:
+            angle = math.asin(min(1.0, float(np.linalg.norm(constants[k][:2, 2]))))
+            pair = f"axes of joints {chain.names[k - 1]} and {chain.names[k]}, {angle:.2g} rad from parallel"
+            said = f"DH needs an offset of {far.args[0]:.3g} m, {largest_offset:g} m is the limit"
+            raise NotRepresentable(pair, said, "write a CPC table instead") from far
+        link = link.turned(_wrap(theta + link.theta), d + link.d)
+        links.append(link)
+        theta, d = link.phi, link.c
+    return _Rows(T_base, links, _Link(theta, d), constants[-1])
 
 
-def to_dh(chain: Chain, modified: bool = False) -> DhTable:
-    """The table of a chain, with the same kinematics to rounding.
+def _between(T: Array, largest_offset: float, keep: bool = False) -> _Link:
+    """The link from one z axis to another at T. Raises _TooFar.
 
-    Raises NotRepresentable, naming the joints and the angle between them, for axes that are nearly parallel.
+    On parallel axes a shift along them, and a turn if there is no distance, may go to either joint: to the second,
+    unless keep.
     """
-    T = chain.T_base_joint_home @ _aligned(chain)
-    axes = [(T[k, :3, 3], T[k, :3, 2]) for k in range(chain.n)]
-    feet = [_common_normal(axes[k], axes[k + 1], chain.names[k : k + 2]) for k in range(chain.n - 1)]
-    frames = _modified_frames(T, axes, feet) if modified else _classical_frames(T, axes, feet)
-    rows = np.zeros((chain.n, 4))
+    x, y, z = T[:3, 3]
+    u, v, w = T[:3, 2]
+    s = math.hypot(u, v)
+    if s < _PARALLEL:
+        side = 1.0 if w > 0.0 else -1.0
+        a = math.hypot(x, y)
+        turn = math.atan2(T[1, 0], T[0, 0])
+        theta = math.atan2(y, x) if a > _PARALLEL else (turn if keep else 0.0)
+        phi = _wrap(side * (turn - theta))
+        return _Link(theta, z if keep else 0.0, a, 0.0 if w > 0.0 else np.pi, phi, 0.0 if keep else side * z)
+    theta, alpha = math.atan2(u, -v), math.atan2(s, w)
+    c = (x * u + y * v) / (s * s)
+    d = z - c * w
+    if max(abs(c), abs(d)) > largest_offset:
+        raise _TooFar(max(abs(c), abs(d)))
+    rest = (_about_z(theta, 0.0) @ _about_x(alpha, 0.0))[:3, :3].T @ T[:3, :3]
+    return _Link(theta, d, (y * u - x * v) / s, alpha, math.atan2(rest[1, 0], rest[0, 0]), c)
+
+
+def _with_slides_moved(chain: Chain) -> Array:
+    """The constants with every joint along z, and the lines of slides moved where a neighbour is nearly parallel."""
+    constants = np.array(chain.along_z)
     for k in range(chain.n):
-        step = se3.inverse(frames[k]) @ frames[k + 1]
-        rows[k] = _read_modified(step) if modified else _read_classical(step)
-    return DhTable(
-        chain.names, rows, chain.revolute, frames[0], se3.inverse(frames[-1]) @ chain.home, modified
-    )
-
-
-def to_chain(table: DhTable) -> Chain:
-    """The chain of a table."""
-    return from_dh(table.names, table.rows, table.revolute, table.T_base, table.T_tool, table.modified)
-
-
-def _screw_z(angle: Array, shift: Array) -> Array:
-    zero = np.zeros_like(angle)
-    return se3.transform(so3.exp(np.stack([zero, zero, angle], -1)), np.stack([zero, zero, shift], -1))
-
-
-def _screw_x(angle: Array, shift: Array) -> Array:
-    zero = np.zeros_like(angle)
-    return se3.transform(so3.exp(np.stack([angle, zero, zero], -1)), np.stack([shift, zero, zero], -1))
-
-
-def _aligned(chain: Chain) -> Array:
-    """What turns each joint frame so that its axis is z; the tip stays."""
-    return se3.transform(np.concatenate([chain.joint_basis, np.eye(3)[None]]))
-
-
-_Line = tuple[Array, Array]
-
-
-def _common_normal(first: _Line, second: _Line, names: Sequence[str]) -> tuple[Array, Array, Array] | None:
-    """(foot on the first line, foot on the second, unit direction from first to second), None for parallel lines."""
-    (p, u), (q, v) = first, second
-    across = np.cross(u, v)
-    sine = float(np.linalg.norm(across))
-    if sine < PARALLEL_RAD:
-        return None
-    along = np.linalg.solve(np.stack([u, -v, across / sine], axis=1), q - p)
-    if np.abs(along[:2]).max() > FARTHEST_M:
-        raise NotRepresentable(
-            f"joints {names[0]} and {names[1]}",
-            f"axes are {np.degrees(np.arcsin(sine)):.4f}° from parallel: the DH offset is {np.abs(along[:2]).max():.0f} m, "
-            f"{FARTHEST_M:g} m is the limit",
-            "export CPC or URDF, which have no such jump",
-        )
-    x = across / sine * (1.0 if along[2] >= 0.0 else -1.0)
-    return p + along[0] * u, q + along[1] * v, x
-
-
-def _frame(origin: Array, x: Array, z: Array) -> Array:
-    x = x - z * (x @ z)
-    x = x / np.linalg.norm(x)
-    return se3.transform(np.stack([x, np.cross(z, x), z], axis=1), origin)
-
-
-def _across(first: _Line, second: _Line, spare: Array, through: Array) -> Array:
-    """Direction of the normal of parallel lines, from first to second; any normal where they are one line."""
-    gap = second[0] - through
-    gap = gap - first[1] * (gap @ first[1])
-    return gap if np.linalg.norm(gap) > 1e-9 else spare
-
-
-def _classical_frames(T: Array, axes: list[_Line], feet: list[tuple[Array, Array, Array] | None]) -> list[Array]:
-    """Frames 0 … n: frame k has the axis of joint k + 1 as z and the normal from the axis before as x."""
-    frames = [T[0]]
-    for k, normal in enumerate(feet):
-        q, z = axes[k + 1]
-        before = frames[-1]
-        if normal is None:
-            x = _across(axes[k], axes[k + 1], before[:3, 0], before[:3, 3])
-            origin = q + z * (z @ (before[:3, 3] - q))
-        else:
-            _, origin, x = normal
-        frames.append(_frame(origin, x, z))
-    return [*frames, frames[-1]]
-
-
-def _modified_frames(T: Array, axes: list[_Line], feet: list[tuple[Array, Array, Array] | None]) -> list[Array]:
-    """Frames 0 … n: frame k has the axis of joint k as z and the normal to the next axis as x; frame 0 is frame 1."""
-    frames: list[Array] = []
-    for k, (p, z) in enumerate(axes):
-        normal = feet[k] if k < len(feet) else None
-        if normal is not None:
-            frames.append(_frame(normal[0], normal[2], z))
+        if chain.revolute[k]:
             continue
-        # the last joint, or one whose next axis is parallel: stand where the normal from the axis before arrives
-        before = feet[k - 1] if k > 0 else None
-        if before is not None:
-            origin = before[1]
-        else:
-            through = frames[-1][:3, 3] if frames else p
-            origin = p + z * (z @ (through - p))
-        spare = frames[-1][:3, 0] if frames else T[0, :3, 0]
-        if np.linalg.norm(np.cross(spare, z)) < 1e-9:
-            spare = T[k, :3, 0]
-        x = _across((p, z), axes[k + 1], spare, origin) if k < len(feet) else spare
-        frames.append(_frame(origin, x, z))
-    return [frames[0], *frames]
+        before, after = constants[k], constants[k + 1]
+        shift = np.zeros(3)
+        if k > 0 and np.linalg.norm(before[:2, 2]) < _NEARLY:
+            shift = -before[:3, :3].T @ before[:3, 3]
+        elif k < chain.n - 1 and np.linalg.norm(after[:2, 2]) < _NEARLY:
+            shift = after[:3, 3].copy()
+        constants[k] = before @ se3.transform(p=shift)
+        constants[k + 1] = se3.transform(p=-shift) @ after
+    return constants
 
 
-def _read_classical(step: Array) -> Array:
-    """θ, d, a, α of ``Rz(θ) Tz(d) Tx(a) Rx(α)``."""
-    R, p = step[:3, :3], step[:3, 3]
-    theta = np.arctan2(R[1, 0], R[0, 0])
-    alpha = np.arctan2(R[2, 1], R[2, 2])
-    return np.array([theta, p[2], np.cos(theta) * p[0] + np.sin(theta) * p[1], alpha])
+def _twist(R: Array) -> float:
+    """How far a rotation turns about z, in its shortest way there; 0 where it turns z around and the way is any."""
+    _, _, z, w = so3.to_quaternion(R)
+    return 0.0 if math.hypot(z, w) < 1e-12 else _wrap(2.0 * math.atan2(z, w))
 
 
-def _read_modified(step: Array) -> Array:
-    """θ, d, a, α of ``Rx(α) Tx(a) Rz(θ) Tz(d)``."""
-    R, p = step[:3, :3], step[:3, 3]
-    theta = np.arctan2(-R[0, 1], R[0, 0])
-    alpha = np.arctan2(-R[1, 2], R[2, 2])
-    return np.array([theta, -np.sin(alpha) * p[1] + np.cos(alpha) * p[2], p[0], alpha])
+def _wrap(angle: float) -> float:
+    return float(np.pi - (np.pi - angle) % (2.0 * np.pi))
+
+
+def _about_z(theta: Any, d: Any) -> Array:
+    """Rz(theta) Tz(d), (..., 4, 4)."""
+    theta, d = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(d, dtype=float))
+    zero = np.zeros_like(theta)
+    return se3.exp(np.stack([zero, zero, d, zero, zero, theta], axis=-1))
+
+
+def _about_x(alpha: Any, a: Any) -> Array:
+    """Rx(alpha) Tx(a), (..., 4, 4)."""
+    alpha, a = np.broadcast_arrays(np.asarray(alpha, dtype=float), np.asarray(a, dtype=float))
+    zero = np.zeros_like(alpha)
+    return se3.exp(np.stack([a, zero, zero, alpha, zero, zero], axis=-1))
