@@ -1,18 +1,20 @@
 """Corrected kinematics in the forms that the makers' own descriptions read.
 
 Universal Robots' description takes a ``kinematics`` table keyed by link (``kinematics_params_file:=``), Franka's one
-keyed by joint; both hold the origin of each joint as x y z [m] and roll pitch yaw [rad]. Any other arm gets the same
-table keyed by joint name.
+keyed by joint; both hold, for each joint, the xyz [m] and rpy [rad] of its URDF ``<origin>``. Any other arm gets the
+same values keyed by joint name.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from modcal_core.errors import NotRepresentable
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -25,28 +27,71 @@ _UR = {
     "wrist_2_joint": "wrist_2",
     "wrist_3_joint": "wrist_3",
 }
-_FRANKA = re.compile(r".*(?:panda|fr3|fer|fp3)_(joint[1-7])$")
+_FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)\w*?_)joint(?P<number>[1-7])")
 
 
-def kinematics_yaml_data(chain: Chain) -> dict[str, Any]:
-    """The joints' origins as plain data, in the form of the arm's maker where its joint names are recognised."""
-    links = [next((link for joint, link in _UR.items() if name.endswith(joint)), None) for name in chain.names]
-    if chain.n == 6 and links == list(_UR.values()):
-        table = {link: _origin(T) for link, T in zip(_UR.values(), chain.origins, strict=False)}
-        return {"kinematics": {**table, "hash": _hash(chain)}}
-    joints = [_FRANKA.match(name) for name in chain.names]
-    if chain.n == 7 and all(joints):
-        named = zip([m.group(1) for m in joints if m], chain.origins, strict=False)
-        return {joint: {"kinematic": _origin(T)} for joint, T in named}
-    return {name: _origin(T) for name, T in zip(chain.names, chain.origins, strict=False)}
+def kinematics_yaml_data(chain: Chain, origins: Mapping[str, Array] | None = None) -> dict[str, Any]:
+    """The joints' origins as plain data, in the form of the arm's maker where the chain's joints are recognised.
+
+    origins: ``T_parent_joint`` (4, 4) of the joints of the corrected URDF, fixed ones included. Without them the
+    chain's constants are taken, which are the same unless fixed joints lie between (as before UR's first).
+    """
+    own = dict(zip(chain.names, chain.origins, strict=False))
+    origins = own if origins is None else origins
+    if _ur_prefix(chain.names) is not None:
+        return ur_kinematics({name: origins[name] for name in chain.names})
+    prefix = _franka_prefix(chain.names)
+    if prefix is not None:
+        return franka_kinematics({name: T for name, T in origins.items() if name.startswith(prefix)})
+    return {name: _origin(origins[name]) for name in chain.names}
+
+
+def ur_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
+    """``{kinematics: {shoulder: {x, y, z, roll, pitch, yaw}, …, hash}}`` of the six joints of one UR arm.
+
+    origins: ``T_parent_joint`` (4, 4) by joint name; the names may share a prefix. The hash only names the values: it
+    is not the one that the arm's own controller reports. Raises NotRepresentable when they are not a UR arm's.
+    """
+    prefix = _ur_prefix(tuple(origins))
+    if prefix is None:
+        raise NotRepresentable("UR kinematics", f"needs joints {', '.join(_UR)}", "choose another form")
+    table = {link: _origin(origins[prefix + joint]) for joint, link in _UR.items()}
+    return {"kinematics": {**table, "hash": _hash([origins[prefix + joint] for joint in _UR])}}
+
+
+def franka_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
+    """``{joint1: {kinematic: {x, y, z, roll, pitch, yaw}}, …}`` of the seven joints of one Franka arm.
+
+    origins: ``T_parent_joint`` (4, 4) by joint name; joint 8, which is fixed and leads to the flange, is written too if
+    it is there. Raises NotRepresentable when they are not a Franka arm's.
+    """
+    names = tuple(name for name in origins if _FRANKA.fullmatch(name))
+    prefix = _franka_prefix(names)
+    if prefix is None:
+        raise NotRepresentable("Franka kinematics", "needs joints *_joint1 … *_joint7", "choose another form")
+    joints = [f"joint{i}" for i in range(1, 9) if prefix + f"joint{i}" in origins]
+    return {joint: {"kinematic": _origin(origins[prefix + joint])} for joint in joints}
+
+
+def _ur_prefix(names: tuple[str, ...]) -> str | None:
+    prefixes = {name.removesuffix(joint) for name in names for joint in _UR if name.endswith(joint)}
+    wanted = {prefix + joint for prefix in prefixes for joint in _UR}
+    return next(iter(prefixes)) if len(prefixes) == 1 and wanted == set(names) else None
+
+
+def _franka_prefix(names: tuple[str, ...]) -> str | None:
+    found = [_FRANKA.fullmatch(name) for name in names]
+    prefixes = {m["prefix"] for m in found if m}
+    whole = sorted(m["number"] for m in found if m) == list("1234567") and len(names) == 7
+    return prefixes.pop() if whole and len(prefixes) == 1 else None
 
 
 def _origin(T: Array) -> dict[str, float]:
     values = np.concatenate([T[:3, 3], so3.to_rpy(T[:3, :3])])
-    return {key: float(v) for key, v in zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)}
+    return {key: float(v) + 0.0 for key, v in zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)}
 
 
-def _hash(chain: Chain) -> str:
+def _hash(origins: list[Array]) -> str:
     """A name for this set of values, of the length that the makers' own ones have."""
-    digest = hashlib.sha256(np.ascontiguousarray(chain.origins).tobytes()).digest()
+    digest = hashlib.sha256(np.ascontiguousarray(np.stack(origins)).tobytes()).digest()
     return f"calib_{int.from_bytes(digest[:8], 'big'):020d}"
