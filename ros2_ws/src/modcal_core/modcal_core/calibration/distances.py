@@ -42,7 +42,7 @@ def distance_rows(
     origin = T_root_frame[:, :3, 3]
     residual = np.zeros(len(distances))
     J = np.zeros((len(parameters), len(distances)))
-    twists = [local_twists(e) for e in errors.frames]
+    twists = local_twists(errors.frames)
     for i, known in enumerate(distances):
         a, b = (model.frames.index(name) for name in known.between)
         gap = origin[a] - origin[b]

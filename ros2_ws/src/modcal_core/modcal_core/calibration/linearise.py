@@ -50,20 +50,19 @@ class Linearised:
 
 
 def error_transform(twist: Array) -> Array:
-    """``Trans(t) Rot(exp ω)`` (4, 4) of an error's six values (t, ω) [m, rad]."""
-    return se3.transform(so3.exp(twist[3:]), twist[:3])
+    """``Trans(t) Rot(exp ω)`` (..., 4, 4) of errors' six values (t, ω) (..., 6) [m, rad]."""
+    return se3.transform(so3.exp(twist[..., 3:]), twist[..., :3])
 
 
 def local_twists(twist: Array) -> Array:
-    """The twists (6, 6) that each of the six values makes per unit, in the frame after the error; one per row.
+    """The twists (..., 6, 6) that each of the six values makes per unit, in the frame after the error; one per row.
 
     ``E(x + dx) = E(x) exp(sum dx_d · row_d)``: a shift is seen from the turned frame, and a turn through the right
     Jacobian of the exponential.
     """
-    R = so3.exp(twist[3:])
-    out = np.zeros((6, 6))
-    out[:3, :3] = R  # row d is Rᵀ e_d
-    out[3:, 3:] = np.linalg.inv(so3.left_jacobian_inverse(-twist[3:])).T
+    out = np.zeros((*twist.shape, 6))
+    out[..., :3, :3] = so3.exp(twist[..., 3:])  # row d is Rᵀ e_d
+    out[..., 3:, 3:] = np.swapaxes(np.linalg.inv(so3.left_jacobian_inverse(-twist[..., 3:])), -1, -2)
     return out
 
 
@@ -90,13 +89,12 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
     """The model with these errors put in: frames moved, constants of the chain changed, tool moved."""
     chain = model.chain
     A = se3.transform(chain.joint_basis)
+    E = error_transform(errors.places)
     origins = np.array(chain.origins)
-    for k in range(1, chain.n):
-        origins[k] = origins[k] @ A[k] @ error_transform(errors.places[k - 1]) @ se3.inverse(A[k])
+    origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
     T_base_root = chain.origins[0] @ A[0]
-    E = np.stack([error_transform(e) for e in errors.frames])
-    T_frame_base = model.T_frame_base @ T_base_root @ E @ se3.inverse(T_base_root)
-    T_tip_tool = model.T_tip_tool @ error_transform(errors.places[-1])
+    T_frame_base = model.T_frame_base @ T_base_root @ error_transform(errors.frames) @ se3.inverse(T_base_root)
+    T_tip_tool = model.T_tip_tool @ E[-1]
     return Model(chain.with_origins(origins), model.frames, T_frame_base, T_tip_tool)
 
 
@@ -134,12 +132,11 @@ def linearise(
         return Linearised(position, rotation, np.zeros((0, position.size + rotation.size)))
 
     J = np.empty((len(parameters), 3 * N + 3 * len(pose)))
-    twists = {(0, i): local_twists(e) for i, e in enumerate(errors.frames)}
-    twists |= {(k + 1, -1): local_twists(e) for k, e in enumerate(errors.places)}
+    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
     levers: dict[int, Array] = {}
     for j, parameter in enumerate(parameters):
         k = parameter.place
-        twist = twists[k, parameter.frame][parameter.direction]
+        twist = (of_places[k - 1] if k else of_frames[parameter.frame])[parameter.direction]
         flat = f.axes[k].reshape(3, 3 * N)
         column = J[j, : 3 * N].reshape(3, N)
         rows = J[j, 3 * N :].reshape(3, len(pose))

@@ -150,7 +150,9 @@ class Chain:
 
     def with_origins(self, origins: ArrayLike) -> Chain:
         """The same robot with other constants M_0 … M_n, (n + 1, 4, 4)."""
-        return replace(self, origins=_read_only(origins))
+        other = replace(self, origins=_read_only(origins))
+        other.__dict__["joint_basis"] = self.joint_basis  # depends on the axes only, and is asked for at every step
+        return other
 
     def reach(self) -> float:
         """An upper bound on the distance from the first joint to the tip [m], used to recognise wrong units."""
