@@ -8,12 +8,12 @@ from cells import ur10
 from cli.recordings import START, stations, streams, with_reading
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.alignment import align, clock_offset
 from modcal_core.loop import calibrate
+from modcal_core.measurements.alignment import align, clock_offset
 from modcal_core.measurements.inspection import inspect
-from modcal_core.prepare import prepare
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.stations import cut_stations, deviation_of_mean
+from modcal_core.prepare import prepare
 from modcal_core.robots.kinematics import forward
 
 NAMES = ur10().names
@@ -114,9 +114,7 @@ def test_silence_in_motion_tells_no_offset() -> None:
     s = recording.readings[0].stamps
     speed = np.interp(s, t[1:], np.abs(np.diff(q, axis=0)).max(axis=1))
     still = speed == 0.0
-    quiet = with_reading(
-        recording, stamps=s[still], values=recording.readings[0].values[still], received=s[still]
-    )
+    quiet = with_reading(recording, stamps=s[still], values=recording.readings[0].values[still], received=s[still])
     assert clock_offset(quiet.readings[0], t, q, tip) is None
 
 

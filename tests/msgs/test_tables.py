@@ -115,5 +115,3 @@ def test_the_verb_writes_a_bag_or_nothing(folder: Path, capfd: pytest.CaptureFix
     assert run(["import", str(folder / "m.yaml"), "--out", str(folder / "other")]) == 2
     assert "line 5" in capfd.readouterr().err
     assert not (folder / "other").exists()
-
-

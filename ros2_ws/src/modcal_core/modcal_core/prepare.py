@@ -66,7 +66,7 @@ def _settle_delays(
         if np.abs(step).max() < 1e-6:
             break
     said = tuple(
-        f"Readings in {frame} were {1e3 * delay:+.2f} ms late against the joints, by their motion; stamps were corrected."
+        f"Readings in {frame} were {1e3 * delay:+.2f} ms late, by their motion; their stamps were corrected."
         for frame, delay in zip(samples.frames, total, strict=True)
         if abs(delay) > _SAID
     )
@@ -84,8 +84,7 @@ def _delays(samples: Samples, chain: Chain) -> Array:
         model = identify(located.model, few, choice.parameters).model
     except NotEnoughData:
         return out
-    known = np.isfinite(few.velocity).all(axis=1)
-    few = few.select(known)
+    few = few.select(np.flatnonzero(np.isfinite(few.velocity).all(axis=1)))
     h = 1e-4
     velocity = (
         model.predict(few.q + h * few.velocity, few.frame)[:, :3, 3]

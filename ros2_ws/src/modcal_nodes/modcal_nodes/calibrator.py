@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.loop import calibrate
-from modcal_core.prepare import prepare
 from modcal_core.measurements.recording import Recording
+from modcal_core.prepare import prepare
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.messages import RecordingBuilder

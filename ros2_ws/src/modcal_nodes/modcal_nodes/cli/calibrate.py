@@ -10,8 +10,8 @@ import numpy as np
 from rich.console import Console
 
 from modcal_core.loop import calibrate, evaluate
-from modcal_core.prepare import Prepared, prepare
 from modcal_core.measurements.recording import Recording
+from modcal_core.prepare import Prepared, prepare
 from modcal_core.report.report import Report
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
