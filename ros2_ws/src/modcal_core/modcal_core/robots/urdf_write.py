@@ -55,7 +55,8 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
 def write_origins(urdf_xml: str, origins: Mapping[str, Array]) -> str:
     """The same text with the origins (4, 4) [m] of the named joints put in.
 
-    A value that already says the same is kept as it is written. A joint without an origin gets one as its first child.
+    A value that already says the same is kept as it is written. A joint without an origin gets one as its first child,
+    unless it is the identity.
     Raises BadRobot for a joint that the URDF does not have.
     """
     raw = urdf_xml.encode("utf-8", errors="surrogatepass")
@@ -82,6 +83,8 @@ def _edits(raw: bytes, place: _Place, T: Array) -> list[tuple[int, int, bytes]]:
     """Replacements (from, to, new bytes) that give one joint its origin."""
     values = {b"xyz": _text(T[:3, 3]), b"rpy": _text(so3.to_rpy(T[:3, :3]))}
     if place.origin is None:
+        if np.array_equal(T, np.eye(4)):
+            return []
         # set off from the start tag as the next child is
         space = re.compile(rb"\s*").match(raw, place.inside)
         indent = space.group() if space else b""

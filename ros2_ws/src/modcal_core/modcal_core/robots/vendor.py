@@ -27,7 +27,7 @@ _UR = {
     "wrist_2_joint": "wrist_2",
     "wrist_3_joint": "wrist_3",
 }
-_FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)\w*?_)joint(?P<number>[1-7])")
+_FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)joint(?P<number>[1-7])")
 
 
 def kinematics_yaml_data(chain: Chain, origins: Mapping[str, Array] | None = None) -> dict[str, Any]:

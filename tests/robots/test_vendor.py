@@ -1,0 +1,105 @@
+"""The makers' own forms hold what their own descriptions need to rebuild the corrected arm."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from robots.test_kinematics import chain_of, urdf
+
+from modcal_core.errors import NotRepresentable
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf import joint_origins, read_chain
+from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_core.robots.vendor import franka_kinematics, kinematics_yaml_data, ur_kinematics
+
+# default_kinematics.yaml of UR's description, as published for the UR10
+UR10 = {
+    "shoulder": (0, 0, 0.1273, 0, 0, 0),
+    "upper_arm": (0, 0, 0, 1.570796327, 0, 0),
+    "forearm": (-0.612, 0, 0, 0, 0, 0),
+    "wrist_1": (-0.5723, 0, 0.163941, 0, 0, 0),
+    "wrist_2": (0, -0.1157, 0, 1.570796327, 0, 0),
+    "wrist_3": (0, 0.0922, 0, 1.570796326589793, 3.141592653589793, 3.141592653589793),
+}
+
+
+def pose(values: dict[str, float]) -> Array:
+    x, y, z, roll, pitch, yaw = (values[key] for key in ("x", "y", "z", "roll", "pitch", "yaw"))
+    return se3.transform(so3.from_rpy([roll, pitch, yaw]), [x, y, z])
+
+
+def corrected(arm: str) -> tuple[Chain, str]:
+    chain = chain_of(arm)
+    xi = 1e-3 * np.random.default_rng(0).normal(size=(chain.n + 1, 6))
+    text = calibrated_urdf(urdf(arm), chain, chain.with_origins(chain.origins @ se3.exp(xi)))
+    return read_chain(text), text
+
+
+def test_ur_defaults_are_the_published_ones() -> None:
+    data = kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))["kinematics"]
+    assert list(data) == [*UR10, "hash"]
+    for link, values in UR10.items():
+        keys = ("x", "y", "z", "roll", "pitch", "yaw")
+        published = dict(zip(keys, values, strict=True))
+        assert np.abs(pose(data[link]) - pose(published)).max() < 1e-9
+
+
+def test_ur_holds_the_joints_own_origins_and_not_what_lies_before_them() -> None:
+    """base_link is turned by half a turn from where UR's table starts; the description adds that by itself."""
+    chain, text = corrected("ur10")
+    origins = joint_origins(text)
+    data = kinematics_yaml_data(chain, origins)["kinematics"]
+    for name, link in zip(chain.names, UR10, strict=True):
+        assert np.abs(pose(data[link]) - origins[name]).max() < 1e-15 * 4
+    assert np.abs(pose(data["shoulder"]) - chain.origins[0]).max() > 1.0
+
+
+def test_ur_hash_names_the_values() -> None:
+    chain, text = corrected("ur10")
+    first, again = (kinematics_yaml_data(chain, joint_origins(text)) for _ in range(2))
+    other = kinematics_yaml_data(chain_of("ur10"))
+    assert re.fullmatch(r"calib_\d{20}", first["kinematics"]["hash"])
+    assert first == again
+    assert first["kinematics"]["hash"] != other["kinematics"]["hash"]
+
+
+def test_ur_with_a_prefix() -> None:
+    text = urdf("ur10")
+    for name in chain_of("ur10").names:
+        text = text.replace(f'joint name="{name}"', f'joint name="left_ur_{name}"')
+    data = kinematics_yaml_data(read_chain(text), joint_origins(text))
+    assert data == kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))
+
+
+@pytest.mark.parametrize("prefix", ["panda_", "fr3_", "left_fer_", "fr3v2_"])
+def test_franka(prefix: str) -> None:
+    chain, text = corrected("panda")
+    renamed = text.replace('joint name="panda_', f'joint name="{prefix}').replace('joint="panda_', f'joint="{prefix}')
+    data = kinematics_yaml_data(read_chain(renamed), joint_origins(renamed))
+    assert list(data) == [f"joint{k}" for k in range(1, 9)]  # joint 8 is fixed and leads to the flange
+    for k in range(1, 9):
+        assert list(data[f"joint{k}"]) == ["kinematic"]
+        assert np.abs(pose(data[f"joint{k}"]["kinematic"]) - joint_origins(text)[f"panda_joint{k}"]).max() < 1e-15 * 4
+    assert list(kinematics_yaml_data(chain)) == [f"joint{k}" for k in range(1, 8)]
+
+
+@pytest.mark.parametrize("arm", ["xarm7", "iiwa14"])
+def test_any_other_arm_by_joint_name(arm: str) -> None:
+    chain, text = corrected(arm)
+    data = kinematics_yaml_data(chain, joint_origins(text))
+    assert tuple(data) == chain.names
+    for name, values in data.items():
+        assert np.abs(pose(values) - joint_origins(text)[name]).max() < 1e-15 * 4
+    assert all(type(value) is float for values in data.values() for value in values.values())
+
+
+def test_another_arm_has_no_maker_form() -> None:
+    origins = joint_origins(urdf("xarm7"))
+    with pytest.raises(NotRepresentable, match="needs joints shoulder_pan_joint"):
+        ur_kinematics(origins)
+    with pytest.raises(NotRepresentable, match="needs joints"):
+        franka_kinematics(origins)
