@@ -29,7 +29,7 @@ def test_rotations(direction: np.ndarray, angle: float) -> None:
     assert np.abs(so3.log(R) - w).max() < 1e-9 if angle > 3.0 else np.abs(so3.log(R) - w).max() < 1e-14
     assert np.abs(so3.exp(-w) - R.T).max() < 1e-15
     for back in (so3.from_quaternion(so3.to_quaternion(R)), so3.from_rpy(so3.to_rpy(R)), so3.exp(so3.log(R))):
-        assert np.abs(back - R).max() < 2e-15 * 10
+        assert np.abs(back - R).max() < 2e-14
 
 
 @given(vectors, vectors, angles)
@@ -62,7 +62,7 @@ def test_batches_are_the_same_as_one_by_one(rng: np.random.Generator) -> None:
 
 
 def test_left_jacobian(rng: np.random.Generator) -> None:
-    for w in (*rng.normal(size=(10, 3)), np.zeros(3), 1e-5 * np.ones(3)):
+    for w in (*rng.uniform(-1.7, 1.7, (10, 3)), np.zeros(3), 1e-5 * np.ones(3)):
         R = so3.exp(w)
         assert_jacobian(lambda d, R=R: so3.log(so3.exp(d) @ R), so3.left_jacobian_inverse(w), np.zeros(3))
 

@@ -14,6 +14,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 _REPEAT_RAD = 2e-4  # postures this close count as the same one, visited again
+_MOST_SEARCHED = 3000  # samples among which repeats are looked for
 _REPEATS = 10  # pairs of them before a floor is read off
 
 
@@ -96,6 +97,8 @@ def noise_floor(samples: Samples) -> float | None:
     Postures visited again show it with everything included that does not repeat; failing those, the scatter within the
     stations is taken, which is a lower bound.
     """
+    if len(samples) > _MOST_SEARCHED:  # an arm that stood still while the tracker ran makes pairs without number
+        samples = samples.select(np.linspace(0, len(samples) - 1, _MOST_SEARCHED).astype(int))
     pairs = cKDTree(samples.q).query_pairs(_REPEAT_RAD, p=np.inf, output_type="ndarray")
     pairs = pairs[samples.frame[pairs[:, 0]] == samples.frame[pairs[:, 1]]]
     if len(pairs) >= _REPEATS:

@@ -25,7 +25,8 @@ from modcal_core.measurements.samples import Samples
 class StationRules:
     """How stations are cut. window: [s] over which the arm must not move. still: [rad or m] that counts as no motion.
     settle: [s] after stopping that are not used. least: [s] of standing still that make a dwell, after settling.
-    gap: [s] without joint states that a motion may not be interpolated over.
+    gap: [s] without joint states that a motion may not be interpolated over. most: samples of one instrument in motion;
+    a longer recording is thinned evenly.
     """
 
     window: float = 0.2
@@ -33,6 +34,7 @@ class StationRules:
     settle: float = 0.25
     least: float = 0.3
     gap: float = 0.1
+    most: int = 50_000
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     after = np.searchsorted(t, track.stamps)
     rows = np.flatnonzero((after > 0) & (after < len(t)))
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), rules.most)).astype(int)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
     return _as_is(track, rows, course(at), course(at, 1), moving=True)
 

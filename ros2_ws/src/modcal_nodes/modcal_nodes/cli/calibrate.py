@@ -9,10 +9,13 @@ import click
 import numpy as np
 from rich.console import Console
 
+from modcal_core.calibration.store import Calibration, fingerprint
+from modcal_core.errors import ModcalError
 from modcal_core.loop import calibrate, evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import Prepared, prepare
 from modcal_core.report.report import Report
+from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.show import show_report
@@ -105,6 +108,7 @@ def evaluate_command(
     rng = np.random.default_rng(seed)
     report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
     report = _named(report, recording, prepared)
+    report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
     show_report(report, Console())
@@ -113,3 +117,17 @@ def evaluate_command(
 
 def _named(report: Report, recording: Recording, prepared: Prepared) -> Report:
     return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))
+
+
+def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:
+    """A sentence when the recording describes a robot other than the one that was calibrated."""
+    if recording.robot_description is None:
+        return ()
+    nominal = frozen.nominal.chain
+    try:
+        described = fingerprint(read_chain(recording.robot_description, nominal.base, nominal.tip))
+    except ModcalError as error:
+        return (f"The recording's robot description was not compared: {error}.",)
+    if described in (frozen.robot, fingerprint(frozen.calibrated.chain)):
+        return ()
+    return ("The recording's robot description has other kinematics than the one that was calibrated.",)
