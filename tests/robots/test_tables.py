@@ -183,6 +183,11 @@ def test_cpc_reads_an_axis_by_two_components() -> None:
     assert_same(from_cpc(two), from_cpc(table), 1e-12)
 
 
+def test_cpc_mends_an_axis_that_was_rounded() -> None:
+    T = from_cpc({"joints": [{"name": "a"}, {"name": "b", "b": [0.2672612, -0.5345225, 0.8017837]}]}).home
+    assert np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-15
+
+
 def test_what_is_left_out_is_zero() -> None:
     chain = from_dh({"joints": [{"name": "a", "d": 0.5}, {"name": "b", "type": "prismatic", "lower": -0.1}]})
     assert forward(chain, [[0.3, 0.2]])[0, 2, 3] == pytest.approx(0.7)

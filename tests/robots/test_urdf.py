@@ -70,6 +70,7 @@ TIPS = {
     "then the longest way": (ARM + links("a") + joint("a", "l6", "a", "fixed") + serial("ff", "b", "l6"), "b2"),
     "then the name": (ARM + links("b", "a") + joint("b", "l6", "b", "fixed") + joint("a", "l6", "a", "fixed"), "a"),
     "fingers that mimic": (ARM + HAND + FINGERS + joint("right", "hand", "right", "prismatic", '<mimic joint="left"/>'), "hand"),
+    "a finger with its pad": (ARM + HAND + FINGERS + joint("right", "left", "right", "prismatic", '<mimic joint="left"/>'), "hand"),
     "fingers that do not": (ARM + HAND + FINGERS + joint("right", "hand", "right", "prismatic"), "hand"),
     "the palm of a hand": (ARM + HAND + serial("rrrr", "i", "hand") + serial("rrrr", "m", "hand") + serial("rrr", "t", "hand"), "hand"),
     "a tool beside fingers": (ARM + HAND + FINGERS + joint("right", "hand", "right", "prismatic") + serial("ff", "x", "hand"), "x2"),
@@ -121,18 +122,19 @@ def test_ur10_is_where_its_maker_says() -> None:
 def test_kinds_limits_and_axes() -> None:
     chain = read_chain(
         robot(
-            links("a", "b", "c", "d", "e"),
+            links("a", "b", "c", "d", "e", "f"),
             joint("turn", "a", "b", "revolute", '<limit lower="-1" upper="2" effort="0" velocity="0"/>'),
             joint("spin", "b", "c", "continuous", '<axis xyz="0 3 4"/><limit effort="0" velocity="0"/>'),
             joint("slide", "c", "d", "prismatic", '<axis xyz="0 0 -2"/><limit upper="0.5"/>'),
             joint("free", "d", "e", "revolute"),
+            joint("unlimited", "e", "f", "revolute", '<limit effort="1" velocity="1"/>'),
         )
     )
-    assert chain.names == ("turn", "spin", "slide", "free")
-    assert chain.axes.tolist() == [[1, 0, 0], [0, 0.6, 0.8], [0, 0, -1], [1, 0, 0]]
-    assert chain.revolute.tolist() == [True, True, False, True]
-    assert chain.lower.tolist() == [-1, -np.inf, 0, -np.inf]
-    assert chain.upper.tolist() == [2, np.inf, 0.5, np.inf]
+    assert chain.names == ("turn", "spin", "slide", "free", "unlimited")
+    assert chain.axes.tolist() == [[1, 0, 0], [0, 0.6, 0.8], [0, 0, -1], [1, 0, 0], [1, 0, 0]]
+    assert chain.revolute.tolist() == [True, True, False, True, True]
+    assert chain.lower.tolist() == [-1, -np.inf, 0, -np.inf, -np.inf]
+    assert chain.upper.tolist() == [2, np.inf, 0.5, np.inf, np.inf]
 
 
 def test_what_is_not_kinematics_does_not_matter(capfd: pytest.CaptureFixture[str]) -> None:
@@ -219,8 +221,8 @@ def test_unknown_links_are_named_with_their_neighbours() -> None:
 
 
 def test_outside_files_are_not_read(tmp_path: Path) -> None:
-    secret = tmp_path / "secret"
-    secret.write_text("tool7")
-    text = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "{secret.as_uri()}">]><robot name="r"><link name="a"/>&s;</robot>'
+    outside = tmp_path / "outside"
+    outside.write_text('<link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint>')
+    text = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "{outside.as_uri()}">]><robot name="r"><link name="a"/>&s;</robot>'
     with pytest.raises(BadRobot, match="no moving joint"):
         read_chain(text)
