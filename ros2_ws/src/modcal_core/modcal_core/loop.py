@@ -20,6 +20,7 @@ from modcal_core.calibration.score import Errors, errors, noise_floor, outlying,
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
+from modcal_core.diagnosis.scan import scan
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
@@ -54,6 +55,8 @@ def calibrate(
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     require_plausible(nominal, geometric, train)
 
+    explain = samples.select(sets.explain)
+    left = scan(geometric, explain.select(~outlying(geometric.model, geometric.spread, explain)), rng)
     scored = held_out.select(~outlying(geometric.model, geometric.spread, held_out))
     shipped = ship(samples, chain, choice, cell)
     report = Report(
@@ -67,6 +70,7 @@ def calibrate(
             "final": errors(geometric.model, scored),
         },
         noise_floor=noise_floor(samples),
+        left=left,
         identifiability=identifiability(geometric),
         parameters=shipped.parameters,
         left_out=choice.left_out,

@@ -10,6 +10,7 @@ import numpy as np
 from modcal_core.calibration.identifiability import Identifiability
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
+from modcal_core.diagnosis.scan import Finding
 from modcal_core.measurements.samples import Samples
 
 FORMAT = 1
@@ -21,9 +22,9 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. parameters:
-    (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a sentence each,
-    for a person.
+    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. left: where
+    what remains sits and on what it depends, None where that cannot be told from noise. parameters: (name, value,
+    standard deviation, unit). left_out: parameters that say the same as others. notes: a sentence each, for a person.
     """
 
     samples: Samples
@@ -32,6 +33,7 @@ class Report:
     rejected: int
     errors: dict[str, Errors]
     noise_floor: float | None
+    left: Finding | None = None
     identifiability: Identifiability | None = None
     parameters: tuple[tuple[str, float, float, str], ...] = ()
     left_out: tuple[str, ...] = ()
@@ -63,16 +65,21 @@ class Report:
 
     @property
     def unexplained_mm(self) -> float | None:
-        """RMS of what is left beyond the noise floor [mm]; None when the rest is noise, or the floor is unknown."""
+        """RMS of what is left beyond the noise [mm]; None when the rest is noise as far as the recording shows.
+
+        With a known noise floor, what exceeds it by more than a fifth; else the size of what was found to be left.
+        """
         final = self.size_mm("final")
         if final is None or self.noise_floor is None:
-            return None
+            return None if self.left is None else 1e3 * self.left.size
         rest = final.rms**2 - (1e3 * self.noise_floor) ** 2
-        return float(np.sqrt(rest)) if final.rms > 1.2 * 1e3 * self.noise_floor else None
+        if final.rms > 1.2 * 1e3 * self.noise_floor:
+            return float(np.sqrt(rest))
+        return None if self.left is None else 1e3 * self.left.size
 
     @property
     def verdict(self) -> str:
-        """One sentence for a person."""
+        """One or two sentences for a person."""
         before, after = self.size_mm("nominal"), self.size_mm("final")
         if before is None or after is None:
             return "Nothing was held out, so nothing can be said of the error."
@@ -81,12 +88,22 @@ class Report:
             f"On {held_out} stations that were not used for fitting, the error is {after.rms:.3f} mm RMS "
             f"({before.rms:.3f} mm with the nominal model)"
         )
+        return text + self._about_the_rest()
+
+    def _about_the_rest(self) -> str:
         rest = self.unexplained_mm
-        if self.noise_floor is None:
-            return text + "; the recording does not show how much of it is noise."
+        if rest is None and self.noise_floor is None:
+            return "; nothing in what is left stands out from noise."
         if rest is None:
-            return text + f", which is the noise of the measurement ({1e3 * self.noise_floor:.3f} mm)."
-        return text + f"; {rest:.3f} mm of it is more than noise, and geometry does not explain it."
+            return f", which is the noise of the measurement ({1e3 * (self.noise_floor or 0.0):.3f} mm)."
+        said = f"; at least {rest:.3f} mm of it is more than noise, and geometry does not explain it."
+        if self.left is None:
+            return said
+        periodic = "" if self.left.cycles is None else f", with about {self.left.cycles:g} cycles a turn"
+        return (
+            f"{said} The largest part sits at {self.left.place} ({self.left.direction}) and goes along with "
+            f"{self.left.driver.replace(':', ' of ')}{periodic}."
+        )
 
 
 def to_json_data(report: Report) -> dict[str, Any]:
@@ -108,7 +125,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
         "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor,
         "effects": [],
-        "unexplained": None if rest is None else {"place": None, "driver": None, "size_mm": rest},
+        "unexplained": None if rest is None else _unexplained(rest, report.left),
         "identifiability": None
         if seen is None
         else {
@@ -123,6 +140,21 @@ def to_json_data(report: Report) -> dict[str, Any]:
         ],
         "notes": list(report.notes),
         "verdict": report.verdict,
+    }
+
+
+def _unexplained(size: float, left: Finding | None) -> dict[str, Any]:
+    if left is None:
+        return {"place": None, "driver": None, "size_mm": size}
+    return {
+        "place": left.place,
+        "direction": left.direction,
+        "driver": left.driver,
+        "cycles_per_turn": left.cycles,
+        "size_mm": size,
+        "found_mm": 1e3 * left.size,
+        "p_value": left.p_value,
+        "same_as": list(left.same_as),
     }
 
 
