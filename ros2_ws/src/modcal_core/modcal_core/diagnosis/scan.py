@@ -8,7 +8,7 @@ Noise is not white in a tracker's frame: a joint that does not repeat throws the
 relied on is that stations are independent and their noise is as likely to point one way as the other. So the residual
 vectors of whole stations are given random signs, everything is scanned again, and the best candidate found in such a
 recording of pure noise is noted (wild bootstrap; Wu 1986, Liu 1988). A finding counts when the real best beats all but
-a hundredth of those: this corrects for the thousands of candidates looked at.
+one in two hundred of those: this corrects for the thousands of candidates looked at.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from modcal_core.diagnosis.drivers import Driver, periodic_position, smooth_posi
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-SIGNIFICANT = 0.01
-FLIPS = 499
+SIGNIFICANT = 0.005
+FLIPS = 999
 _MOST_SAMPLES = 300  # enough to find what matters; a dense recording is thinned evenly
 _MEMORY = 0.5  # s
 _LEAST_FREEDOM = 20  # rows beyond the geometry's parameters, below which nothing can be said
@@ -91,6 +91,9 @@ def scan(fit: Fit, samples: Samples, rng: np.random.Generator, flips: int = FLIP
     U, owner = np.concatenate(bases, axis=1), np.array(owners)
     sizes = np.bincount(owner, minlength=len(candidates))
 
+    # What the training set got wrong of the geometry lies in the geometry's own columns: it must not be given signs,
+    # or it would join the noise and hide how uneven that is.
+    residual = project(residual[:, None])[: len(residual), 0]
     unit = independent_unit(samples)
     signs = rng.choice([-1.0, 1.0], (flips, unit.max() + 1))
     trials = np.concatenate([residual[None], residual * signs[:, unit[row_sample]]])
