@@ -48,6 +48,22 @@ def test_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
         assert np.abs(J_body[i] - local).max() < 1e-12
 
 
+@pytest.mark.parametrize("arm", ARMS)
+def test_places_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
+    """The frame before each joint, whose adjoint carries an error there to the base, is where Pinocchio puts it."""
+    chain = chain_of(arm)
+    model = pin.buildModelFromXML(urdf(arm))
+    data = model.createData()
+    ids = [model.getJointId(name) for name in chain.names]
+    for q in rng.uniform(chain.lower, chain.upper, (20, chain.n)):
+        configuration = pin.neutral(model)
+        configuration[[model.joints[i].idx_q for i in ids]] = q
+        pin.framesForwardKinematics(model, data, configuration)
+        before = [data.oMi[model.parents[i]] * model.jointPlacements[i] for i in ids]
+        for place, T in enumerate([*before, data.oMf[model.getFrameId(chain.tip)]]):
+            assert np.abs(place_jacobian(chain, q[None], place)[0] - T.toActionMatrix()).max() < 1e-12
+
+
 @pytest.mark.parametrize("arm", [*ARMS, "sliders"])
 def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
