@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -22,7 +23,7 @@ ANY_RELIABILITY = QoSProfile(
 def run(make: Callable[[], Node]) -> None:
     """Spin the node until it is told to stop (Ctrl-C, SIGTERM, shutdown), then close it.
 
-    A ModcalError ends the process with exit code 2 and its line on stderr.
+    A ModcalError, or a parameter outside its bounds, ends the process with exit code 2 and one line on stderr.
     """
     code = 0
     rclpy.init()
@@ -34,8 +35,8 @@ def run(make: Callable[[], Node]) -> None:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except ModcalError as error:
-        print(f"modcal: {error}", file=sys.stderr)
+    except (ModcalError, ParameterException) as error:
+        print(f"modcal: {' '.join(str(error).split())}", file=sys.stderr)
         code = 2
     finally:
         code = max(code, _close(node))
