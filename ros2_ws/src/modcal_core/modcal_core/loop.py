@@ -48,22 +48,21 @@ def calibrate(
     count = parameter_count(chain, samples, cell.fixed, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     sets = split(samples, rng, block)
-    train, held_out = samples.select(sets.train), samples.select(sets.held_out)
+    train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
     nominal = fit_cell(chain, train, cell)
     choice = choose_parameters(nominal.model, views_of(samples), cell.fixed, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     require_plausible(nominal, geometric, train)
 
-    explain = samples.select(sets.explain)
-    left = scan(geometric, explain.select(~outlying(geometric.model, geometric.spread, explain)), rng)
-    scored = held_out.select(~outlying(geometric.model, geometric.spread, held_out))
+    explain, scored = (s.select(~outlying(geometric.model, geometric.spread, s)) for s in (explain, held_out))
+    left = scan(geometric, explain, rng)
     shipped = ship(samples, chain, choice, cell)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
-        rejected=len(held_out) - len(scored) + int((geometric.weights == 0.0).sum()),
+        rejected=len(samples) - len(train) - len(explain) - len(scored) + int((geometric.weights == 0.0).sum()),
         errors={
             "nominal": errors(nominal.model, scored),
             "geometric": errors(geometric.model, scored),

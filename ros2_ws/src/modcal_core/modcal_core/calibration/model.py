@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
@@ -38,8 +37,3 @@ class Model:
 def place_model(chain: Chain, frames: tuple[str, ...]) -> Model:
     """A model with base and tool where nothing is known of them yet: at the frames' and the tip's origins."""
     return Model(chain, frames, np.tile(np.eye(4), (len(frames), 1, 1)), np.eye(4))
-
-
-def position_errors(model: Model, q: Array, frame: np.ndarray, position: Array) -> Array:
-    """Measured minus predicted tool positions in each reading's frame [m], (N, 3)."""
-    return position - se3.apply(model.predict(q, frame), np.zeros(3))
