@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -152,15 +155,26 @@ def test_joint_states_that_contradict_themselves_are_refused() -> None:
         RecordingBuilder().add("/joint_states", "sensor_msgs/msg/JointState", message)
 
 
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.types import message_class, serialise
+bag = BagWriter(Path(sys.argv[1]))
+bag.add_topic("/robot_description", "std_msgs/msg/String")
+cdr = serialise(message_class("std_msgs/msg/String")(data="x"), "std_msgs/msg/String")
+for k in range(100):
+    bag.write_raw("/robot_description", cdr, k)
+    if k == 59:
+        bag.flush()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
 def test_a_killed_recorder_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
     """What was flushed is on disk although nothing was ever closed."""
-    bag = BagWriter(tmp_path / "bag")
-    bag.add_topic("/robot_description", "std_msgs/msg/String")
-    cdr = serialise(message_class("std_msgs/msg/String")(data="x"), "std_msgs/msg/String")
-    for k in range(100):
-        bag.write_raw("/robot_description", cdr, k)
-        if k == 59:
-            bag.flush()
+    killed = subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path / "bag")], timeout=60.0)
+    assert killed.returncode == -signal.SIGKILL
     file = McapFile(tmp_path / "bag" / "bag_0.mcap")
     assert len(list(file.messages())) == 60
     assert file.cut == "it ends without an index"
