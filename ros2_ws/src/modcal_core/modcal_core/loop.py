@@ -7,23 +7,28 @@ set.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
+from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, identify, require_enough
+from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
-from modcal_core.diagnosis.scan import scan
+from modcal_core.diagnosis.loop import diagnose
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
 
 
 @dataclass(frozen=True)
@@ -36,12 +41,19 @@ class Result:
 
 
 def calibrate(
-    samples: Samples, chain: Chain, rng: np.random.Generator, cell: Cell | None = None, block: int | None = None
+    samples: Samples,
+    chain: Chain,
+    rng: np.random.Generator,
+    cell: Cell | None = None,
+    block: int | None = None,
+    inertias: Inertias | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Result:
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
-    None decides. Raises ModcalError for data that cannot carry a fit.
+    None decides. inertias: of the arm's bodies, for effects of load. progress: hears of each effect that is tried.
+    Raises ModcalError for data that cannot carry a fit.
     """
     cell = cell or Cell()
     cell.require_frames(samples.frames)
@@ -50,39 +62,55 @@ def calibrate(
     sets = split(samples, rng, block)
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
-    nominal = fit_cell(chain, train, cell)
+    nominal = fit_cell(chain, train, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.fixed, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     require_plausible(nominal, geometric, train)
+    diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress)
+    final = diagnosis.fit
 
-    explain, scored = (s.select(~outlying(geometric.model, geometric.spread, s)) for s in (explain, held_out))
-    left = scan(geometric, explain, rng)
-    shipped = ship(samples, chain, choice, cell)
+    wrong = outlying(final.model, final.spread, samples)
+    scored = held_out.select(~wrong[sets.held_out])
+    shipped = ship(samples, chain, choice, cell, final.model.effects, inertias)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
-        rejected=len(samples) - len(train) - len(explain) - len(scored) + int((geometric.weights == 0.0).sum()),
+        rejected=int(wrong.sum()),
         errors={
             "nominal": errors(nominal.model, scored),
             "geometric": errors(geometric.model, scored),
-            "final": errors(geometric.model, scored),
+            "final": errors(final.model, scored),
         },
         noise_floor=noise_floor(samples),
-        left=left,
-        identifiability=identifiability(geometric),
+        effects=findings(diagnosis, geometric, shipped.calibrated.effects, samples, wrong, scored),
+        left=diagnosis.left,
+        identifiability=identifiability(final),
         parameters=shipped.parameters,
         left_out=choice.left_out,
     )
-    return Result(report, shipped, geometric)
+    return Result(report, shipped, final)
 
 
-def ship(samples: Samples, chain: Chain, choice: Choice, cell: Cell) -> Calibration:
+def ship(
+    samples: Samples,
+    chain: Chain,
+    choice: Choice,
+    cell: Cell,
+    effects: tuple[Effect, ...] = (),
+    inertias: Inertias | None = None,
+) -> Calibration:
     """The calibration fitted to every sample, written with the least change to the nominal arm."""
-    nominal = fit_cell(chain, samples, cell)
-    fit = identify(nominal.model, samples, choice.parameters, cell.distances)
+    nominal = fit_cell(chain, samples, cell, inertias)
+    fit = identify(nominal.model.with_effects(effects), samples, choice.parameters, cell.distances)
+    moved = sharpened(fit.model, samples)
+    if moved is not fit.model:
+        fit = identify(nominal.model.with_effects(moved.effects), samples, choice.parameters, cell.distances)
+    tidy = least_change(fit.model, chain)
+    if tidy.effects:  # their places moved by what was passed through the joints: settle them where they are now
+        tidy = identify(tidy, samples, choice.parameters, cell.distances).model
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
-    return Calibration(nominal.model, least_change(fit.model, chain), seen, parameter_table(fit))
+    return Calibration(nominal.model, tidy, seen, parameter_table(fit))
 
 
 def evaluate(
@@ -114,15 +142,19 @@ def evaluate(
     held_out = samples.select(sets.held_out)
     scored = held_out.select(~outlying(models["final"], spread, held_out))
     missed = {stage: errors(model, scored) for stage, model in models.items()}
+    geometric = models["final"].with_effects(())
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
-        errors={"nominal": missed["nominal"], "geometric": missed["final"], "final": missed["final"]},
+        errors={"nominal": missed["nominal"], "geometric": errors(geometric, scored), "final": missed["final"]},
         noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
-        notes=moved_note(missed["final"], calibration, refit_base, refit_tool),
+        notes=(
+            *moved_note(missed["final"], calibration, refit_base, refit_tool),
+            *unseen_note(scored, calibration),
+        ),
     )
 
 
@@ -134,4 +166,22 @@ def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit
         return ()
     return (
         "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",
+    )
+
+
+def unseen_note(samples: Samples, calibration: Calibration) -> tuple[str, ...]:
+    """A sentence for joints that go where the calibration has never seen them, and what is done there."""
+    low, high = calibration.seen
+    margin = 0.02 * (high - low)
+    out = (samples.q < low - margin) | (samples.q > high + margin)
+    if not out.any():
+        return ()
+    worst = [
+        f"{name} (seen {low[j]:.2f} … {high[j]:.2f}, here {samples.q[:, j].min():.2f} … {samples.q[:, j].max():.2f})"
+        for j, name in enumerate(samples.names)
+        if out[:, j].any()
+    ]
+    return (
+        f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
+        f"{', '.join(worst)}. Learned curves are not continued there.",
     )

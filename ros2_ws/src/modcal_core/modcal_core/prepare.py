@@ -20,8 +20,9 @@ from modcal_core.measurements.stations import StationRules, cut_stations
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
-_SAID = 5e-4  # s; a delay below this is corrected without a word
 _ROUNDS = 5
+# s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
+LONGEST_LATENCY = 0.025
 
 
 @dataclass(frozen=True)
@@ -41,36 +42,57 @@ def prepare(
     samples = cut_stations(aligned, chain.names, rules)
     if samples.moving.any():
         if not np.isfinite(samples.sigma_position).any():
-            notes += ("The arm hardly stood still: readings were used one by one, with postures interpolated.",)
-        samples, said = _settle_delays(aligned, samples, chain, rules)
-        notes += said
+            said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
+            notes = (said,) if aligned is recording else (said, *notes)
+        samples, notes = _settle_delays(recording, aligned, samples, chain, rules, notes)
     return Prepared(samples, recording.warnings + notes)
 
 
 def _settle_delays(
-    recording: Recording, samples: Samples, chain: Chain, rules: StationRules | None
+    recording: Recording,
+    aligned: Recording,
+    samples: Samples,
+    chain: Chain,
+    rules: StationRules | None,
+    notes: tuple[str, ...],
 ) -> tuple[Samples, tuple[str, ...]]:
-    """The samples cut again with the readings of each frame shifted by the delay that their motion shows.
+    """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 
     Correlated speeds tell a delay to milliseconds, which is a millimetre at half a metre a second. What is left is read
     off the residual of a fit, as the part that goes along with the tool's velocity: ``delay = Σ v·r / Σ v·v``. Arm and
-    delay are found in turn, so that the arm's own errors do not pose as delay.
+    delay are found in turn, so that the arm's own errors do not pose as delay. Delays as short as a driver's are then
+    left in: they are not the clock's fault, and the diagnosis names them.
     """
-    total = np.zeros(len(samples.frames))
+    total = np.array([_offset(recording, aligned, frame) for frame in samples.frames])
     for _ in range(_ROUNDS):
         step = _delays(samples, chain)
         total += step
-        shift = dict(zip(samples.frames, total, strict=True))
-        shifted = tuple(replace(r, stamps=r.stamps - shift.get(r.frame, 0.0)) for r in recording.readings)
-        samples = cut_stations(replace(recording, readings=shifted), chain.names, rules)
+        samples = cut_stations(_shifted(recording, samples.frames, total), chain.names, rules)
         if np.abs(step).max() < 1e-6:
             break
+    clocks = np.where(np.abs(total) > LONGEST_LATENCY, total, 0.0)
+    samples = cut_stations(_shifted(recording, samples.frames, clocks), chain.names, rules)
+    drops = tuple(n for n in notes if not n.startswith("The clock of"))
     said = tuple(
         f"Readings in {frame} were {1e3 * delay:+.2f} ms late, by their motion; their stamps were corrected."
-        for frame, delay in zip(samples.frames, total, strict=True)
-        if abs(delay) > _SAID
+        for frame, delay in zip(samples.frames, clocks, strict=True)
+        if delay
     )
-    return samples, said
+    return samples, drops + said
+
+
+def _offset(recording: Recording, aligned: Recording, frame: str) -> float:
+    """By how much aligning has shifted the readings of a frame [s]."""
+    for before, after in zip(recording.readings, aligned.readings, strict=True):
+        if before.frame == frame and len(before.stamps):
+            return float(np.median(before.stamps - after.stamps))
+    return 0.0
+
+
+def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Recording:
+    late = dict(zip(frames, delays, strict=True))
+    readings = tuple(replace(r, stamps=r.stamps - late.get(r.frame, 0.0)) for r in recording.readings)
+    return replace(recording, readings=readings)
 
 
 def _delays(samples: Samples, chain: Chain) -> Array:

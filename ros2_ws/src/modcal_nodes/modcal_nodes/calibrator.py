@@ -24,6 +24,7 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.topics import TYPES
 from modcal_nodes.files import read_cell, write_folder
@@ -114,7 +115,8 @@ class Calibrator(Node):
         chain = read_chain(self._description, chosen["base"] or None, chosen["tip"] or None, _joints_of(recording))
         prepared = prepare(recording, chain, clock_limit=chosen["clock_limit_s"])
         cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
-        result = calibrate(prepared.samples, chain, np.random.default_rng(chosen["seed"]), cell)
+        rng, inertias = np.random.default_rng(chosen["seed"]), read_inertias(self._description, chain)
+        result = calibrate(prepared.samples, chain, rng, cell, inertias=inertias)
         report = replace(result.report, title="live", notes=(*result.report.notes, *prepared.notes))
         files = calibration_files(result, report, chain, self._description)
         if chosen["out"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
 
 _WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
 
@@ -42,10 +43,10 @@ class Cell:
                     )
 
 
-def fit_cell(chain: Chain, samples: Samples, cell: Cell) -> Fit:
+def fit_cell(chain: Chain, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
     """The fit of base frames and tool for this arm, from no guess at all."""
     cell.require_frames(samples.frames)
-    return refit_cell(place_model(chain, samples.frames), samples, cell)
+    return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:
@@ -60,6 +61,7 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
         start = locate_base(Model(model.chain, samples.frames, _identities(samples), model.T_tip_tool), samples)
     else:
         start = with_frames(model, samples.frames)
+    start = replace(start, arm=model.arm)
     choice = choose_parameters(
         start,
         views_of(samples),
@@ -67,7 +69,8 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
         cell.distances,
         among=lambda p: not p.of_arm and ((base and p.place == 0) or (tool and p.place > 0)),
     )
-    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances)
+    start = start.with_effects(model.effects)
+    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, keep_effects=True)
 
 
 def with_frames(model: Model, frames: Sequence[str]) -> Model:
@@ -80,7 +83,7 @@ def with_frames(model: Model, frames: Sequence[str]) -> Model:
                 "give --refit-base to find the base again",
             )
     rows = [model.frames.index(name) for name in frames]
-    return Model(model.chain, tuple(frames), model.T_frame_base[rows], model.T_tip_tool)
+    return replace(model, frames=tuple(frames), T_frame_base=model.T_frame_base[rows])
 
 
 def _identities(samples: Samples) -> np.ndarray:

@@ -8,6 +8,8 @@ units of what a robot is usually wrong by. The motion of the tool is the same to
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -43,7 +45,12 @@ def least_change(model: Model, nominal: Chain) -> Model:
     origins[0], origins[n] = nominal.origins[0], nominal.origins[n]
     before = model.chain.origins[0] @ A[0] @ D[0] @ se3.inverse(nominal.origins[0] @ A[0])
     after = se3.inverse(nominal.origins[n]) @ A[-1] @ se3.inverse(D[-1]) @ se3.inverse(A[-1]) @ model.chain.origins[n]
-    return Model(model.chain.with_origins(origins), model.frames, model.T_frame_base @ before, after @ model.T_tip_tool)
+    return replace(
+        model,
+        chain=model.chain.with_origins(origins),
+        T_frame_base=model.T_frame_base @ before,
+        T_tip_tool=after @ model.T_tip_tool,
+    )
 
 
 def _sizes(chain: Chain) -> list[int]:

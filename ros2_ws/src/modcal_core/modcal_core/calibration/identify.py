@@ -14,7 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread, excess_spread, robust_spread, robust_weights, standard_score
@@ -26,6 +28,7 @@ from modcal_core.measurements.samples import Samples
 MAX_ITERATIONS = 60
 CONVERGED = 1e-5  # no combination of parameters moves by more than this fraction of its standard deviation
 EQUATIONS_PER_PARAMETER = 1.25
+BLOCK = 2000  # samples that are linearised at a time
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Fit:
     """A fitted model and what is known of it.
 
     model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
-    covariance (P, P): [m, rad]. spread: what the model does not explain, per axis. weights: (N,) in [0, 1], of the
+    covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not explain, per axis. weights: (N,) in [0, 1], of the
     samples it was fitted to; 0 is rejected. information: JᵀWJ of the data alone, (P, P). iterations: steps taken.
     """
 
@@ -73,8 +76,11 @@ def identify(
     parameters: Sequence[Parameter],
     distances: Sequence[Distance] = (),
     robust: bool = True,
+    keep_effects: bool = False,
 ) -> Fit:
-    """The fit of these parameters, about this model, to the samples.
+    """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
+
+    keep_effects: leave the effects as they are.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -82,24 +88,27 @@ def identify(
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     dimensions = np.where(pose, 6.0, 3.0)
-    prior = np.array([p.prior_std for p in parameters])
+    around = start.circumstances(samples)
+    P = len(parameters)
+    fitted = () if keep_effects else start.effects
+    centre, prior = _priors(fitted, parameters, around)
+    values = np.concatenate([np.zeros(P), *(e.values for e in fitted)])
 
-    values = np.zeros(len(parameters))
     damping = 0.0
-    at = linearise(start, parameters, values, samples)
+    at = linearise(start, parameters, values, samples, jacobian=False, circumstances=around)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
-        weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(parameters), robust)
+        weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(values), robust)
         row_weight = _row_weights(weights, pose, spread, known_p, known_r)
-        H_data, g = _normal_equations(at, row_weight)
+        H_data, g = normal_equations(start, parameters, values, samples, row_weight)
         if distances:
-            rows = distance_rows(start, parameters, values, distances)
-            H_data += (rows.J / rows.std**2) @ rows.J.T
-            g += (rows.J / rows.std**2) @ rows.residual
-        H, g = H_data + np.diag(prior**-2.0), g - values * prior**-2.0
+            rows = distance_rows(start, parameters, values[:P], distances)
+            H_data[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
+            g[:P] += (rows.J / rows.std**2) @ rows.residual
+        H, g = H_data + np.diag(prior**-2.0), g - (values - centre) * prior**-2.0
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
-            new = linearise(start, parameters, values + step, samples)
+            new = linearise(start, parameters, values + step, samples, jacobian=False, circumstances=around)
             if (
                 _cost(new, row_weight) <= _cost(at, row_weight) * (1.0 + 1e-6) + 1e-12 + _slack(distances)
                 or damping > 1e6
@@ -111,10 +120,52 @@ def identify(
             break
         damping = 0.0 if damping < 1e-3 else damping / 10.0
 
-    weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(parameters), robust)
+    weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(values), robust)
     covariance = np.outer(scale, scale) * _solve(H * np.outer(scale, scale), np.eye(len(values)), 0.0)
-    model = apply_deviations(start, deviations(parameters, values, start.chain.n, len(start.frames)))
-    return Fit(model, start, tuple(parameters), values, covariance, spread, weights, H_data, iteration)
+    model = apply_deviations(start, deviations(parameters, values[:P], start.chain.n, len(start.frames)))
+    if fitted:
+        model = model.with_effects(_estimated(fitted, values[P:], np.sqrt(np.diag(covariance)[P:])))
+    return Fit(
+        model, start, tuple(parameters), values[:P], covariance[:P, :P], spread, weights, H_data[:P, :P], iteration
+    )
+
+
+def _priors(
+    effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances
+) -> tuple[Array, Array]:
+    """Where each value is expected and how far from there: geometry at zero, effects at nothing, settings as found."""
+    centre, prior = [np.zeros(len(parameters))], [np.array([p.prior_std for p in parameters])]
+    for effect in effects:
+        linear = len(effect.amplitudes)
+        centre.append(np.r_[np.zeros(linear), effect.values[linear:]])
+        prior.append(prior_stds(effect, around))
+    return np.concatenate(centre), np.concatenate(prior)
+
+
+def _estimated(effects: Sequence[Effect], values: Array, std: Array) -> tuple[Effect, ...]:
+    ends = np.cumsum([len(e.values) for e in effects])[:-1]
+    parts = zip(effects, np.split(values, ends), np.split(std, ends), strict=True)
+    return tuple(effect.with_values(v, s) for effect, v, s in parts)
+
+
+def normal_equations(
+    start: Model, parameters: Sequence[Parameter], values: Array, samples: Samples, row_weight: Array
+) -> tuple[Array, Array]:
+    """JᵀWJ and JᵀWr, block by block: memory stays flat however long the recording is."""
+    H, g = np.zeros((len(values), len(values))), np.zeros(len(values))
+    N, pose = len(samples), samples.is_pose
+    for first in range(0, N, BLOCK):
+        rows = np.arange(first, min(first + BLOCK, N))
+        part = samples if len(rows) == N else samples.select(rows)
+        at = linearise(start, parameters, values, part)
+        angles = 3 * N + np.cumsum(pose)[rows[pose[rows]]] - 1
+        M = int(pose.sum())
+        index = np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles])
+        root = np.sqrt(row_weight[index])
+        J = at.J * root
+        H += J @ J.T
+        g += J @ (at.residual * root)
+    return H, g
 
 
 def require_enough(samples: Samples, parameters: int, known: int = 0, share: float = 1.0) -> None:
@@ -164,12 +215,6 @@ def _row_weights(weights: Array, pose: np.ndarray, spread: Spread, known_p: Arra
     w_p = weights / (spread.position**2 + known_p**2)
     w_r = weights[pose] / (spread.rotation**2 + known_r**2)
     return np.concatenate([np.tile(w_p, 3), np.tile(w_r, 3)])
-
-
-def _normal_equations(at: Linearised, row_weight: Array) -> tuple[Array, Array]:
-    root = np.sqrt(row_weight)
-    J = at.J * root
-    return J @ J.T, J @ (at.residual * root)
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:

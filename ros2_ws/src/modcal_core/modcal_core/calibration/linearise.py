@@ -19,15 +19,18 @@ parameter is written in contiguous sweeps and the normal equations are one matri
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from modcal_core.calibration.circumstances import Circumstances
+from modcal_core.calibration.effects import READING, Effect, Term, all_columns, motion
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import Frames
 from modcal_core.robots.kinematics import frames as chain_frames
 
 
@@ -95,64 +98,130 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
     T_base_root = chain.origins[0] @ A[0]
     T_frame_base = model.T_frame_base @ T_base_root @ error_transform(errors.frames) @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]
-    return Model(chain.with_origins(origins), model.frames, T_frame_base, T_tip_tool)
+    return replace(model, chain=chain.with_origins(origins), T_frame_base=T_frame_base, T_tip_tool=T_tip_tool)
 
 
 def linearise(
-    model: Model, parameters: Sequence[Parameter], values: Array, samples: Samples, jacobian: bool = True
+    model: Model,
+    parameters: Sequence[Parameter],
+    values: Array,
+    samples: Samples,
+    jacobian: bool = True,
+    circumstances: Circumstances | None = None,
 ) -> Linearised:
-    """Residuals of the samples, and derivatives, with the parameters at these values about the given model."""
-    chain, n, N = model.chain, model.chain.n, len(samples)
-    errors = deviations(parameters, values, n, len(model.frames))
-    now = apply_deviations(model, errors)
+    """Residuals of the samples, and derivatives, with the parameters at these values about the given model.
 
-    # readings from the root, (3, N)
-    T_root_frame = se3.inverse(now.T_frame_base @ (chain.origins[0] @ se3.transform(chain.joint_basis[0])))
-    if len(model.frames) == 1:
-        y = T_root_frame[0, :3, :3] @ samples.position.T + T_root_frame[0, :3, 3:]
-    else:
-        y = se3.apply(T_root_frame[samples.frame], samples.position).T
-
-    # the chain from the root to the tool, so that frame n is the tool itself
-    rooted = np.array(now.chain.origins)
-    rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
-    rooted[n] = rooted[n] @ now.T_tip_tool
-    f = chain_frames(now.chain.with_origins(rooted), samples.q)
-    p = f.p[n]
-    position = y - p
-
-    pose = np.flatnonzero(samples.is_pose)
-    all_pose = len(pose) == N
-    rotation = np.zeros((3, len(pose)))
-    if len(pose):
-        R = f.rotation(n) if all_pose else f.rotation(n)[pose]
-        R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
-        rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
+    values: those of the parameters, and behind them, where given, those of the model's effects; the derivatives come in
+    the same order. circumstances: of the samples, where they are known already.
+    """
+    P = len(parameters)
+    changed = apply_deviations(model, deviations(parameters, values[:P], model.chain.n, len(model.frames)))
+    if len(values) > P:
+        changed = changed.with_effects(tuple(split_values(model.effects, values[P:])))
+    at = circumstances or model.circumstances(samples)
+    view = View.of(changed, samples, at)
     if not jacobian:
-        return Linearised(position, rotation, np.zeros((0, position.size + rotation.size)))
-
-    J = np.empty((len(parameters), 3 * N + 3 * len(pose)))
+        return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
+    extra = all_columns(changed.effects, at) if len(values) > P else []
+    J = np.empty((P + len(extra), view.position.size + view.rotation.size))
+    errors = deviations(parameters, values[:P], model.chain.n, len(model.frames))
     of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
-    levers: dict[int, Array] = {}
     for j, parameter in enumerate(parameters):
-        k = parameter.place
-        twist = (of_places[k - 1] if k else of_frames[parameter.frame])[parameter.direction]
-        flat = f.axes[k].reshape(3, 3 * N)
-        column = J[j, : 3 * N].reshape(3, N)
-        rows = J[j, 3 * N :].reshape(3, len(pose))
-        if parameter.direction < 3:
-            np.matmul(twist[:3], flat, out=J[j, : 3 * N])
-            rows[:] = 0.0
+        twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
+        view.column(parameter.place, twist, out=J[j])
+        if parameter.place == 0 and len(model.frames) > 1:
+            view.only_frame(parameter.frame, J[j])
+    for row, terms in zip(J[P:], extra, strict=True):
+        row[:] = view.moved_by(terms)
+    return Linearised(view.position, view.rotation, J)
+
+
+def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
+    """The effects with their shares of a vector of values."""
+    ends = np.cumsum([len(e.values) for e in effects])
+    return [e.with_values(part) for e, part in zip(effects, np.split(values, ends[:-1]), strict=True)] if effects else []
+
+
+@dataclass
+class View:
+    """Readings and frames of the chain as seen from the root, and how twists anywhere move the tool."""
+
+    samples: Samples
+    pose: np.ndarray
+    f: Frames
+    position: Array
+    rotation: Array
+    reading: Array
+    _units: dict[tuple[int, int], Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, now: Model, samples: Samples, at: Circumstances) -> View:
+        chain, n, N = now.chain, now.chain.n, len(samples)
+        twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
+        # readings from the root, (3, N)
+        T_root_frame = se3.inverse(now.T_frame_base @ (chain.origins[0] @ se3.transform(chain.joint_basis[0])))
+        true = samples.position / scale[:, None] if now.effects else samples.position
+        if len(now.frames) == 1:
+            reading = T_root_frame[0, :3, :3] @ true.T
+            y = reading + T_root_frame[0, :3, 3:]
         else:
-            if k not in levers:
-                levers[k] = p - f.p[k]
-            turn = (twist[3:] @ flat).reshape(3, N)
-            cross(turn, levers[k], out=column)
-            rows[:] = turn if all_pose else turn[:, pose]
-        if k == 0 and len(model.frames) > 1:
-            column[:, samples.frame != parameter.frame] = 0.0
-            rows[:, samples.frame[pose] != parameter.frame] = 0.0
-    return Linearised(position, rotation, J)
+            reading = np.einsum("nij,nj->in", T_root_frame[samples.frame, :3, :3], true)
+            y = reading + T_root_frame[samples.frame, :3, 3].T
+        # the chain from the root to the tool, so that frame n is the tool itself
+        rooted = np.array(chain.origins)
+        rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
+        rooted[n] = rooted[n] @ now.T_tip_tool
+        f = chain_frames(chain.with_origins(rooted), samples.q, twists)
+        pose = np.flatnonzero(samples.is_pose)
+        rotation = np.zeros((3, len(pose)))
+        if len(pose):
+            R = f.rotation(n) if len(pose) == N else f.rotation(n)[pose]
+            R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
+            rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
+        return cls(samples, pose, f, y - f.p[n], rotation, reading)
+
+    def column(self, place: int, twist: Array, out: Array) -> None:
+        """Write the motion of the tool, (3 N + 3 M,), per unit of a twist (6,) at a place."""
+        N, M = self.position.shape[1], self.rotation.shape[1]
+        position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
+        if place == READING:
+            position[:], rotation[:] = self.reading, 0.0
+            return
+        flat = self.f.axes[place].reshape(3, 3 * N)
+        if not twist[3:].any():
+            np.matmul(twist[:3], flat, out=out[: 3 * N])
+            rotation[:] = 0.0
+            return
+        turn = (twist[3:] @ flat).reshape(3, N)
+        cross(turn, self.f.p[-1] - self.f.p[place], out=position)
+        rotation[:] = turn if M == N else turn[:, self.pose]
+        if twist[:3].any():
+            position += (twist[:3] @ flat).reshape(3, N)
+
+    def only_frame(self, frame: int, out: Array) -> None:
+        """Make a column (3 N + 3 M,) zero for samples of other frames."""
+        N = self.position.shape[1]
+        out[: 3 * N].reshape(3, N)[:, self.samples.frame != frame] = 0.0
+        out[3 * N :].reshape(3, -1)[:, self.samples.frame[self.pose] != frame] = 0.0
+
+    def moved_by(self, terms: Sequence[Term]) -> Array:
+        """The motion of the tool, (3 N + 3 M,), that the terms of one amplitude make together."""
+        N = self.position.shape[1]
+        out = np.zeros(self.position.size + self.rotation.size)
+        position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, -1)
+        for term in terms:
+            unit = self.unit_column(term.place, term.direction)
+            position += unit[: 3 * N].reshape(3, N) * term.size
+            rotation += unit[3 * N :].reshape(3, -1) * term.size[self.pose]
+        return out
+
+    def unit_column(self, place: int, direction: int) -> Array:
+        """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""
+        if (place, direction) not in self._units:
+            out = np.empty(self.position.size + self.rotation.size)
+            self.column(place, np.eye(6)[direction], out=out)
+            self._units[place, direction] = out
+        return self._units[place, direction]
 
 
 def cross(a: Array, b: Array, out: Array) -> None:

@@ -1,39 +1,68 @@
-"""The model that is fitted: a chain, the frames it is watched from, and the tool that is watched."""
+"""The model that is fitted: a chain, the frames it is watched from, the tool that is watched, and its effects."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from modcal_core.calibration.circumstances import Arm, Circumstances
+from modcal_core.calibration.effects import Effect, motion
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import forward, frames
+from modcal_core.robots.urdf_inertias import Inertias
+
+IntArray = NDArray[np.int_]
 
 
 @dataclass(frozen=True)
 class Model:
-    """Predicts ``T_frame_tool = T_frame_base · FK(q) · T_tip_tool``.
+    """Predicts ``T_frame_tool = T_frame_base · FK(q) · T_tip_tool``, with the effects' small motions put in.
 
     chain: the arm. frames: names of the frames readings come in. T_frame_base: pose of the robot's base in each,
-    (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m].
+    (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m]. effects: what geometry cannot
+    say. arm: the nominal arm that loads are computed from; None where there are no effects.
     """
 
     chain: Chain
     frames: tuple[str, ...]
     T_frame_base: Array
     T_tip_tool: Array
+    effects: tuple[Effect, ...] = ()
+    arm: Arm | None = None
 
-    def predict(self, q: ArrayLike, frame: np.ndarray | int = 0) -> Array:
-        """Poses of the tool in the frames with the given indices, (N, 4, 4), for joint positions q (N, n)."""
+    def predict(self, q: ArrayLike, frame: IntArray | int = 0) -> Array:
+        """Poses of the tool by geometry alone, (N, 4, 4), in the frames with these indices, for postures q (N, n)."""
         return self.T_frame_base[frame] @ forward(self.chain, q) @ self.T_tip_tool
+
+    def predict_samples(self, samples: Samples) -> Array:
+        """Poses of the tool, (N, 4, 4), as the readings of these samples should show them, effects included."""
+        if not self.effects:
+            return self.predict(samples.q, samples.frame)
+        twists, scale = motion(self.effects, self.circumstances(samples))
+        origins = self.chain.origins.copy()
+        origins[-1] = origins[-1] @ self.T_tip_tool
+        T = self.T_frame_base[samples.frame] @ frames(self.chain.with_origins(origins), samples.q, twists).transform(-1)
+        T[:, :3, 3] *= scale[:, None]
+        return T
+
+    def circumstances(self, samples: Samples) -> Circumstances:
+        """The drivers at these samples."""
+        return Circumstances(samples, self.arm or Arm(self.chain))
 
     def with_chain(self, chain: Chain) -> Model:
         """The same cell with another arm model."""
         return replace(self, chain=chain)
 
+    def with_effects(self, effects: tuple[Effect, ...]) -> Model:
+        """The same geometry with other effects."""
+        return replace(self, effects=effects)
 
-def place_model(chain: Chain, frames: tuple[str, ...]) -> Model:
+
+def place_model(chain: Chain, frames: tuple[str, ...], inertias: Inertias | None = None) -> Model:
     """A model with base and tool where nothing is known of them yet: at the frames' and the tip's origins."""
-    return Model(chain, frames, np.tile(np.eye(4), (len(frames), 1, 1)), np.eye(4))
+    eye = np.eye(4)
+    return Model(chain, frames, np.tile(eye, (len(frames), 1, 1)), eye, arm=Arm(chain, inertias))

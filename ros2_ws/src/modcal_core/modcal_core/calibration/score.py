@@ -64,7 +64,7 @@ class Errors:
 
 def errors(model: Model, samples: Samples) -> Errors:
     """Measured minus predicted, for every sample."""
-    T = model.predict(samples.q, samples.frame)
+    T = model.predict_samples(samples)
     pose = samples.is_pose
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
     return Errors(samples.position - T[:, :3, 3], rotation)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from modcal_core.calibration.circumstances import Arm
+from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
 
 FORMAT = 1
 
@@ -84,7 +88,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             {"name": name, "value": value, "std": std, "unit": unit}
             for name, value, std, unit in calibration.parameters
         ],
-        "effects": [],
+        "effects": [_effect_to_data(effect) for effect in calibration.calibrated.effects],
+        "arm": _arm_to_data(calibration.calibrated.arm),
     }
 
 
@@ -96,6 +101,9 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
     try:
         nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
+        arm = Arm(nominal.chain, _inertias_from_data(data.get("arm")))
+        effects = tuple(_effect_from_data(e) for e in data.get("effects", ()))
+        nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
         seen = np.array([data["seen"][name] for name in nominal.chain.names], dtype=float).T
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
@@ -103,6 +111,47 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     except (KeyError, TypeError, ValueError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
     return Calibration(nominal, calibrated, seen, parameters)
+
+
+def _effect_to_data(effect: Effect) -> dict[str, Any]:
+    return {
+        "family": effect.family,
+        "place": effect.place,
+        "direction": effect.direction,
+        "driver": effect.driver,
+        "shape": {"kind": effect.shape.kind, **{k: float(v) for k, v in effect.shape.settings.items()}},
+        "lag": float(effect.lag),
+        "values": _floats(effect.values),
+        "std": _floats(effect.std),
+    }
+
+
+def _effect_from_data(data: Mapping[str, Any]) -> Effect:
+    shape = dict(data["shape"])
+    return Effect(
+        str(data["family"]),
+        str(data["place"]),
+        str(data["direction"]),
+        str(data["driver"]),
+        Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
+        float(data["lag"]),
+        np.array(data["values"], dtype=float),
+        np.array(data["std"], dtype=float),
+    )
+
+
+def _arm_to_data(arm: Arm | None) -> dict[str, Any] | None:
+    """The bodies of the nominal arm, which loads are computed from."""
+    if arm is None or arm.inertias is None:
+        return None
+    return {"mass": _floats(arm.inertias.mass), "com": [_floats(c) for c in arm.inertias.com]}
+
+
+def _inertias_from_data(data: Any) -> Inertias | None:
+    if data is None:
+        return None
+    mass, com = np.array(data["mass"], dtype=float), np.array(data["com"], dtype=float)
+    return Inertias(mass, com, np.zeros((len(mass), 3, 3)))
 
 
 def _model_to_data(model: Model) -> dict[str, Any]:

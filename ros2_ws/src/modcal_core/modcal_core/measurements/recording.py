@@ -84,7 +84,12 @@ class Recording:
 
 
 def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Stamps (m,) and positions (m, n) of the named joints, whichever publishers and orders they came in.
+    """Stamps (m,) and positions (m, n) of the named joints, whichever publishers and orders they came in."""
+    return joint_stamps_and(recording, names, "position")
+
+
+def joint_stamps_and(recording: Recording, names: tuple[str, ...], what: str) -> tuple[Array, Array]:
+    """Stamps (m,) and position, velocity or effort (m, n) of the named joints.
 
     Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them.
     Missing joints are left to the caller's checks: their columns are NaN.
@@ -97,7 +102,7 @@ def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> 
     for j, name in enumerate(names):
         for track in tracks:
             if name in track.names:
-                column = track.position[:, track.names.index(name)]
+                column = getattr(track, what)[:, track.names.index(name)]
                 same = track is tracks[0]
                 position[:, j] = column if same else np.interp(stamps, track.stamps, column)
                 break

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE
+from modcal_core.measurements.recording import POSE, SignalTrack
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,10 @@ class Samples:
     position: reading in its frame [m], (N, 3). R: orientation reading, (N, 3, 3), identity for points.
     sigma_position [m], sigma_rotation [rad]: standard deviation of the reading per axis, (N,), NaN where unknown.
     velocity: of the joints [rad/s, m/s], (N, n), zero in a dwell, NaN where unknown. moving: taken in motion.
+
+    What led up to a sample and went on beside it, where it is known: acceleration: of the joints, (N, n), zero where
+    unknown. approach: the direction each joint last moved in, −1, 0 (unknown) or 1, (N, n). effort: torque or force of
+    the actuators [N m, N], (N, n), NaN where not sent. signals: whole tracks of everything else that was recorded.
     """
 
     names: tuple[str, ...]
@@ -35,6 +39,16 @@ class Samples:
     sigma_rotation: Array
     velocity: Array
     moving: np.ndarray
+    acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
+    approach: Array = field(default_factory=lambda: np.empty((0, 0)))
+    effort: Array = field(default_factory=lambda: np.empty((0, 0)))
+    signals: tuple[SignalTrack, ...] = ()
+
+    def __post_init__(self) -> None:
+        """What is not given is unknown."""
+        for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan)):
+            if getattr(self, name).shape != self.q.shape:
+                object.__setattr__(self, name, np.full(self.q.shape, unknown))
 
     def __len__(self) -> int:
         return len(self.q)
@@ -51,8 +65,19 @@ class Samples:
 
     def select(self, rows: np.ndarray) -> Samples:
         """The samples at the given rows (mask or indices), in that order."""
-        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("names", "frames")}
+        shared = ("names", "frames", "signals")
+        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in shared}
         return replace(self, **arrays)
+
+    def join(self, other: Samples) -> Samples:
+        """These samples and others of the same recording, in the order of their stamps."""
+        shared = ("names", "frames", "signals")
+        arrays = {
+            f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
+            for f in fields(self)
+            if f.name not in shared
+        }
+        return replace(self, **arrays).select(np.argsort(np.r_[self.stamps, other.stamps], kind="stable"))
 
     def is_same_point(self, frame: int) -> bool:
         """Whether every reading in this frame is one and the same point, as of a ball held in a socket."""

@@ -8,7 +8,7 @@ and each reading becomes a sample with the posture interpolated to its stamp.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and, joint_stamps_and_positions
 from modcal_core.measurements.samples import Samples
 
 
@@ -48,6 +48,7 @@ class _Piece:
     sigma_position: Array
     sigma_rotation: Array
     velocity: Array
+    acceleration: Array
     moving: bool
 
 
@@ -75,7 +76,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         )
     frames = tuple(dict.fromkeys(track.frame for track in tracks))
     stamps = np.concatenate([p.stamps for p in pieces])
-    return Samples(
+    samples = Samples(
         names=names,
         frames=frames,
         q=np.concatenate([p.q for p in pieces]),
@@ -89,7 +90,11 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         sigma_rotation=np.concatenate([p.sigma_rotation for p in pieces]),
         velocity=np.concatenate([p.velocity for p in pieces]),
         moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
+        acceleration=np.concatenate([p.acceleration for p in pieces]),
+        signals=recording.signals,
     )
+    effort = joint_stamps_and(recording, names, "effort")[1][order]
+    return replace(samples, approach=_approach(samples, t, q), effort=_held(samples, t, effort, rules))
 
 
 def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
@@ -120,8 +125,11 @@ def _cut(track: ReadingTrack, t: Array, q: Array, dwells: Array, rules: StationR
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     if len(pairs) >= 0.5 * len(track.stamps) and (sparse or len(dwells) < _LEAST_DWELLS):
-        velocity = np.full_like(q, np.nan) if sparse else _course(t, q)(t - t[0], 1)
-        return _as_is(track, pairs[:, 0], q[pairs[:, 1]], velocity[pairs[:, 1]], moving=not sparse)
+        rows = pairs[:, 1]
+        if sparse:
+            return _as_is(track, pairs[:, 0], q[rows], np.full_like(q[rows], np.nan), np.zeros_like(q[rows]), False)
+        course, at = _course(t, q), t[rows] - t[0]
+        return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
     if len(dwells) >= _LEAST_DWELLS:
         return _averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
@@ -140,15 +148,17 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
     return values, np.tile(np.eye(3), (len(values), 1, 1))
 
 
-def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, moving: bool) -> _Piece:
+def _as_is(
+    track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, acceleration: Array, moving: bool
+) -> _Piece:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
-    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, moving)
+    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> _Piece:
     none = np.empty((0, joints))
-    return _as_is(track, np.empty(0, int), none, none, moving=False)
+    return _as_is(track, np.empty(0, int), none, none, none, moving=False)
 
 
 def _course(t: Array, q: Array) -> CubicSpline:
@@ -169,7 +179,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), rules.most)).astype(int)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
-    return _as_is(track, rows, course(at), course(at, 1), moving=True)
+    return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
 
 
 def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
@@ -201,7 +211,8 @@ def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
     if not out:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
-    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, np.zeros_like(q_mean), moving=False)
+    still = np.zeros_like(q_mean)
+    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
 
 
 def _inliers(position: Array) -> np.ndarray:
@@ -226,6 +237,44 @@ def deviation_of_mean(residual: Array) -> float:
     rho = float(np.sum(residual[1:] * residual[:-1]) / np.sum(residual**2))
     effective = max(1.0, k * (1.0 - min(max(rho, 0.0), 0.99)) / (1.0 + min(max(rho, 0.0), 0.99)))
     return float(np.sqrt(variance / effective))
+
+
+_TRAVEL = 2e-3  # rad or m; a joint that is this far from where it was has come from there
+_LOOK_BACK = 64  # joint states; doubled until every joint has moved
+
+
+def _approach(samples: Samples, t: Array, q: Array) -> Array:
+    """The direction in which each joint last moved before each sample, −1, 0 or 1, (N, n).
+
+    What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
+    taken to have come straight from the one before.
+    """
+    out = np.sign(np.nan_to_num(samples.velocity))
+    for i in np.flatnonzero(~samples.moving):
+        end = int(np.searchsorted(t, samples.stamps[i] + 1e-9))
+        back = _LOOK_BACK
+        while True:
+            apart = samples.q[i] - q[max(0, end - back) : end]
+            moved = np.abs(apart) > _TRAVEL
+            if moved.any(axis=0).all() or back >= end:
+                break
+            back *= 4
+        if len(apart):
+            last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
+            out[i] = np.where(moved.any(axis=0), np.sign(apart[last, np.arange(q.shape[1])]), 0.0)
+    return out
+
+
+def _held(samples: Samples, t: Array, effort: Array, rules: StationRules) -> Array:
+    """What the actuators exerted at each sample, averaged over the half window around it, (N, n)."""
+    first = np.searchsorted(t, samples.stamps - 0.5 * rules.window)
+    last = np.searchsorted(t, samples.stamps + 0.5 * rules.window, side="right")
+    nearest = np.clip(np.searchsorted(t, samples.stamps), 0, len(t) - 1)
+    total = np.concatenate([np.zeros((1, effort.shape[1])), np.cumsum(np.nan_to_num(effort), axis=0)])
+    count = np.maximum(last - first, 1)[:, None]
+    mean = np.where((last > first)[:, None], (total[last] - total[first]) / count, effort[nearest])
+    mean = np.where(samples.moving[:, None], effort[nearest], mean)
+    return np.where(np.isfinite(effort).all(axis=0), mean, np.nan)
 
 
 def _number(stamps: Array) -> np.ndarray:

@@ -10,10 +10,12 @@ import numpy as np
 from modcal_core.calibration.identifiability import Identifiability
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
-from modcal_core.diagnosis.scan import Finding
+from modcal_core.diagnosis.choice import Choice
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.findings import Finding
 
 FORMAT = 1
+_DRAWS = 400
 STAGES = ("nominal", "geometric", "final")
 
 
@@ -22,8 +24,8 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. left: where
-    what remains sits and on what it depends, None where that cannot be told from noise. parameters: (name, value,
+    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. effects:
+    what the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise. parameters: (name, value,
     standard deviation, unit). left_out: parameters that say the same as others. notes: a sentence each, for a person.
     """
 
@@ -33,7 +35,8 @@ class Report:
     rejected: int
     errors: dict[str, Errors]
     noise_floor: float | None
-    left: Finding | None = None
+    effects: tuple[Finding, ...] = ()
+    left: Choice | None = None
     identifiability: Identifiability | None = None
     parameters: tuple[tuple[str, float, float, str], ...] = ()
     left_out: tuple[str, ...] = ()
@@ -63,19 +66,30 @@ class Report:
         """Sizes of the held-out orientation errors of a stage [deg]."""
         return self.errors[stage].size_deg() if stage in self.errors else None
 
+    def interval_mm(self, stage: str) -> tuple[float, float] | None:
+        """95 % interval of the RMS position error of a stage [mm], by drawing held-out stations again."""
+        if stage not in self.errors or not len(self.scored):
+            return None
+        _, station = np.unique(self.scored.station, return_inverse=True)
+        square = np.bincount(station, 1e6 * self.errors[stage].position_norm ** 2)
+        count = np.bincount(station)
+        draws = np.random.default_rng(0).integers(len(count), size=(_DRAWS, len(count)))
+        rms = np.sqrt(square[draws].sum(axis=1) / count[draws].sum(axis=1))
+        return float(np.percentile(rms, 2.5)), float(np.percentile(rms, 97.5))
+
     @property
     def unexplained_mm(self) -> float | None:
         """RMS of what is left beyond the noise [mm]; None when the rest is noise as far as the recording shows.
 
-        With a known noise floor, what exceeds it by more than a fifth; else the size of what was found to be left.
+        With a known noise floor, what exceeds it by more than a fifth; else all that is left where something was found
+        in it.
         """
         final = self.size_mm("final")
-        if final is None or self.noise_floor is None:
-            return None if self.left is None else 1e3 * self.left.size
-        rest = final.rms**2 - (1e3 * self.noise_floor) ** 2
-        if final.rms > 1.2 * 1e3 * self.noise_floor:
-            return float(np.sqrt(rest))
-        return None if self.left is None else 1e3 * self.left.size
+        if final is None:
+            return None
+        floor = 0.0 if self.noise_floor is None else 1e3 * self.noise_floor
+        stands_out = floor > 0.0 and final.rms > 1.2 * floor
+        return float(np.sqrt(max(final.rms**2 - floor**2, 0.0))) if stands_out or self.left is not None else None
 
     @property
     def verdict(self) -> str:
@@ -84,9 +98,12 @@ class Report:
         if before is None or after is None:
             return "Nothing was held out, so nothing can be said of the error."
         held_out = self.set_sizes()["held_out"]
+        named = [f for f in self.effects if f.family != "outliers"]
+        geometric = self.size_mm("geometric")
+        between = f", {geometric.rms:.3f} mm with geometry alone" if named and geometric is not None else ""
         text = (
             f"On {held_out} stations that were not used for fitting, the error is {after.rms:.3f} mm RMS "
-            f"({before.rms:.3f} mm with the nominal model)"
+            f"({before.rms:.3f} mm with the nominal model{between})"
         )
         return text + self._about_the_rest()
 
@@ -96,14 +113,19 @@ class Report:
             return "; nothing in what is left stands out from noise."
         if rest is None:
             return f", which is the noise of the measurement ({1e3 * (self.noise_floor or 0.0):.3f} mm)."
-        said = f"; at least {rest:.3f} mm of it is more than noise, and geometry does not explain it."
+        said = f"; at least {rest:.3f} mm of it is more than noise, and the model does not explain it."
         if self.left is None:
             return said
-        periodic = "" if self.left.cycles is None else f", with about {self.left.cycles:g} cycles a turn"
+        effect = self.left.effect
         return (
-            f"{said} The largest part sits at {self.left.place} ({self.left.direction}) and goes along with "
-            f"{self.left.driver.replace(':', ' of ')}{periodic}."
+            f"{said} The largest part sits at {effect.place} ({effect.direction}) and goes along with "
+            f"{effect.public_driver.replace(':', ' of ')}."
         )
+
+    @property
+    def story(self) -> tuple[str, ...]:
+        """A sentence for each effect, for a technician."""
+        return tuple(_capital(finding.sentence) for finding in self.effects)
 
 
 def to_json_data(report: Report) -> dict[str, Any]:
@@ -121,10 +143,10 @@ def to_json_data(report: Report) -> dict[str, Any]:
             "duration_s": round(float(np.ptp(report.samples.stamps)), 6),
         },
         "split": {"unit": report.sets.unit, **report.set_sizes()},
-        "error_mm": {stage: _size(report.size_mm(stage)) for stage in STAGES},
+        "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
         "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor,
-        "effects": [],
+        "effects": [_effect(finding) for finding in report.effects],
         "unexplained": None if rest is None else _unexplained(rest, report.left),
         "identifiability": None
         if seen is None
@@ -140,23 +162,45 @@ def to_json_data(report: Report) -> dict[str, Any]:
         ],
         "notes": list(report.notes),
         "verdict": report.verdict,
+        "story": list(report.story),
     }
 
 
-def _unexplained(size: float, left: Finding | None) -> dict[str, Any]:
+def _effect(finding: Finding) -> dict[str, Any]:
+    return {
+        "family": finding.family,
+        "place": finding.place,
+        "direction": finding.direction,
+        "driver": finding.driver,
+        "parameters": {
+            name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in finding.parameters.items()
+        },
+        "p_value": finding.p_value,
+        "rms_mm_before": 1e3 * finding.before,
+        "rms_mm_after": 1e3 * finding.after,
+        "same_as": list(finding.same_as),
+    }
+
+
+def _unexplained(size: float, left: Choice | None) -> dict[str, Any]:
     if left is None:
         return {"place": None, "driver": None, "size_mm": size}
     return {
-        "place": left.place,
-        "direction": left.direction,
-        "driver": left.driver,
-        "cycles_per_turn": left.cycles,
+        "place": left.effect.place,
+        "direction": left.effect.direction,
+        "driver": left.effect.public_driver,
         "size_mm": size,
-        "found_mm": 1e3 * left.size,
         "p_value": left.p_value,
         "same_as": list(left.same_as),
     }
 
 
-def _size(size: ErrorSize | None) -> dict[str, float] | None:
-    return None if size is None else {"mean": size.mean, "rms": size.rms, "p95": size.p95, "max": size.max}
+def _size(size: ErrorSize | None, interval: tuple[float, float] | None = None) -> dict[str, Any] | None:
+    if size is None:
+        return None
+    out: dict[str, Any] = {"mean": size.mean, "rms": size.rms, "p95": size.p95, "max": size.max}
+    return out if interval is None else {**out, "rms_ci95": list(interval)}
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

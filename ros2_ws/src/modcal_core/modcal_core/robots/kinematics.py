@@ -7,12 +7,13 @@ moves the tip by ``Ad(T) e`` seen from the base.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
@@ -38,8 +39,12 @@ class Frames:
         return se3.transform(self.rotation(k), self.p[k].T)
 
 
-def frames(chain: Chain, q: ArrayLike) -> Frames:
-    """Frames before every joint, and the tip, for joint positions q (N, n) [rad, m]."""
+def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None) -> Frames:
+    """Frames before every joint, and the tip, for joint positions q (N, n) [rad, m].
+
+    twists: small motions (6, N) [m, rad] put in at places 0 … n, each in the frame of its place.
+    """
+    twists = twists or {}
     q = np.ascontiguousarray(np.asarray(q, dtype=float).T)
     n, N = q.shape
     M = chain.along_z
@@ -50,6 +55,8 @@ def frames(chain: Chain, q: ArrayLike) -> Frames:
     p[0] = M[0, :3, 3, None]
     turned = np.empty((3, 3, N))
     for k in range(n):
+        if k in twists:
+            _moved(axes[k], p[k], twists[k])
         x, y, z = axes[k]
         at = p[k]
         if chain.revolute[k]:
@@ -64,7 +71,17 @@ def frames(chain: Chain, q: ArrayLike) -> Frames:
         flat = turned.reshape(3, 3 * N)
         np.matmul(M[k + 1, :3, :3].T, flat, out=axes[k + 1].reshape(3, 3 * N))
         np.add(at, (M[k + 1, :3, 3] @ flat).reshape(3, N), out=p[k + 1])
+    if n in twists:
+        _moved(axes[n], p[n], twists[n])
     return Frames(axes, p)
+
+
+def _moved(axes: Array, p: Array, twist: Array) -> None:
+    """Shift a frame by the first three rows of a twist (6, N) and turn it by the last three, seen from itself."""
+    p += np.einsum("dcn,dn->cn", axes, twist[:3])
+    if twist[3:].any():
+        R = so3.exp(twist[3:].T)  # (N, 3, 3)
+        axes[...] = np.einsum("dcn,ndk->kcn", axes, R)
 
 
 def forward(chain: Chain, q: ArrayLike) -> Array:

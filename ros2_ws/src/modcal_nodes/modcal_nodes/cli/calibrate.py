@@ -16,6 +16,7 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import Prepared, prepare
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.show import show_report
@@ -72,7 +73,9 @@ def calibrate_command(
     recording = read_bag(bag)
     chain, text = robot_of(recording, urdf, base, tip)
     prepared = prepare(recording, chain, clock_limit=clock_limit)
-    result = calibrate(prepared.samples, chain, np.random.default_rng(seed), cell, block)
+    result = calibrate(
+        prepared.samples, chain, np.random.default_rng(seed), cell, block, read_inertias(text, chain)
+    )
     report = _named(result.report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, calibration_files(result, report, chain, text))

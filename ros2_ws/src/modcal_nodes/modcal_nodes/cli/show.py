@@ -25,6 +25,22 @@ def show_report(report: Report, console: Console) -> None:
         console.print(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
         for name in seen.unobservable:
             console.print(f"not shown by these stations: {name}", style="yellow", highlight=False)
+    if report.effects:
+        console.print(_effects(report))
+        for sentence in report.story:
+            console.print(sentence, highlight=False)
     for note in report.notes:
         console.print(note, style="yellow", highlight=False)
     console.print(report.verdict, style="bold", highlight=False)
+
+
+def _effects(report: Report) -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for name in ("effect", "place", "direction", "driver"):
+        table.add_column(name)
+    for name in ("p", "RMS mm before", "after"):
+        table.add_column(name, justify="right")
+    for f in report.effects:
+        numbers = (f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
+        table.add_row(f.family, f.place, f.direction, f.driver, *numbers)
+    return table

@@ -1,0 +1,147 @@
+"""Drivers: what an error may depend on, as numbers beside every sample.
+
+A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
+``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``. Three more are ways to know a load and are reported as
+``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip, and
+``moment:J`` the two components across the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.gravity import gravity_wrench, payload_wrench
+from modcal_core.robots.urdf_inertias import Inertias
+
+_LOADS = ("effort", "payload", "moment")
+_SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The nominal arm that loads are computed from. inertias: None where the description states no mass."""
+
+    chain: Chain
+    inertias: Inertias | None = None
+
+    @property
+    def weighed(self) -> bool:
+        """Whether gravity's loads can be computed."""
+        return self.inertias is not None and self.inertias.known
+
+
+def public_driver(driver: str) -> str:
+    """The name of a driver in reports."""
+    first = driver.partition(",")[0]
+    kind, _, rest = first.partition(":")
+    return f"load:{rest}" if kind in _LOADS else first
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """Drivers at N samples. A driver that the samples do not carry is zero: the effect is then not applied."""
+
+    samples: Samples
+    arm: Arm
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def driver(self, name: str, lag: float = 0.0) -> Array:
+        """The driver (N,), or its components (c, N). lag: [s] by which a recorded signal's effect follows it."""
+        kind, _, of = name.partition(":")
+        if "," in name:
+            return np.stack([self.driver(part, lag) for part in name.split(",")])
+        if kind == "constant":
+            return np.ones(len(self))
+        if kind == "time":
+            return self.samples.stamps
+        if kind == "velocity":
+            return np.nan_to_num(self.samples.velocity.T)
+        if kind == "reading":
+            return np.ones(len(self))
+        if kind in ("position", "direction", "effort", "load", "payload", "moment"):
+            return self._of_joint(kind, self.samples.names.index(of))
+        return self._signal(name, lag)
+
+    def signal_names(self) -> tuple[str, ...]:
+        """Recorded signals that cover the samples and change."""
+        return tuple(
+            track.name for track in self.samples.signals if len(track.stamps) > 3 and np.ptp(track.values[:, 0]) > 0.0
+        )
+
+    @cached_property
+    def gravity(self) -> Array:
+        """Weight beyond each joint, (n, 6, N); zero where the arm has not been weighed."""
+        if self.arm.inertias is None or not self.arm.weighed:
+            return np.zeros((self.arm.chain.n, 6, len(self)))
+        return gravity_wrench(self.arm.chain, self.arm.inertias, self.samples.q)
+
+    @cached_property
+    def payload(self) -> Array:
+        """Weight of 1 kg at the tip, (n, 6, N)."""
+        return payload_wrench(self.arm.chain, self.samples.q)
+
+    def _of_joint(self, kind: str, j: int) -> Array:
+        row = 5 if self.arm.chain.revolute[j] else 2
+        if kind == "position":
+            return self.samples.q[:, j]
+        if kind == "direction":
+            return self.samples.approach[:, j]
+        if kind == "effort":
+            return np.nan_to_num(self.samples.effort[:, j])
+        if kind == "moment":
+            return self.gravity[j, 3:5]
+        return (self.gravity if kind == "load" else self.payload)[j, row]
+
+    def _signal(self, name: str, lag: float) -> Array:
+        for track in self.samples.signals:
+            if track.name == name:
+                order = np.argsort(track.stamps, kind="stable")
+                t, x = track.stamps[order], track.values[order, 0]
+                keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
+                return delayed(t[keep], x[keep], lag)(self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
+        return np.zeros(len(self))
+
+
+class delayed:
+    """A signal as seen through a first-order lag; a negative lag undoes one, as of a sensor that is slow itself."""
+
+    def __init__(self, t: Array, x: Array, lag: float) -> None:
+        """t: rising stamps (m,) [s]. x: values (m,). lag: [s]."""
+        if lag > 0.0:
+            y = np.empty_like(x)
+            y[0] = x[0]
+            share = -np.expm1(-np.diff(t) / lag)
+            for i in range(1, len(x)):
+                y[i] = y[i - 1] + share[i - 1] * (x[i] - y[i - 1])
+            x = y
+        elif lag < 0.0:
+            x = x - lag * _slope(t, x)
+        self._t, self._x = t, x
+
+    def __call__(self, stamps: Array) -> Array:
+        """Values at stamps, held before the first and after the last."""
+        return np.interp(stamps, self._t, self._x)
+
+
+def _slope(t: Array, x: Array) -> Array:
+    """Slope of a noisy signal: that of the line fitted to the stretch around each point."""
+    half = 0.5 * _SMOOTH
+    sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.ones_like(t), t - t[0], x, (t - t[0]) ** 2, (t - t[0]) * x)]
+    first, last = np.searchsorted(t, t - half), np.searchsorted(t, t + half, side="right")
+    n, st, sx, stt, stx = (s[last] - s[first] for s in sums)
+    spread = n * stt - st * st
+    return np.where(spread > 1e-9, (n * stx - st * sx) / np.maximum(spread, 1e-9), 0.0)
+
+
+def signal_span(track: SignalTrack) -> tuple[float, float]:
+    """Smallest and largest value of a signal."""
+    return float(track.values[:, 0].min()), float(track.values[:, 0].max())

@@ -1,0 +1,209 @@
+"""The error model: every effect is a sum of small motions *place × direction × driver*.
+
+An effect's amplitude a moves each sample by the sum of its terms, ``a · φ(driver)`` along one direction at one place,
+where places and directions are those of :mod:`parameters`. Effects therefore compose, and their columns of the
+linearised model are the geometry's columns times numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modcal_core.calibration.circumstances import Circumstances, public_driver
+from modcal_core.calibration.parameters import DIRECTIONS
+from modcal_core.calibration.shapes import REFINED, Shape
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+READING = -1  # the place of what scales readings: behind everything
+AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
+EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
+EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
+EXPECTED_DELAY = 0.05  # s
+
+
+@dataclass(frozen=True)
+class Term:
+    """One motion: place 0 … n or READING, direction 0 … 5, and its size at every sample, (N,)."""
+
+    place: int
+    direction: int
+    size: Array
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect of the error model.
+
+    family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
+    (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
+    (the axes of all joints at once) or "radial" (from the tracker). driver: see :mod:`circumstances`. shape: how it
+    follows the driver. lag: [s] behind a recorded signal. values, std: amplitudes and their standard deviations (m,),
+    in rad or m per unit of the driver, then the settings that are fitted with them.
+    """
+
+    family: str
+    place: str
+    direction: str
+    driver: str
+    shape: Shape
+    lag: float = 0.0
+    values: Array = field(default_factory=lambda: np.empty(0))
+    std: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """What makes two effects one entry of a report."""
+        return self.family, self.place, self.direction, self.driver
+
+    @property
+    def public_driver(self) -> str:
+        """The driver's name in reports."""
+        return public_driver(self.driver)
+
+    @property
+    def label(self) -> str:
+        """For people and for ``same_as``."""
+        cycles = f" ({self.shape.settings['cycles']:.4g} cycles a turn)" if self.shape.kind == "sine" else ""
+        return f"{self.place} {self.direction} by {self.public_driver}{cycles}"
+
+    @property
+    def refined(self) -> tuple[str, ...]:
+        """Names of the settings that are fitted with the amplitudes."""
+        return REFINED.get(self.shape.kind, ())
+
+    @property
+    def amplitudes(self) -> Array:
+        """The linear part of the values."""
+        return self.values[: len(self.values) - len(self.refined)]
+
+    def with_values(self, values: Array, std: Array | None = None) -> Effect:
+        """The effect with these values: amplitudes, then refined settings."""
+        values = np.asarray(values, dtype=float)
+        settings = dict(zip(self.refined, values[len(values) - len(self.refined) :].tolist(), strict=True))
+        std = np.zeros_like(values) if std is None else np.asarray(std, dtype=float)
+        return replace(self, values=values, std=std, shape=self.shape.with_settings(settings))
+
+    def started(self, amplitudes: Array) -> Effect:
+        """The effect with these amplitudes and its settings as they are."""
+        return self.with_values(np.r_[amplitudes, [self.shape.settings[name] for name in self.refined]])
+
+
+def columns(effect: Effect, at: Circumstances) -> list[list[Term]]:
+    """For each amplitude of the effect its terms, at unit size."""
+    chain = at.arm.chain
+    if effect.direction == JOINTS:
+        return [[Term(k, _axis(chain, k), size) for k, size in enumerate(_delay(effect, at))]]
+    if effect.driver == "velocity":
+        k = chain.names.index(effect.place)
+        return [[Term(k, _axis(chain, k), _delay(effect, at)[k])]]
+    x = at.driver(effect.driver, effect.lag)
+    k = place_index(effect.place, chain)
+    if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
+        return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
+    basis = effect.shape.basis(x)
+    return [
+        [Term(k, direction, share * phi) for direction, share in towards]
+        for towards in _directions(effect.direction, chain, k)
+        for phi in basis
+    ]
+
+
+def shape_columns(effect: Effect, at: Circumstances) -> Iterator[list[Term]]:
+    """For each refined setting its terms: the change of the whole effect per unit of the setting."""
+    amplitudes = effect.amplitudes
+    for name in effect.refined:
+        value = effect.shape.settings[name]
+        step = 1e-4 * max(abs(value), 1e-3)
+        sides = [
+            columns(replace(effect, shape=effect.shape.with_settings({name: value + sign * step})), at)
+            for sign in (1.0, -1.0)
+        ]
+        yield [
+            Term(up.place, up.direction, a * (up.size - down.size) / (2.0 * step))
+            for a, ups, downs in zip(amplitudes, *sides, strict=True)
+            for up, down in zip(ups, downs, strict=True)
+        ]
+
+
+def all_columns(effects: Iterable[Effect], at: Circumstances) -> list[list[Term]]:
+    """Terms of every value of all effects: amplitudes, then refined settings, effect by effect."""
+    return [terms for effect in effects for terms in (*columns(effect, at), *shape_columns(effect, at))]
+
+
+def motion(effects: Iterable[Effect], at: Circumstances) -> tuple[dict[int, Array], Array]:
+    """What the effects do together: twists (6, N) by place, and the factor (N,) that readings are scaled by."""
+    twists: dict[int, Array] = {}
+    scale = np.ones(len(at))
+    for effect in effects:
+        for amplitude, terms in zip(effect.amplitudes, columns(effect, at), strict=True):
+            for term in terms:
+                if term.place == READING:
+                    scale = scale + amplitude * term.size
+                else:
+                    twist = twists.setdefault(term.place, np.zeros((6, len(at))))
+                    twist[term.direction] += amplitude * term.size
+    return twists, scale
+
+
+def prior_stds(effect: Effect, at: Circumstances) -> Array:
+    """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest."""
+    out = []
+    for terms in columns(effect, at):
+        rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
+        if effect.direction == JOINTS or effect.driver == "velocity":
+            out.append(EXPECTED_DELAY)
+        elif effect.shape.kind in ("spline", "waves"):
+            out.append(EXPECTED_BEND)
+        else:
+            out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
+    for name in effect.refined:
+        value = effect.shape.settings[name]
+        out.append(0.5 if name == "cycles" else 0.5 * abs(value))
+    return np.array(out)
+
+
+def place_index(place: str, chain: Chain) -> int:
+    """0 … n for base, joints and tool; READING for the tracker."""
+    if place in chain.names:
+        return chain.names.index(place)
+    return {"base": 0, "tool": chain.n, "tracker": READING}[place]
+
+
+def _axis(chain: Chain, k: int) -> int:
+    return 5 if chain.revolute[k] else 2
+
+
+def _directions(direction: str, chain: Chain, k: int) -> list[list[tuple[int, float]]]:
+    """The directions of a place that move together, each with its share; one list for every amplitude."""
+    if direction == AXIS:
+        return [[(_axis(chain, k), 1.0)]]
+    if direction == ACROSS:
+        return [[(3, 1.0)], [(4, 1.0)]]
+    if direction == LENGTH:
+        along = length_direction(chain, k)
+        return [[(d, float(along[d])) for d in range(3)]]
+    if direction == ALL:
+        return [[(d, 1.0)] for d in range(6)]
+    if direction == SHIFT:
+        return [[(d, 1.0)] for d in range(3)]
+    if direction == RADIAL:
+        return [[(0, 1.0)]]
+    return [[(DIRECTIONS.index(direction), 1.0)]]
+
+
+def length_direction(chain: Chain, k: int) -> Array:
+    """Unit vector along the link that ends in place k, in the frame of that place, (3,); zero where it has no length."""
+    M = chain.along_z[k]
+    along = M[:3, :3].T @ M[:3, 3]
+    size = float(np.linalg.norm(along))
+    return along / size if size > 1e-3 else np.zeros(3)
+
+
+def _delay(effect: Effect, at: Circumstances) -> Array:
+    """Motion of the joints (n, N) per second that the readings are late: back along their course, to second order."""
+    delay = float(effect.values[0]) if len(effect.values) else 0.0
+    return -np.nan_to_num(at.samples.velocity.T) + 0.5 * delay * at.samples.acceleration.T

@@ -1,0 +1,95 @@
+"""How an effect follows its driver: a few functions of one number, linear in their amplitudes.
+
+A shape has settings that are not linear (cycles a turn, the moment of a step, a time constant). They are found by
+scanning; the ones in :data:`REFINED` are then fitted together with everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from modcal_core.geometry.so3 import Array
+
+REFINED = {"sine": ("cycles",), "settle": ("tau",)}
+SPLINE_DEGREE = 3
+
+
+@dataclass(frozen=True)
+class Shape:
+    """kind: linear, several, cubic, turn, sine, sign, ramp, step, settle, spline, polynomial or waves. settings: by
+    name, see ``basis``.
+    """
+
+    kind: str
+    settings: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions."""
+        if self.kind == "spline":
+            return int(self.settings["count"])
+        if self.kind == "polynomial":
+            return int(self.settings["degree"])
+        if self.kind == "waves":
+            order = int(self.settings["order"])
+            return 2 * (order + order * (order + 1) + order * order)
+        return {"sine": 2, "turn": 2, "cubic": 2, "several": 2}.get(self.kind, 1)
+
+    def with_settings(self, settings: Mapping[str, float]) -> Shape:
+        """The same kind of shape with some settings changed."""
+        return Shape(self.kind, {**self.settings, **settings})
+
+    def basis(self, x: Array) -> Array:
+        """Basis functions (b, N) at drivers x (N,); ``several`` and ``waves`` take two drivers (2, N).
+
+        linear: x. several: each of the drivers. cubic: x and (x / scale)³. turn, sine: sin and cos of ``cycles`` a turn,
+        a small whole number that stays or one that is fitted. sign: ±1. ramp: x − since. step: 0 before ``at``, 1 from
+        then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``,
+        fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held
+        outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
+        """
+        s = self.settings
+        if self.kind == "linear":
+            return x[None]
+        if self.kind == "several":
+            return x
+        if self.kind == "cubic":
+            return np.stack([x, (x / s["scale"]) ** 3])
+        if self.kind in ("sine", "turn"):
+            return np.stack([np.sin(s["cycles"] * x), np.cos(s["cycles"] * x)])
+        if self.kind == "sign":
+            return np.sign(x)[None]
+        if self.kind == "ramp":
+            return (x - s["since"])[None]
+        if self.kind == "step":
+            return (x >= s["at"]).astype(float)[None]
+        if self.kind == "settle":
+            return np.exp(-np.clip((x - s["since"]) / max(s["tau"], 1e-9), -50.0, 700.0))[None]
+        if self.kind == "spline":
+            return self._splines(x)
+        if self.kind == "polynomial":
+            u = np.clip((2.0 * x - s["low"] - s["high"]) / max(s["high"] - s["low"], 1e-12), -1.0, 1.0)
+            return np.stack([u ** (k + 1) for k in range(int(s["degree"]))])
+        if self.kind == "waves":
+            return self._waves(x)
+        raise ValueError(f"no shape '{self.kind}'")
+
+    def _splines(self, x: Array) -> Array:
+        count, low, high = int(self.settings["count"]), self.settings["low"], self.settings["high"]
+        step = (high - low) / (count - SPLINE_DEGREE)
+        knots = low + step * np.arange(-SPLINE_DEGREE, count + 1)
+        # beyond the last knot every function is zero: nothing is claimed where nothing was seen
+        inside = np.clip(x, knots[0], knots[-1])
+        padded = np.concatenate([knots[0] - step * np.arange(3, 0, -1), knots, knots[-1] + step * np.arange(1, 4)])
+        every = BSpline.design_matrix(np.clip(inside, padded[3], padded[-4] - 1e-9), padded, SPLINE_DEGREE)
+        return np.asarray(every[:, 3:-3].toarray().T)
+
+    def _waves(self, x: Array) -> Array:
+        order = int(self.settings["order"])
+        turns = [(a, b) for a in range(order + 1) for b in range(-order, order + 1) if a > 0 or b > 0]
+        phase = np.stack([a * x[0] + b * x[1] for a, b in turns])
+        return np.concatenate([np.sin(phase), np.cos(phase)])

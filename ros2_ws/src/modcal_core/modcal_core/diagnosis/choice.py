@@ -1,0 +1,88 @@
+"""Which of many candidates to believe: the best explained, and of those the plainest.
+
+Scores closer than a hundredfold in chance do not tell candidates apart: they are one class, named together. A free
+shape always fits a little better than the cause it imitates; so where a plain cause explains nearly as much, or a few
+plain causes together do, the plain one is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.identify import Fit
+from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.vocabulary import plainness
+
+_TIE = 2.0  # in −log10 p
+_NEARLY = 0.93  # share of a free shape's explanation
+_LOOK_AHEAD = 3  # plain causes that together may beat a free shape
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The chosen effect, the chance that noise would look as good, and what would explain it as well."""
+
+    effect: Effect
+    p_value: float
+    same_as: tuple[str, ...]
+
+
+def choose(
+    evidence: Evidence,
+    scanner: Scanner,
+    fit: Fit,
+    refused: set[tuple[str, str, str, str]],
+    incumbent: Effect | None = None,
+) -> Choice | None:
+    """The effect to believe, or None when all that explain anything were refused.
+
+    incumbent: an effect that stands already, which another must beat by more than a tie.
+    """
+    allowed = np.array([e.key not in refused for e in evidence.effects])
+    if not (allowed & (evidence.score > 0.0)).any():
+        return None
+    score = np.where(allowed, evidence.score, -1.0)
+    plain = allowed & np.array([plainness(e) < 2 for e in evidence.effects])
+    tie = _TIE * evidence.inflation
+    top = int(np.argmax(score))
+    if not plain[top] and plain.any():
+        best_plain = int(np.argmax(np.where(plain, score, -1.0)))
+        enough = _NEARLY * evidence.explained[top]
+        if evidence.explained[best_plain] >= enough or _together(evidence, best_plain, scanner, fit, plain) >= enough:
+            top = best_plain
+    pool = plain if plain[top] else allowed
+    alike = np.flatnonzero(pool & (score >= score[top] - tie))
+    if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
+        return None
+    best = min(alike, key=lambda i: (plainness(evidence.effects[i]), evidence.effects[i].shape.size, -score[i]))
+    return Choice(evidence.effects[best], evidence.p_value, _names(evidence, best, alike))
+
+
+def _together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> float:
+    """The share that a few plain causes explain, taken one after the other."""
+    left = 1.0 - float(evidence.explained[first])
+    chosen = evidence.effects[first]
+    for _ in range(_LOOK_AHEAD - 1):
+        started = chosen.started(scanner.amplitudes(fit, chosen))
+        fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, started)))
+        now = scanner.evidence(fit)
+        best = int(np.argmax(np.where(plain, now.score, -1.0)))
+        left *= 1.0 - float(now.explained[best])
+        chosen = now.effects[best]
+    return 1.0 - left
+
+
+def _names(evidence: Evidence, best: int, alike: np.ndarray) -> tuple[str, ...]:
+    """What explains as much as the best, most telling first, each place and driver once."""
+    chosen = evidence.effects[best]
+    names: dict[tuple[str, str, str], str] = {(chosen.place, chosen.direction, chosen.public_driver): ""}
+    for i in sorted(alike, key=lambda i: -evidence.score[i]):
+        effect = evidence.effects[i]
+        names.setdefault((effect.place, effect.direction, effect.public_driver), effect.label)
+    if chosen.place == "base" and chosen.direction == "all":
+        names["tracker", "", ""] = f"tracker all by {chosen.public_driver}"
+    return tuple(name for name in names.values() if name)[:_MOST_NAMED]

@@ -1,0 +1,291 @@
+"""How much each candidate effect would explain of what a fit leaves over, and how much pure noise would.
+
+A candidate's columns are the derivatives of the readings with respect to its amplitudes. What the fitted parameters
+could still explain is projected out of residual and candidates, so nothing is found that they could have taken up.
+
+Noise is not white in a tracker's frame: a joint that does not repeat throws the tool along its own columns. What can be
+relied on is that stations are independent and their noise is as likely to point one way as the other. So the residual
+vectors of whole stations are given random signs, everything is scanned again, and the best candidate found in such a
+recording of pure noise is noted (wild bootstrap; Wu 1986, Liu 1988). Those maxima follow an extreme-value law (Gumbel),
+which gives the chance that noise makes a best as good as the real one, all candidates looked at included.
+
+Every candidate is a direction at a place times numbers, one a sample. So each (place, direction) is contracted with the
+residual and with the projector once, and the thousands of candidates that share it cost a product with their numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as f_distribution
+from scipy.stats import gumbel_r
+
+from modcal_core.calibration.circumstances import Circumstances
+from modcal_core.calibration.effects import LENGTH, Effect, columns, length_direction, place_index
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.linearise import View, linearise
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+FLIPS = 199
+_MEMORY = 0.5  # s; samples in motion closer than this share their noise
+_LEAST_FREEDOM = 20  # rows beyond what is fitted
+_FARTHEST = 8.0  # times the median size; no sample may rule alone
+_LEAST_NEW = 0.0025  # share of a candidate's motion that the fit must not be able to make by itself
+
+Key = tuple[int, object]
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Candidates whose columns stand at the same places and directions. numbers: (C, m, N)."""
+
+    effects: tuple[Effect, ...]
+    keys: tuple[Key, ...]
+    numbers: Array
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What C candidates explain. effects: the candidates. explained: share of the residual's squares, (C,). score: how
+    unlikely that share would be of white noise, −log10 p, (C,). p_value: that pure noise would have as good a best.
+    inflation: how much larger scores of this noise are than those of white noise. freedom: rows beyond what is fitted.
+    """
+
+    effects: tuple[Effect, ...]
+    explained: Array
+    score: Array
+    p_value: float
+    inflation: float
+    freedom: int
+
+
+class Scanner:
+    """Candidates at certain samples, set up once and weighed against the residual of any fit."""
+
+    def __init__(self, effects: Sequence[Effect], at: Circumstances) -> None:
+        """effects: the candidates. at: the samples they are looked for on."""
+        self.at = at
+        self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
+        groups: dict[tuple[Key, ...], tuple[list[Effect], list[Array]]] = {}
+        for effect in effects:
+            keys, numbers = self._factor(effect)
+            members = groups.setdefault(keys, ([], []))
+            members[0].append(effect)
+            members[1].append(numbers)
+        self.banks = [Bank(tuple(e), keys, np.stack(n)) for keys, (e, n) in groups.items()]
+        self.unit = independent_unit(at.samples)
+
+    def evidence(self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS) -> Evidence:
+        """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1)."""
+        space = _Space.of(fit, self.at)
+        signs = np.ones((1, self.unit.max() + 1))
+        if rng is not None:
+            signs = np.concatenate([signs, rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))])
+        trials = space.trials(signs[:, self.unit])
+        effects: list[Effect] = []
+        shares, sizes = [], []
+        for bank in self.banks:
+            explained, size = self._explained(bank, space, trials)
+            effects += bank.effects
+            shares.append(explained / trials.total)
+            sizes.append(size)
+        share, size = np.concatenate(shares), np.concatenate(sizes)
+        score = _score(share, size, space.freedom)
+        p_value, inflation = _against_noise(score.max(axis=0), len(effects))
+        return Evidence(tuple(effects), share[:, 0], score[:, 0], p_value, inflation, space.freedom)
+
+    def enough(self, fit: Fit) -> bool:
+        """Whether the samples leave rows enough beyond what is fitted to say anything."""
+        return _Space.of(fit, self.at).freedom >= _LEAST_FREEDOM
+
+    def amplitudes(self, fit: Fit, effect: Effect) -> Array:
+        """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
+        keys, numbers = self._factor(effect)
+        space = _Space.of(fit, self.at)
+        trials = space.trials(np.ones((1, len(self.at))))
+        n, gram = self._products(Bank((effect,), keys, numbers[None]), space, trials)
+        scale = np.sqrt(np.maximum(np.einsum("cii->ci", gram), 1e-300))[0]
+        return np.linalg.lstsq(gram[0] / np.outer(scale, scale), n[0, :, 0] / scale, rcond=1e-6)[0] / scale
+
+    def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
+        """The directions at places of an effect's columns, and their numbers (m, N)."""
+        terms = columns(effect, self.at)
+        if all(len(t) == 1 for t in terms):
+            return tuple((t[0].place, t[0].direction) for t in terms), np.stack([t[0].size for t in terms])
+        if effect.direction == LENGTH:
+            k = place_index(effect.place, self.at.arm.chain)
+            along = length_direction(self.at.arm.chain, k)
+            key: Key = (k, LENGTH)
+            self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
+            basis = effect.shape.basis(self.at.driver(effect.driver, effect.lag))
+            return (key,) * len(basis), basis
+        key = (terms[0][0].place, effect.direction + effect.driver)
+        self._composed[key] = [(t.place, t.direction, t.size) for t in terms[0]]
+        return (key,), np.ones((1, len(self.at)))
+
+    def _column(self, key: Key, space: _Space) -> Array:
+        if key in self._composed:
+            return np.sum([space.column(k, d) * share for k, d, share in self._composed[key]], axis=0)
+        return space.column(key[0], int(key[1]))  # type: ignore[call-overload,no-any-return]
+
+    def _explained(self, bank: Bank, space: _Space, trials: _Trials) -> tuple[Array, Array]:
+        """Squares (C, trials) that the candidates of a bank explain, and their numbers of new directions (C,)."""
+        n, gram = self._products(bank, space, trials)
+        own = np.einsum("caN,aN->ca", bank.numbers**2, self._squares(bank, space))
+        scale = 1.0 / np.sqrt(np.maximum(own, 1e-300))
+        value, vector = np.linalg.eigh(gram * scale[:, :, None] * scale[:, None, :])
+        keep = value > _LEAST_NEW
+        along = np.einsum("cab,caf->cbf", vector * scale[:, :, None], n)
+        explained = np.sum(np.where(keep, 1.0 / np.maximum(value, _LEAST_NEW), 0.0)[:, :, None] * along**2, axis=1)
+        return explained, keep.sum(axis=1)
+
+    def _squares(self, bank: Bank, space: _Space) -> Array:
+        return np.stack([np.sum(self._column(key, space) ** 2, axis=0) for key in bank.keys])
+
+    def _products(self, bank: Bank, space: _Space, trials: _Trials) -> tuple[Array, Array]:
+        """Products with the trials (C, m, trials), and with each other (C, m, m), the fitted projected out."""
+        m = len(bank.keys)
+        distinct = {key: self._column(key, space) for key in dict.fromkeys(bank.keys)}
+        against = {key: np.einsum("cN,cNp->Np", c, space.Q) for key, c in distinct.items()}
+        seen = {key: trials.seen_by(c, against[key]) for key, c in distinct.items()}
+        n = np.stack([bank.numbers[:, a] @ seen[bank.keys[a]] for a in range(m)], axis=1)
+        fitted = [bank.numbers[:, a] @ against[bank.keys[a]] for a in range(m)]
+        if len(distinct) == 1:
+            square = np.sum(distinct[bank.keys[0]] ** 2, axis=0)
+            gram = (bank.numbers * square) @ bank.numbers.transpose(0, 2, 1)
+        else:
+            gram = np.empty((len(bank.effects), m, m))
+            for a in range(m):
+                for b in range(a, m):
+                    together = np.sum(distinct[bank.keys[a]] * distinct[bank.keys[b]], axis=0)
+                    both = np.einsum("cN,cN->c", bank.numbers[:, a], bank.numbers[:, b] * together)
+                    gram[:, a, b] = gram[:, b, a] = both
+        projected = np.stack(fitted, axis=1)  # (C, m, P)
+        return n, gram - projected @ projected.transpose(0, 2, 1)
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """The residual with the signs of each trial, (6, N) by signs (trials, N), what is fitted projected out.
+
+    seen: products of the signed residual with the projector, (trials, P). total: squares left, (trials,).
+    """
+
+    residual: Array
+    signs: Array
+    seen: Array
+    total: Array
+
+    def seen_by(self, column: Array, against: Array) -> Array:
+        """Contraction, sample by sample, of a column (6, N) with the trials, (N, trials)."""
+        own = np.sum(column * self.residual, axis=0)
+        return np.asarray(own[:, None] * self.signs.T - against @ self.seen.T)
+
+
+@dataclass(frozen=True)
+class _Space:
+    """Weighted residual and columns, sample by sample: (6, N), rows 3 … 5 zero where there is no orientation.
+
+    Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
+    each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
+    """
+
+    view: View
+    weight: Array
+    residual: Array
+    Q: Array
+    freedom: int
+
+    @classmethod
+    def of(cls, fit: Fit, at: Circumstances) -> _Space:
+        samples = at.samples
+        weight = sample_weights(fit, samples)
+        values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
+        now = linearise(fit.model, fit.parameters, values, samples, circumstances=at)
+        view = View.of(fit.model, samples, at)
+        J = np.stack([_by_sample(row, view) * weight for row in now.J], axis=-1)
+        held = np.zeros(J.shape[-1])
+        held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
+        N, P = len(samples), J.shape[-1]
+        stacked = np.concatenate([J.reshape(6 * N, P), np.diag(held)])
+        Q = np.linalg.qr(stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300))[0][: 6 * N].reshape(6, N, P)
+        residual = _drawn_in(_by_sample(now.residual, view) * weight)
+        # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
+        # join the noise and hide how uneven that is.
+        residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
+        rows = 3 * N + 3 * int(samples.is_pose.sum())
+        return cls(view, weight, residual, Q, rows - round(float(np.sum(Q**2))))
+
+    def column(self, place: int, direction: int) -> Array:
+        """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
+        return _by_sample(self.view.unit_column(place, direction), self.view) * self.weight
+
+    def trials(self, signs: Array) -> _Trials:
+        """The residual under signs (trials, N)."""
+        seen = signs @ np.einsum("cNp,cN->Np", self.Q, self.residual)
+        return _Trials(self.residual, signs, seen, np.sum(self.residual**2) - np.sum(seen**2, axis=1))
+
+
+def sample_weights(fit: Fit, samples: Samples) -> Array:
+    """Inverse standard deviations of the readings, (6, N)."""
+    position = np.sqrt(fit.spread.position**2 + np.nan_to_num(samples.sigma_position) ** 2)
+    rotation = np.sqrt(fit.spread.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
+    return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
+
+
+def _drawn_in(residual: Array) -> Array:
+    """The residual (6, N) with samples beyond several times the usual size brought in to there."""
+    size = np.linalg.norm(residual, axis=0)
+    limit = _FARTHEST * float(np.median(size))
+    return residual * np.minimum(1.0, limit / np.maximum(size, 1e-300))
+
+
+def independent_unit(samples: Samples) -> np.ndarray:
+    """For each sample the number of the unit whose noise is independent of the others', (N,).
+
+    A station; in motion, where noise has a memory, all samples of half a second.
+    """
+    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), samples.station)
+    return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
+
+
+def _by_sample(row: Array, view: View) -> Array:
+    """A row of a linearisation, (3 N + 3 M,), as (6, N)."""
+    N = view.position.shape[1]
+    out = np.zeros((6, N))
+    out[:3] = row[: 3 * N].reshape(3, N)
+    out[3:, view.pose] = row[3 * N :].reshape(3, -1)
+    return out
+
+
+def _score(share: Array, sizes: np.ndarray, freedom: int) -> Array:
+    """−log10 of the chance that white noise gives candidates of these sizes shares as large, (C, trials)."""
+    out = np.zeros_like(share)
+    grid = np.concatenate([np.linspace(0.0, 0.9, 400), 1.0 - np.geomspace(0.1, 1e-9, 300)])
+    for m in np.unique(sizes):
+        if 0 < m < freedom - 1:
+            ratio = grid / m / ((1.0 - grid) / (freedom - m))
+            table = -f_distribution.logsf(ratio, m, freedom - m) / np.log(10.0)
+            # far out the tail underflows; there it is a power of what is left
+            bad = ~np.isfinite(table)
+            if bad.any():
+                last = int(np.argmax(bad)) - 1
+                table[bad] = table[last] + 0.5 * (freedom - m) * np.log10((1.0 - grid[last]) / (1.0 - grid[bad]))
+            out[sizes == m] = np.interp(share[sizes == m], grid, table)
+    return out
+
+
+def _against_noise(best: Array, candidates: int) -> tuple[float, float]:
+    """(p value of the first best score among the others, how much larger those are than of white noise)."""
+    if len(best) < 2:
+        return 1.0, 1.0
+    noise = best[1:]
+    location, scale = gumbel_r.fit(noise)
+    p_value = float(gumbel_r.sf(best[0], location, scale))
+    rank = float((noise >= best[0]).sum() + 1) / (len(noise) + 1)
+    # within the trials their own count is the better witness; beyond them the law has to do
+    p_value = max(p_value, 1e-300) if best[0] > noise.max() else rank
+    return p_value, max(1.0, float(np.median(noise)) / max(np.log10(candidates) - 0.5, 1.0))

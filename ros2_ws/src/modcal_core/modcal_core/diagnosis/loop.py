@@ -1,0 +1,176 @@
+"""Find what the model lacks, add it, and go on until the rest is noise.
+
+Each round scans the vocabulary on everything but the held-out set, picks the plainest effect that explains what can be
+explained, fits it together with all others to *train*, and keeps it only if it also predicts *explain*, which that fit
+has not seen. An effect that later becomes needless is taken out; one that another explains better is exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.score import errors
+from modcal_core.diagnosis.choice import Choice, choose
+from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.outliers import isolated_outliers
+from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+SIGNIFICANT = 0.005
+LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
+MOST_EFFECTS = 30
+_MOST_SAMPLES = 1500  # enough to scan; a longer recording is thinned evenly
+_MOST_REVISITED = 400  # samples up to which every effect is weighed again after each new one
+_MOST_REFUSED = 3
+_NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect that was chosen, and why. p_value: that noise would look as good. same_as: what explains it as well.
+
+    fit: to *train* with this effect and the ones before it.
+    """
+
+    effect: Effect
+    p_value: float
+    same_as: tuple[str, ...]
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
+    significant still but could not be turned into an effect that predicts, None where the rest is noise.
+    """
+
+    fit: Fit
+    causes: tuple[Cause, ...]
+    left: Choice | None
+
+
+def diagnose(
+    fit: Fit,
+    train: Samples,
+    explain: Samples,
+    rng: np.random.Generator,
+    distances: Sequence[Distance] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """The effects that the fit to *train* lacks, judged on *explain*."""
+    both = train.join(explain)
+    both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both))))
+    at = fit.model.circumstances(both)
+    scanner = Scanner(list(vocabulary(at)), at)
+    search = _Search(fit, scanner, train, explain, tuple(distances))
+    left: Choice | None = None
+    refused: set[tuple[str, str, str, str]] = set()
+    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= _MOST_REFUSED:
+        evidence = scanner.evidence(search.fit, rng)
+        if evidence.p_value > SIGNIFICANT:
+            left = None
+            break
+        choice = choose(evidence, scanner, search.fit, refused)
+        if choice is None:
+            break
+        progress(choice.effect.label)
+        if search.add(choice):
+            left = None
+        else:
+            refused.add(choice.effect.key)
+            left = left or choice
+    effects = search.fit.model.effects
+    return Diagnosis(search.fit, tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True)), left)
+
+
+@dataclass
+class _Search:
+    """The fit so far, and how it changes: effects added, taken out, exchanged."""
+
+    fit: Fit
+    scanner: Scanner
+    train: Samples
+    explain: Samples
+    distances: tuple[Distance, ...]
+
+    def __post_init__(self) -> None:
+        self.causes: list[Cause] = []
+        self._geometric = self.fit
+
+    def add(self, choice: Choice) -> bool:
+        """Whether the effect, fitted with all others to *train*, predicts *explain* better than without it."""
+        new = self._with(self.fit, choice.effect)
+        if not self._missed(new) < (1.0 - LEAST_GAIN) * self._missed(self.fit):
+            return False
+        self.fit = new
+        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, new))
+        if len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
+            self._exchange()
+            self._take_out()
+        return True
+
+    def _with(self, fit: Fit, effect: Effect) -> Fit:
+        started = effect.started(self.scanner.amplitudes(fit, effect))
+        return self._refit(fit, (*fit.model.effects, started))
+
+    def _refit(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
+        # about the same start as ever, so that priors keep their meaning
+        return identify(self._geometric.start.with_effects(effects), self.train, fit.parameters, self.distances)
+
+    def _exchange(self) -> None:
+        """Weigh every earlier effect against the vocabulary again, with the later ones known."""
+        for i in range(len(self.causes) - 1):
+            effects = self.fit.model.effects
+            without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
+            better = choose(self.scanner.evidence(without), self.scanner, without, set(), incumbent=effects[i])
+            if better is None or better.effect.key == effects[i].key:
+                continue
+            started = better.effect.started(self.scanner.amplitudes(without, better.effect))
+            new = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
+            if self._missed(new) < self._missed(self.fit):
+                self.fit = new
+                self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, new)
+                self._redo()
+
+    def _take_out(self) -> None:
+        """Drop effects that are nothing beside the others."""
+        while True:
+            size = [float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300))) for e in map(_linear, self.fit.model.effects)]
+            weakest = int(np.argmin(size))
+            if size[weakest] >= _NEEDLESS or len(size) < 2:
+                return
+            del self.causes[weakest]
+            effects = self.fit.model.effects
+            self.fit = self._refit(self.fit, effects[:weakest] + effects[weakest + 1 :])
+            self._redo()
+
+    def _redo(self) -> None:
+        """The fits with the first, the first two, … effects, after the order of things has changed."""
+        effects = self.fit.model.effects
+        for i, cause in enumerate(self.causes):
+            fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
+            self.causes[i] = replace(cause, fit=fit)
+
+    def _missed(self, fit: Fit) -> float:
+        """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
+        scale = self._geometric.spread
+        e = errors(fit.model, self.explain)
+        square = (e.position_norm / scale.position) ** 2
+        square[self.explain.is_pose] += (e.rotation_norm / scale.rotation) ** 2
+        return float(np.mean(np.minimum(square, 25.0 * np.median(square) + 1e-300)))
+
+
+def _linear(effect: Effect) -> Effect:
+    count = len(effect.amplitudes)
+    return replace(effect, values=effect.values[:count], std=effect.std[:count])
+
+
+def _evenly(rows: Array) -> Array:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_SAMPLES)).astype(int))]

@@ -1,0 +1,234 @@
+"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes, units and a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.parameters import DIRECTIONS
+from modcal_core.calibration.score import errors
+from modcal_core.diagnosis.loop import Diagnosis
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+Quantity = tuple[float, float, str]  # value, standard deviation, unit
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
+    RMS error on held-out without it and with it [m], those found before it being there both times.
+    """
+
+    family: str
+    place: str
+    direction: str
+    driver: str
+    parameters: dict[str, Quantity]
+    p_value: float
+    before: float
+    after: float
+    same_as: tuple[str, ...] = ()
+    effects: tuple[Effect, ...] = field(default=())
+
+    @property
+    def sentence(self) -> str:
+        """What a technician should know of it."""
+        gain = f"adding it takes the error from {1e3 * self.before:.3f} to {1e3 * self.after:.3f} mm"
+        return f"{_STORIES.get(self.family, _unknown)(self)}; {gain}."
+
+
+def findings(
+    diagnosis: Diagnosis, geometric: Fit, shipped: tuple[Effect, ...], samples: Samples, wrong: Array, scored: Samples
+) -> tuple[Finding, ...]:
+    """Entries in the order found; the same place and driver found again joins its entry.
+
+    shipped: the diagnosed effects, fitted to all samples, in the same order. wrong: which samples are outliers.
+    """
+    entries: dict[tuple[str, str, str, str], Finding] = {}
+    before = _rms(geometric, scored)
+    for cause, effect in zip(diagnosis.causes, shipped, strict=True):
+        after = _rms(cause.fit, scored)
+        known = entries.get(effect.key)
+        effects = (*known.effects, effect) if known else (effect,)
+        entries[effect.key] = Finding(
+            effect.family,
+            effect.place,
+            effect.direction,
+            effect.public_driver,
+            _parameters(effects),
+            min(cause.p_value, known.p_value) if known else cause.p_value,
+            known.before if known else before,
+            after,
+            tuple(dict.fromkeys((*(known.same_as if known else ()), *cause.same_as))),
+            effects,
+        )
+        before = after
+    return (*_outliers(diagnosis.fit, samples, wrong), *entries.values())
+
+
+def _outliers(fit: Fit, samples: Samples, wrong: Array) -> tuple[Finding, ...]:
+    if not wrong.any():
+        return ()
+    count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
+    with_them, without = _rms(fit, samples), _rms(fit, samples.select(~wrong))
+    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, 1e-9, with_them, without),)
+
+
+def _rms(fit: Fit, samples: Samples) -> float:
+    return float(np.sqrt(np.mean(errors(fit.model, samples).position_norm ** 2))) if len(samples) else float("nan")
+
+
+def _parameters(effects: tuple[Effect, ...]) -> dict[str, Quantity]:
+    """Named sizes of the effects of one entry; later ones are numbered."""
+    out: dict[str, Quantity] = {}
+    for i, effect in enumerate(effects):
+        for name, quantity in _sizes(effect).items():
+            out[name if i == 0 else f"{name}_{i + 1}"] = quantity
+    return out
+
+
+def _sizes(effect: Effect) -> dict[str, Quantity]:
+    v, s, settings = effect.values, effect.std, effect.shape.settings
+    unit = "m" if effect.direction in ("x", "y", "z", LENGTH, SHIFT) else "rad"
+    if effect.direction == JOINTS:
+        return {"delay": (float(v[0]), float(s[0]), "s")}
+    if effect.family == "joint_lag":
+        return {"delay": (-float(v[0]), float(s[0]), "s")}
+    if effect.family == "scale":
+        return {"scale": (float(v[0]), float(s[0]), "1")}
+    if effect.shape.kind in ("sine", "turn") and effect.direction == AXIS:
+        return {**_wave(v, s, unit), "cycles_per_turn": (settings["cycles"], float(s[2]) if len(s) > 2 else 0.0, "1")}
+    if effect.shape.kind == "spline" and effect.direction == AXIS:
+        return curve_sizes(effect)
+    if effect.family in ("compliance", "payload"):
+        return _compliance(effect)
+    if effect.family == "backlash":
+        return {"backlash": (2.0 * abs(float(v[0])), 2.0 * float(s[0]), unit)}
+    if effect.family in ("gear_ratio", "coupling"):
+        return {"ratio_error" if effect.family == "gear_ratio" else "coupling": (float(v[0]), float(s[0]), "1")}
+    out = _components(effect, unit)
+    if effect.shape.kind == "step":
+        out["at"] = (settings["at"], 0.0, "s")
+    if effect.shape.kind == "settle":
+        out["time_constant"] = (settings["tau"], float(s[-1]), "s")
+    if effect.shape.kind == "turn":
+        out["cycles_per_turn"] = (settings["cycles"], 0.0, "1")
+    if effect.lag:
+        out["lag"] = (effect.lag, 0.0, "s")
+    return out
+
+
+def _wave(v: Array, s: Array, unit: str) -> dict[str, Quantity]:
+    size = float(np.hypot(v[0], v[1]))
+    std = float(np.hypot(v[0] * s[0], v[1] * s[1]) / max(size, 1e-300))
+    return {
+        "amplitude": (size, std, unit),
+        "phase": (float(np.arctan2(v[1], v[0])), std / max(size, 1e-300), "rad"),
+    }
+
+
+def _compliance(effect: Effect) -> dict[str, Quantity]:
+    v, s = effect.values, effect.std
+    out = {"compliance": (float(v[0]), float(s[0]), "rad/(N m)")}
+    if v[0]:
+        out["stiffness"] = (1.0 / abs(float(v[0])), float(s[0] / v[0] ** 2), "N m/rad")
+    if effect.shape.kind == "cubic":
+        scale = effect.shape.settings["scale"] ** 3
+        out["cubic"] = (float(v[1] / scale), float(s[1] / scale), "rad/(N m)^3")
+    if effect.shape.kind == "several":
+        ratio = float(v[1] / v[0])
+        spread = abs(ratio) * float(np.hypot(s[0] / v[0], s[1] / v[1]))
+        out["payload"] = (ratio, spread, "kg")
+    return out
+
+
+def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
+    """Amplitudes by direction; of several functions in one direction their root sum of squares."""
+    per = {"ramp": "/s", "linear": "/K" if effect.driver.startswith("temperature") else ""}.get(effect.shape.kind, "")
+    names = {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
+    count = max(len(effect.amplitudes) // len(names), 1)
+    out: dict[str, Quantity] = {}
+    for i, name in enumerate(names):
+        v = effect.amplitudes[i * count : (i + 1) * count]
+        s = effect.std[i * count : (i + 1) * count]
+        of = "m" if name in DIRECTIONS[:3] or unit == "m" else "rad"
+        size = float(v[0]) if count == 1 else float(np.linalg.norm(v))
+        out[name] = (size, float(np.linalg.norm(s)), of + per)
+    return out
+
+
+def curve(effect: Effect, points: int = 800) -> tuple[Array, Array, Array]:
+    """A free shape over the range it was learned on: driver, size and its standard deviation, (points,) each."""
+    x = np.linspace(effect.shape.settings["low"], effect.shape.settings["high"], points)
+    basis = effect.shape.basis(x)[: len(effect.amplitudes)]
+    return x, effect.amplitudes @ basis, np.sqrt((effect.std[: len(basis)] ** 2) @ basis**2)
+
+
+def curve_sizes(effect: Effect) -> dict[str, Quantity]:
+    """RMS of a free shape, and how often a turn it mostly repeats."""
+    x, y, std = curve(effect, 4096)
+    y = y - y.mean()
+    power = np.abs(np.fft.rfft(y * np.hanning(len(y)), 8 * len(y))) ** 2
+    cycles = 2.0 * np.pi * np.fft.rfftfreq(8 * len(y), x[1] - x[0])
+    top = float(cycles[int(np.argmax(power))])
+    resolution = np.pi / float(x[-1] - x[0])
+    return {
+        "amplitude_rms": (float(np.sqrt(np.mean(y**2))), float(np.sqrt(np.mean(std**2))), "rad"),
+        "cycles_per_turn": (top, resolution, "1"),
+    }
+
+
+def _mrad(f: Finding, name: str) -> str:
+    value, _, unit = f.parameters[name]
+    return f"{1e3 * value:.3g} {'mm' if unit == 'm' else 'mrad'}"
+
+
+def _gear(f: Finding) -> str:
+    cycles = f.parameters["cycles_per_turn"][0]
+    if "amplitude" in f.parameters:
+        lines = sum(name.startswith("cycles_per_turn") for name in f.parameters)
+        more = f", with {lines - 1} more such rhythms" if lines > 1 else ""
+        return f"{f.place}'s gear or encoder repeats {cycles:.4g} times a turn with {_mrad(f, 'amplitude')}{more}"
+    return f"{f.place} errs by {_mrad(f, 'amplitude_rms')} RMS in a shape that repeats about {cycles:.3g} times a turn"
+
+
+def _compliance_story(f: Finding) -> str:
+    part = "bearing tilts" if f.direction == ACROSS else "joint gives way"
+    stiffness = f.parameters.get("stiffness", (float("inf"), 0.0, ""))[0]
+    how = f", about {f.parameters['payload'][0]:.2g} kg more than the description knows" if f.family == "payload" else ""
+    return f"{f.place}'s {part} under load, at {stiffness:.3g} N m/rad{how}"
+
+
+def _time_story(f: Finding) -> str:
+    if f.family == "step":
+        return f"{f.place} moved at one moment (stamp {f.parameters['at'][0]:.1f} s)"
+    if "time_constant" in f.parameters:
+        return f"{f.place} settles over time, by e every {f.parameters['time_constant'][0]:.0f} s"
+    return f"{f.place} moves slowly with {f.driver.replace(':', ' of ')}"
+
+
+def _unknown(f: Finding) -> str:
+    where = f"{f.place} ({f.direction})"
+    return f"{where} errs along with {f.driver.replace(':', ' of ')}, in a shape that has no name"
+
+
+_STORIES = {
+    "gear_harmonic": _gear,
+    "gear_ratio": lambda f: f"{f.place} turns by {1e6 * f.parameters['ratio_error'][0]:.0f} ppm more than it reports",
+    "compliance": _compliance_story,
+    "payload": _compliance_story,
+    "backlash": lambda f: f"{f.place} has {_mrad(f, 'backlash')} of play, taken up by {f.driver.replace(':', ' of ')}",
+    "coupling": lambda f: f"{f.place} moves by {1e6 * f.parameters['coupling'][0]:.0f} ppm of {f.driver.partition(':')[2]}",
+    "axis_wobble": lambda f: f"{f.place}'s axis tilts as it turns",
+    "thermal": _time_story,
+    "drift": _time_story,
+    "step": _time_story,
+    "latency": lambda f: f"readings come {1e3 * f.parameters['delay'][0]:.2f} ms late",
+    "joint_lag": lambda f: f"{f.place} reports its position {1e3 * f.parameters['delay'][0]:.2f} ms late",
+    "scale": lambda f: f"the tracker's metre is off by {1e6 * f.parameters['scale'][0]:.0f} ppm",
+    "outliers": lambda f: f"{f.parameters['stations'][0]:.0f} stations are plainly wrong and were left out",
+}
