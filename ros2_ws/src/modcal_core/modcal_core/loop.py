@@ -14,10 +14,9 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
-from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import Fit, identify, require_enough
+from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
 from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
 from modcal_core.calibration.split import SHARES, hold_out_all, split
@@ -71,7 +70,7 @@ def calibrate(
 
     wrong = outlying(final.model, final.spread, samples)
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = ship(samples, chain, choice, cell, final.model.effects, inertias)
+    shipped = ship(samples, chain, choice, cell, inertias, final)
     report = Report(
         samples=samples,
         sets=sets,
@@ -83,7 +82,7 @@ def calibrate(
             "final": errors(final.model, scored),
         },
         noise_floor=noise_floor(samples),
-        effects=findings(diagnosis, geometric, shipped.calibrated.effects, samples, wrong, scored),
+        effects=findings(diagnosis, geometric, shipped.calibrated, samples, wrong, scored),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
@@ -97,18 +96,23 @@ def ship(
     chain: Chain,
     choice: Choice,
     cell: Cell,
-    effects: tuple[Effect, ...] = (),
     inertias: Inertias | None = None,
+    scored: Fit | None = None,
 ) -> Calibration:
-    """The calibration fitted to every sample, written with the least change to the nominal arm."""
+    """The calibration fitted to every sample, written with the least change to the nominal arm.
+
+    scored: the fit whose effects it has, and which it begins from.
+    """
     nominal = fit_cell(chain, samples, cell, inertias)
-    fit = identify(nominal.model.with_effects(effects), samples, choice.parameters, cell.distances)
-    moved = sharpened(fit.model, samples)
-    if moved is not fit.model:
-        fit = identify(nominal.model.with_effects(moved.effects), samples, choice.parameters, cell.distances)
-    tidy = least_change(fit.model, chain)
-    if tidy.effects:  # their places moved by what was passed through the joints: settle them where they are now
-        tidy = identify(tidy, samples, choice.parameters, cell.distances).model
+    if scored is None or not scored.model.effects:
+        fit = identify(nominal.model, samples, choice.parameters, cell.distances)
+        tidy = least_change(fit.model, chain)
+    else:
+        start = nominal.model.with_effects(sharpened(scored.model, samples).effects)
+        fit = identify(start, samples, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values)
+        # places moved by what was passed through the joints: effects settle where they are now
+        tidy = least_change(fit.model, chain)
+        tidy = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED).model
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     return Calibration(nominal.model, tidy, seen, parameter_table(fit))
 

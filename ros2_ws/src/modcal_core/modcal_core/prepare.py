@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.identify import identify
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -21,6 +22,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
 _ROUNDS = 5
+_MOST = 3000  # samples that a delay is fitted to
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
 
@@ -58,10 +60,10 @@ def _settle_delays(
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 
-    Correlated speeds tell a delay to milliseconds, which is a millimetre at half a metre a second. What is left is read
-    off the residual of a fit, as the part that goes along with the tool's velocity: ``delay = Σ v·r / Σ v·v``. Arm and
-    delay are found in turn, so that the arm's own errors do not pose as delay. Delays as short as a driver's are then
-    left in: they are not the clock's fault, and the diagnosis names them.
+    Correlated speeds tell a delay to some ten milliseconds, which is many millimetres in motion. What is left is fitted
+    together with the arm, so that the arm's own errors do not pose as delay; a few rounds, for the fit is good to second
+    order only. Delays as short as a driver's are then left in: they are not the clock's fault, and the diagnosis names
+    them.
     """
     total = np.array([_offset(recording, aligned, frame) for frame in samples.frames])
     for _ in range(_ROUNDS):
@@ -98,25 +100,17 @@ def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Re
 def _delays(samples: Samples, chain: Chain) -> Array:
     """Delay of the readings of each frame [s], (F,); zero where nothing moves or the data cannot carry a fit."""
     out = np.zeros(len(samples.frames))
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), 4000)).astype(int))
-    few = samples.select(rows)
-    try:
-        located = fit_cell(chain, few, Cell())
-        choice = choose_parameters(located.model, views_of(few))
-        model = identify(located.model, few, choice.parameters).model
-    except NotEnoughData:
-        return out
-    few = few.select(np.flatnonzero(np.isfinite(few.velocity).all(axis=1)))
-    h = 1e-4
-    velocity = (
-        model.predict(few.q + h * few.velocity, few.frame)[:, :3, 3]
-        - model.predict(few.q - h * few.velocity, few.frame)[:, :3, 3]
-    ) / (2.0 * h)
-    residual = errors(model, few).position
     for f in range(len(out)):
-        of_frame = few.frame == f
-        power = float(np.sum(velocity[of_frame] ** 2))
-        if power > 0.0:
-            # a reading that is late shows where the tool was: behind, against its velocity
-            out[f] = -float(np.sum(velocity[of_frame] * residual[of_frame])) / power
+        rows = np.flatnonzero((samples.frame == f) & samples.moving & np.isfinite(samples.velocity).all(axis=1))
+        if not len(rows):
+            continue
+        few = samples.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))])
+        few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int))
+        late = Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")).started(np.zeros(1))
+        try:
+            located = fit_cell(chain, few, Cell()).model
+            choice = choose_parameters(located, views_of(few))
+            out[f] = identify(located.with_effects((late,)), few, choice.parameters).model.effects[0].values[0]
+        except NotEnoughData:
+            continue
     return out

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.signal import lfilter
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import gravity_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
 _LOADS = ("effort", "payload", "moment")
+_MOST_POINTS = 20_000  # of a signal; a faster one is thinned
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
@@ -107,41 +108,32 @@ class Circumstances:
                 order = np.argsort(track.stamps, kind="stable")
                 t, x = track.stamps[order], track.values[order, 0]
                 keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
-                return delayed(t[keep], x[keep], lag)(self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
+                return delayed(t[keep], x[keep], lag, self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
         return np.zeros(len(self))
 
 
-class delayed:
-    """A signal as seen through a first-order lag; a negative lag undoes one, as of a sensor that is slow itself."""
+def delayed(t: Array, x: Array, lag: float, at: Array) -> Array:
+    """A signal as seen through a first-order lag, at stamps ``at``, held before its first value and after its last.
 
-    def __init__(self, t: Array, x: Array, lag: float) -> None:
-        """t: rising stamps (m,) [s]. x: values (m,). lag: [s]."""
-        if lag > 0.0:
-            y = np.empty_like(x)
-            y[0] = x[0]
-            share = -np.expm1(-np.diff(t) / lag)
-            for i in range(1, len(x)):
-                y[i] = y[i - 1] + share[i - 1] * (x[i] - y[i - 1])
-            x = y
-        elif lag < 0.0:
-            x = x - lag * _slope(t, x)
-        self._t, self._x = t, x
-
-    def __call__(self, stamps: Array) -> Array:
-        """Values at stamps, held before the first and after the last."""
-        return np.interp(stamps, self._t, self._x)
+    t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes a lag, as of a sensor that is slow itself.
+    """
+    step = max(float(np.median(np.diff(t))), float(t[-1] - t[0]) / _MOST_POINTS)
+    grid = np.arange(t[0], t[-1] + step, step)
+    even = np.interp(grid, t, x)
+    if lag > 0.0:
+        keep = np.exp(-step / lag)
+        even = lfilter([1.0 - keep], [1.0, -keep], even - even[0]) + even[0]
+    elif lag < 0.0:
+        even = even - lag * _slope(grid, even)
+    return np.asarray(np.interp(at, grid, even))
 
 
 def _slope(t: Array, x: Array) -> Array:
     """Slope of a noisy signal: that of the line fitted to the stretch around each point."""
     half = 0.5 * _SMOOTH
-    sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.ones_like(t), t - t[0], x, (t - t[0]) ** 2, (t - t[0]) * x)]
+    u, y = t - t.mean(), x - x.mean()
+    sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.ones_like(u), u, y, u * u, u * y)]
     first, last = np.searchsorted(t, t - half), np.searchsorted(t, t + half, side="right")
     n, st, sx, stt, stx = (s[last] - s[first] for s in sums)
     spread = n * stt - st * st
     return np.where(spread > 1e-9, (n * stx - st * sx) / np.maximum(spread, 1e-9), 0.0)
-
-
-def signal_span(track: SignalTrack) -> tuple[float, float]:
-    """Smallest and largest value of a signal."""
-    return float(track.values[:, 0].min()), float(track.values[:, 0].max())

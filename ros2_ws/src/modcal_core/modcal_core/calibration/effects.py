@@ -41,7 +41,7 @@ class Effect:
     family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
     (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
     (the axes of all joints at once) or "radial" (from the tracker). driver: see :mod:`circumstances`. shape: how it
-    follows the driver. lag: [s] behind a recorded signal. values, std: amplitudes and their standard deviations (m,),
+    follows the driver. values, std: amplitudes and their standard deviations (m,),
     in rad or m per unit of the driver, then the settings that are fitted with them.
     """
 
@@ -50,7 +50,6 @@ class Effect:
     direction: str
     driver: str
     shape: Shape
-    lag: float = 0.0
     values: Array = field(default_factory=lambda: np.empty(0))
     std: Array = field(default_factory=lambda: np.empty(0))
 
@@ -58,6 +57,11 @@ class Effect:
     def key(self) -> tuple[str, str, str, str]:
         """What makes two effects one entry of a report."""
         return self.family, self.place, self.direction, self.driver
+
+    @property
+    def lag(self) -> float:
+        """Seconds behind a recorded signal."""
+        return self.shape.settings.get("lag", 0.0)
 
     @property
     def public_driver(self) -> str:
@@ -162,7 +166,7 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
             out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
     for name in effect.refined:
         value = effect.shape.settings[name]
-        out.append(0.5 if name == "cycles" else 0.5 * abs(value))
+        out.append(0.5 if name == "cycles" else max(0.5 * abs(value), 1e-3))
     return np.array(out)
 
 

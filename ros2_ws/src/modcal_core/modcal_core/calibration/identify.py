@@ -26,7 +26,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 MAX_ITERATIONS = 60
-CONVERGED = 1e-5  # no combination of parameters moves by more than this fraction of its standard deviation
+CONVERGED = 1e-5
+FITTED = 1e-2  # the same for models with effects, some of which have many values
 EQUATIONS_PER_PARAMETER = 1.25
 BLOCK = 2000  # samples that are linearised at a time
 
@@ -77,10 +78,13 @@ def identify(
     distances: Sequence[Distance] = (),
     robust: bool = True,
     keep_effects: bool = False,
+    tolerance: float = CONVERGED,
+    begin: Array | None = None,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
 
-    keep_effects: leave the effects as they are.
+    keep_effects: leave the effects as they are. tolerance: standard deviations within which no value moves any more.
+    begin: values of the parameters to begin from; zero by default.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -92,7 +96,7 @@ def identify(
     P = len(parameters)
     fitted = () if keep_effects else start.effects
     centre, prior = _priors(fitted, parameters, around)
-    values = np.concatenate([np.zeros(P), *(e.values for e in fitted)])
+    values = np.concatenate([np.zeros(P) if begin is None else begin, *(e.values for e in fitted)])
 
     damping = 0.0
     at = linearise(start, parameters, values, samples, jacobian=False, circumstances=around)
@@ -109,14 +113,13 @@ def identify(
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
             new = linearise(start, parameters, values + step, samples, jacobian=False, circumstances=around)
-            if (
-                _cost(new, row_weight) <= _cost(at, row_weight) * (1.0 + 1e-6) + 1e-12 + _slack(distances)
-                or damping > 1e6
-            ):
+            before = _cost(at, row_weight) + float(np.sum(((values - centre) / prior) ** 2))
+            after = _cost(new, row_weight) + float(np.sum(((values + step - centre) / prior) ** 2))
+            if after <= before * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
                 break
             damping = max(10.0 * damping, 1e-4)
         values, at = values + step, new
-        if damping == 0.0 and float(step @ H @ step) <= CONVERGED**2:
+        if damping == 0.0 and float(step @ H @ step) <= tolerance**2:
             break
         damping = 0.0 if damping < 1e-3 else damping / 10.0
 

@@ -14,13 +14,13 @@ from scipy.interpolate import BSpline
 
 from modcal_core.geometry.so3 import Array
 
-REFINED = {"sine": ("cycles",), "settle": ("tau",)}
+REFINED = {"sine": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
 SPLINE_DEGREE = 3
 
 
 @dataclass(frozen=True)
 class Shape:
-    """kind: linear, several, cubic, turn, sine, sign, ramp, step, settle, spline, polynomial or waves. settings: by
+    """kind: linear, lagged, several, hardening, turn, sine, sign, ramp, step, settle, spline, polynomial or waves. settings: by
     name, see ``basis``.
     """
 
@@ -37,7 +37,7 @@ class Shape:
         if self.kind == "waves":
             order = int(self.settings["order"])
             return 2 * (order + order * (order + 1) + order * order)
-        return {"sine": 2, "turn": 2, "cubic": 2, "several": 2}.get(self.kind, 1)
+        return {"sine": 2, "turn": 2, "several": 2}.get(self.kind, 1)
 
     def with_settings(self, settings: Mapping[str, float]) -> Shape:
         """The same kind of shape with some settings changed."""
@@ -46,19 +46,21 @@ class Shape:
     def basis(self, x: Array) -> Array:
         """Basis functions (b, N) at drivers x (N,); ``several`` and ``waves`` take two drivers (2, N).
 
-        linear: x. several: each of the drivers. cubic: x and (x / scale)³. turn, sine: sin and cos of ``cycles`` a turn,
+        linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. hardening: the y
+        with y + beta y³ = x / scale, as a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a turn,
         a small whole number that stays or one that is fitted. sign: ±1. ramp: x − since. step: 0 before ``at``, 1 from
         then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``,
         fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held
         outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
         """
         s = self.settings
-        if self.kind == "linear":
+        if self.kind in ("linear", "lagged"):
             return x[None]
         if self.kind == "several":
             return x
-        if self.kind == "cubic":
-            return np.stack([x, (x / s["scale"]) ** 3])
+        if self.kind == "hardening":
+            root = np.sqrt(3.0 * max(s["beta"], 1e-6))
+            return (2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None]
         if self.kind in ("sine", "turn"):
             return np.stack([np.sin(s["cycles"] * x), np.cos(s["cycles"] * x)])
         if self.kind == "sign":

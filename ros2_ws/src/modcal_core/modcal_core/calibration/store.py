@@ -120,7 +120,6 @@ def _effect_to_data(effect: Effect) -> dict[str, Any]:
         "direction": effect.direction,
         "driver": effect.driver,
         "shape": {"kind": effect.shape.kind, **{k: float(v) for k, v in effect.shape.settings.items()}},
-        "lag": float(effect.lag),
         "values": _floats(effect.values),
         "std": _floats(effect.std),
     }
@@ -134,7 +133,6 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
         str(data["direction"]),
         str(data["driver"]),
         Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
-        float(data["lag"]),
         np.array(data["values"], dtype=float),
         np.array(data["std"], dtype=float),
     )

@@ -19,6 +19,8 @@ from modcal_core.diagnosis.vocabulary import plainness
 _TIE = 2.0  # in −log10 p
 _NEARLY = 0.93  # share of a free shape's explanation
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
+_PLAINLY_MORE = 1.3
+_RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MOST_NAMED = 12
 
 
@@ -58,8 +60,28 @@ def choose(
     alike = np.flatnonzero(pool & (score >= score[top] - tie))
     if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
         return None
-    best = min(alike, key=lambda i: (plainness(evidence.effects[i]), evidence.effects[i].shape.size, -score[i]))
+    best = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
+    best = _whole_curve(evidence, best, allowed)
     return Choice(evidence.effects[best], evidence.p_value, _names(evidence, best, alike))
+
+
+def _simplicity(effect: Effect) -> tuple[float, ...]:
+    """Less is plainer: the kind of cause, its amplitudes, and whether it asks for many cycles where few would do."""
+    cycles = effect.shape.settings.get("cycles", 0.0)
+    return plainness(effect), effect.shape.size, round(cycles / _RHYTHM)
+
+
+def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
+    """The curve of a joint's own position, drawn finely, where that explains plainly more than the best of its lines."""
+    line = evidence.effects[best]
+    if line.family != "gear_harmonic" or line.shape.kind == "spline":
+        return best
+    for i, effect in enumerate(evidence.effects):
+        if effect.shape.kind == "spline" and effect.key == line.key and allowed[i]:
+            by_chance = effect.shape.size / evidence.freedom
+            if evidence.explained[i] - by_chance > _PLAINLY_MORE * evidence.explained[best]:
+                return i
+    return best
 
 
 def _together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> float:

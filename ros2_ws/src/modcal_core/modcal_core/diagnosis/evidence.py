@@ -107,8 +107,10 @@ class Scanner:
         space = _Space.of(fit, self.at)
         trials = space.trials(np.ones((1, len(self.at))))
         n, gram = self._products(Bank((effect,), keys, numbers[None]), space, trials)
-        scale = np.sqrt(np.maximum(np.einsum("cii->ci", gram), 1e-300))[0]
-        return np.linalg.lstsq(gram[0] / np.outer(scale, scale), n[0, :, 0] / scale, rcond=1e-6)[0] / scale
+        own = np.einsum("cii->ci", gram)[0]
+        scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
+        solution = np.linalg.lstsq(gram[0] / np.outer(scale, scale), n[0, :, 0] / scale, rcond=1e-4)[0]
+        return np.asarray(solution / scale)
 
     def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
         """The directions at places of an effect's columns, and their numbers (m, N)."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.effects import Effect
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors
 from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import Scanner
@@ -23,10 +23,12 @@ from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-SIGNIFICANT = 0.005
+SIGNIFICANT = 0.002
 LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
 MOST_EFFECTS = 30
-_MOST_SAMPLES = 1500  # enough to scan; a longer recording is thinned evenly
+_MOST_SCANNED = 1500  # samples; a longer recording is thinned evenly
+_MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
+_TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MOST_REVISITED = 400  # samples up to which every effect is weighed again after each new one
 _MOST_REFUSED = 3
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
@@ -66,10 +68,10 @@ def diagnose(
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*."""
     both = train.join(explain)
-    both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both))))
+    both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
     scanner = Scanner(list(vocabulary(at)), at)
-    search = _Search(fit, scanner, train, explain, tuple(distances))
+    search = _Search(fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances))
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= _MOST_REFUSED:
@@ -86,8 +88,12 @@ def diagnose(
         else:
             refused.add(choice.effect.key)
             left = left or choice
-    effects = search.fit.model.effects
-    return Diagnosis(search.fit, tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True)), left)
+    final = search.fit
+    if final.model.effects:
+        start = fit.start.with_effects(final.model.effects)
+        final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
+    effects = final.model.effects
+    return Diagnosis(final, tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True)), left)
 
 
 @dataclass
@@ -122,7 +128,10 @@ class _Search:
 
     def _refit(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
         # about the same start as ever, so that priors keep their meaning
-        return identify(self._geometric.start.with_effects(effects), self.train, fit.parameters, self.distances)
+        start = self._geometric.start.with_effects(effects)
+        return identify(
+            start, self.train, fit.parameters, self.distances, tolerance=_TOLERANCE, begin=self.fit.values
+        )
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the vocabulary again, with the later ones known."""
@@ -172,5 +181,5 @@ def _linear(effect: Effect) -> Effect:
     return replace(effect, values=effect.values[:count], std=effect.std[:count])
 
 
-def _evenly(rows: Array) -> Array:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_SAMPLES)).astype(int))]
+def _evenly(rows: Array, most: int) -> Array:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int))]

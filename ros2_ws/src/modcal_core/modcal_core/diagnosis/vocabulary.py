@@ -20,9 +20,10 @@ WHOLE_CYCLES = 3  # up to here an error repeats a whole number of times a turn: 
 LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
 SMOOTH = 7  # functions in a smooth free shape
 FINE_STEP = 0.05  # rad between the functions of a fine one, which needs a dense recording
-STATIONS_PER_FUNCTION = 20
+STATIONS_PER_FUNCTION = 8
 MOST_BREAKS = 160
 LEAST_SIDE = 4  # stations on either side of a step
+HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
 LAGS = (-240.0, -120.0, -60.0, -30.0, 0.0, 30.0, 60.0, 120.0, 240.0, 480.0)  # s
 MOST_SIGNALS = 40
 
@@ -35,9 +36,11 @@ def vocabulary(at: Circumstances) -> Iterator[Effect]:
 
 def plainness(effect: Effect) -> int:
     """0 for what has one plain cause, 1 for what takes more to believe, 2 for a free shape."""
+    own = effect.driver.partition(":")[2] == effect.place
+    if effect.family == "gear_harmonic" and effect.shape.kind == "spline":
+        return 1
     if effect.family == "unknown" or effect.shape.kind in ("spline", "waves", "polynomial"):
         return 2
-    own = effect.driver.partition(":")[2] == effect.place
     plain = effect.family in ("compliance", "gear_ratio", "gear_harmonic", "backlash") and effect.direction == AXIS and own
     return 0 if plain else 1
 
@@ -49,7 +52,9 @@ def compliance(at: Circumstances) -> Iterator[Effect]:
             load = at.driver(f"{kind}:{name}")
             scale = float(np.sqrt(np.mean(load**2)))
             yield Effect("compliance", name, AXIS, f"{kind}:{name}", Shape("linear"))
-            yield Effect("compliance", name, AXIS, f"{kind}:{name}", Shape("cubic", {"scale": scale}))
+            for beta in HARDENINGS:
+                settings = {"scale": scale, "beta": beta}
+                yield Effect("compliance", name, AXIS, f"{kind}:{name}", Shape("hardening", settings))
         if at.arm.weighed and at.arm.chain.revolute[j]:
             yield Effect("compliance", name, ACROSS, f"moment:{name}", Shape("linear"))
 
@@ -123,7 +128,8 @@ def thermal(at: Circumstances) -> Iterator[Effect]:
     for place, direction in _growing(at):
         for name in names:
             for lag in LAGS:
-                yield Effect("thermal", place, direction, name, Shape("linear"), lag)
+                shape = Shape("lagged", {"lag": lag}) if lag else Shape("linear")
+                yield Effect("thermal", place, direction, name, shape)
         for shape in _warm_ups(at) if place not in ("base", "tool") else ():
             yield Effect("thermal", place, direction, "time", shape)
 

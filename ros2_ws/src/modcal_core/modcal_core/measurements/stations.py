@@ -239,7 +239,7 @@ def deviation_of_mean(residual: Array) -> float:
     return float(np.sqrt(variance / effective))
 
 
-_TRAVEL = 2e-3  # rad or m; a joint that is this far from where it was has come from there
+_TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved
 
 

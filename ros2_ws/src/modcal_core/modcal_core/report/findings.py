@@ -8,8 +8,9 @@ import numpy as np
 
 from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
 from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import DIRECTIONS
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.score import errors, outlying
 from modcal_core.diagnosis.loop import Diagnosis
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -42,15 +43,15 @@ class Finding:
 
 
 def findings(
-    diagnosis: Diagnosis, geometric: Fit, shipped: tuple[Effect, ...], samples: Samples, wrong: Array, scored: Samples
+    diagnosis: Diagnosis, geometric: Fit, shipped: Model, samples: Samples, wrong: Array, scored: Samples
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
-    shipped: the diagnosed effects, fitted to all samples, in the same order. wrong: which samples are outliers.
+    shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
     """
     entries: dict[tuple[str, str, str, str], Finding] = {}
     before = _rms(geometric, scored)
-    for cause, effect in zip(diagnosis.causes, shipped, strict=True):
+    for cause, effect in zip(diagnosis.causes, shipped.effects, strict=True):
         after = _rms(cause.fit, scored)
         known = entries.get(effect.key)
         effects = (*known.effects, effect) if known else (effect,)
@@ -67,7 +68,17 @@ def findings(
             effects,
         )
         before = after
+    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _known(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries.values())
+
+
+def _known(model: Model, samples: Samples) -> Array:
+    """False where an effect asks for what a sample does not say, such as where a joint came from, (N,)."""
+    known = np.ones(len(samples), bool)
+    for effect in model.effects:
+        if effect.driver.startswith("direction:"):
+            known &= samples.approach[:, samples.names.index(effect.place)] != 0.0
+    return known
 
 
 def _outliers(fit: Fit, samples: Samples, wrong: Array) -> tuple[Finding, ...]:
@@ -118,7 +129,7 @@ def _sizes(effect: Effect) -> dict[str, Quantity]:
     if effect.shape.kind == "turn":
         out["cycles_per_turn"] = (settings["cycles"], 0.0, "1")
     if effect.lag:
-        out["lag"] = (effect.lag, 0.0, "s")
+        out["lag"] = (effect.lag, float(s[-1]), "s")
     return out
 
 
@@ -136,9 +147,13 @@ def _compliance(effect: Effect) -> dict[str, Quantity]:
     out = {"compliance": (float(v[0]), float(s[0]), "rad/(N m)")}
     if v[0]:
         out["stiffness"] = (1.0 / abs(float(v[0])), float(s[0] / v[0] ** 2), "N m/rad")
-    if effect.shape.kind == "cubic":
-        scale = effect.shape.settings["scale"] ** 3
-        out["cubic"] = (float(v[1] / scale), float(s[1] / scale), "rad/(N m)^3")
+    if effect.shape.kind == "hardening":
+        scale = effect.shape.settings["scale"]
+        out = {
+            "compliance": (float(v[0]) / scale, float(s[0]) / scale, "rad/(N m)"),
+            "stiffness": (scale / abs(float(v[0])), float(s[0] * scale / v[0] ** 2), "N m/rad"),
+            "hardening": (float(v[1] / v[0] ** 2), float(s[1] / v[0] ** 2), "1/rad^2"),
+        }
     if effect.shape.kind == "several":
         ratio = float(v[1] / v[0])
         spread = abs(ratio) * float(np.hypot(s[0] / v[0], s[1] / v[1]))
@@ -148,7 +163,7 @@ def _compliance(effect: Effect) -> dict[str, Quantity]:
 
 def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
     """Amplitudes by direction; of several functions in one direction their root sum of squares."""
-    per = {"ramp": "/s", "linear": "/K" if effect.driver.startswith("temperature") else ""}.get(effect.shape.kind, "")
+    per = "/s" if effect.shape.kind == "ramp" else "/K" if effect.driver.startswith("temperature") else ""
     names = {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
     count = max(len(effect.amplitudes) // len(names), 1)
     out: dict[str, Quantity] = {}

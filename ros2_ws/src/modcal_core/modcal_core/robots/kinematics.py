@@ -78,8 +78,14 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
 
 def _moved(axes: Array, p: Array, twist: Array) -> None:
     """Shift a frame by the first three rows of a twist (6, N) and turn it by the last three, seen from itself."""
-    p += np.einsum("dcn,dn->cn", axes, twist[:3])
-    if twist[3:].any():
+    if twist[:3].any():
+        p += np.einsum("dcn,dn->cn", axes, twist[:3])
+    if twist[5].any() and not twist[3:5].any():  # about the joint's axis, as most are
+        c, s = np.cos(twist[5]), np.sin(twist[5])
+        x, y = axes[0].copy(), axes[1].copy()
+        axes[0] = c * x + s * y
+        axes[1] = c * y - s * x
+    elif twist[3:].any():
         R = so3.exp(twist[3:].T)  # (N, 3, 3)
         axes[...] = np.einsum("dcn,ndk->kcn", axes, R)
 
