@@ -20,6 +20,7 @@ from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread, excess_spread, robust_spread, robust_weights, standard_score
+from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -29,7 +30,6 @@ MAX_ITERATIONS = 60
 CONVERGED = 1e-5
 FITTED = 1e-2  # the same for models with effects, some of which have many values
 EQUATIONS_PER_PARAMETER = 1.25
-BLOCK = 2000  # samples that are linearised at a time
 
 
 @dataclass(frozen=True)
@@ -149,26 +149,6 @@ def _estimated(effects: Sequence[Effect], values: Array, std: Array) -> tuple[Ef
     ends = np.cumsum([len(e.values) for e in effects])[:-1]
     parts = zip(effects, np.split(values, ends), np.split(std, ends), strict=True)
     return tuple(effect.with_values(v, s) for effect, v, s in parts)
-
-
-def normal_equations(
-    start: Model, parameters: Sequence[Parameter], values: Array, samples: Samples, row_weight: Array
-) -> tuple[Array, Array]:
-    """JᵀWJ and JᵀWr, block by block: memory stays flat however long the recording is."""
-    H, g = np.zeros((len(values), len(values))), np.zeros(len(values))
-    N, pose = len(samples), samples.is_pose
-    for first in range(0, N, BLOCK):
-        rows = np.arange(first, min(first + BLOCK, N))
-        part = samples if len(rows) == N else samples.select(rows)
-        at = linearise(start, parameters, values, part)
-        angles = 3 * N + np.cumsum(pose)[rows[pose[rows]]] - 1
-        M = int(pose.sum())
-        index = np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles])
-        root = np.sqrt(row_weight[index])
-        J = at.J * root
-        H += J @ J.T
-        g += J @ (at.residual * root)
-    return H, g
 
 
 def require_enough(samples: Samples, parameters: int, known: int = 0, share: float = 1.0) -> None:

@@ -114,26 +114,35 @@ def linearise(
     values: those of the parameters, and behind them, where given, those of the model's effects; the derivatives come in
     the same order. circumstances: of the samples, where they are known already.
     """
-    P = len(parameters)
-    changed = apply_deviations(model, deviations(parameters, values[:P], model.chain.n, len(model.frames)))
-    if len(values) > P:
-        changed = changed.with_effects(tuple(split_values(model.effects, values[P:])))
     at = circumstances or model.circumstances(samples)
-    view = View.of(changed, samples, at)
+    now = model_at(model, parameters, values)
+    view = View.of(now, samples, at)
     if not jacobian:
         return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
-    extra = all_columns(changed.effects, at) if len(values) > P else []
-    J = np.empty((P + len(extra), view.position.size + view.rotation.size))
-    errors = deviations(parameters, values[:P], model.chain.n, len(model.frames))
+    J = geometry_rows(view, model, parameters, values)
+    if len(values) > len(parameters):
+        J = np.concatenate([J, *(view.moved_by(terms)[None] for terms in all_columns(now.effects, at))])
+    return Linearised(view.position, view.rotation, J)
+
+
+def model_at(model: Model, parameters: Sequence[Parameter], values: Array) -> Model:
+    """The model with these values put in: those of the parameters, then, where given, those of its effects."""
+    P = len(parameters)
+    now = apply_deviations(model, deviations(parameters, values[:P], model.chain.n, len(model.frames)))
+    return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
+
+
+def geometry_rows(view: View, model: Model, parameters: Sequence[Parameter], values: Array) -> Array:
+    """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values."""
+    J = np.empty((len(parameters), view.position.size + view.rotation.size))
+    errors = deviations(parameters, values[: len(parameters)], model.chain.n, len(model.frames))
     of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
     for j, parameter in enumerate(parameters):
         twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
         view.column(parameter.place, twist, out=J[j])
         if parameter.place == 0 and len(model.frames) > 1:
             view.only_frame(parameter.frame, J[j])
-    for row, terms in zip(J[P:], extra, strict=True):
-        row[:] = view.moved_by(terms)
-    return Linearised(view.position, view.rotation, J)
+    return J
 
 
 def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
@@ -214,6 +223,14 @@ class View:
             position += unit[: 3 * N].reshape(3, N) * term.size
             rotation += unit[3 * N :].reshape(3, -1) * term.size[self.pose]
         return out
+
+    def by_sample(self, rows: Array) -> Array:
+        """Sums over the components of each sample, (…, N), of rows (…, 3 N + 3 M)."""
+        N = self.position.shape[1]
+        out = rows[..., :N] + rows[..., N : 2 * N] + rows[..., 2 * N : 3 * N]
+        if len(self.pose):
+            out[..., self.pose] += np.sum(rows[..., 3 * N :].reshape(*rows.shape[:-1], 3, -1), axis=-2)
+        return np.asarray(out)
 
     def unit_column(self, place: int, direction: int) -> Array:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""

@@ -15,10 +15,12 @@ from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.diagnosis.vocabulary import plainness
+from modcal_core.geometry.so3 import Array
 
 _TIE = 2.0  # in −log10 p
 _NEARLY = 0.93  # share of a free shape's explanation
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
+_MOST_KG = 100.0
 _PLAINLY_MORE = 1.3
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MOST_NAMED = 12
@@ -26,11 +28,14 @@ _MOST_NAMED = 12
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen effect, the chance that noise would look as good, and what would explain it as well."""
+    """The chosen effect, the chance that noise would look as good, what would explain it as well, and the share of the
+    squared residual that it explains.
+    """
 
     effect: Effect
     p_value: float
     same_as: tuple[str, ...]
+    share: float
 
 
 def choose(
@@ -62,7 +67,16 @@ def choose(
         return None
     best = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
-    return Choice(evidence.effects[best], evidence.p_value, _names(evidence, best, alike))
+    chosen = evidence.effects[best]
+    if chosen.family == "payload" and not _is_weight(scanner.amplitudes(fit, chosen)):
+        return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
+    names = _names(evidence, best, alike)
+    return Choice(evidence.effects[best], evidence.p_value, names, float(evidence.explained[best]))
+
+
+def _is_weight(amplitudes: Array) -> bool:
+    """Whether what joint and payload give way by stand for a mass that an arm can carry."""
+    return 0.0 < float(amplitudes[1] / amplitudes[0]) < _MOST_KG if amplitudes[0] else False
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:

@@ -16,9 +16,10 @@ residual and with the projector once, and the thousands of candidates that share
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.stats import f as f_distribution
 from scipy.stats import gumbel_r
 
@@ -77,10 +78,16 @@ class Scanner:
             members[1].append(numbers)
         self.banks = [Bank(tuple(e), keys, np.stack(n)) for keys, (e, n) in groups.items()]
         self.unit = independent_unit(at.samples)
+        self._last: tuple[Fit, _Space] | None = None
+
+    def _space(self, fit: Fit) -> _Space:
+        if self._last is None or self._last[0] is not fit:
+            self._last = (fit, _Space.of(fit, self.at))
+        return self._last[1]
 
     def evidence(self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS) -> Evidence:
         """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1)."""
-        space = _Space.of(fit, self.at)
+        space = self._space(fit)
         signs = np.ones((1, self.unit.max() + 1))
         if rng is not None:
             signs = np.concatenate([signs, rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))])
@@ -99,14 +106,13 @@ class Scanner:
 
     def enough(self, fit: Fit) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
-        return _Space.of(fit, self.at).freedom >= _LEAST_FREEDOM
+        return self._space(fit).freedom >= _LEAST_FREEDOM
 
     def amplitudes(self, fit: Fit, effect: Effect) -> Array:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
         keys, numbers = self._factor(effect)
-        space = _Space.of(fit, self.at)
-        trials = space.trials(np.ones((1, len(self.at))))
-        n, gram = self._products(Bank((effect,), keys, numbers[None]), space, trials)
+        space = self._space(fit)
+        n, gram = self._products(Bank((effect,), keys, numbers[None]), space, space.trials(np.ones((1, len(self.at)))))
         own = np.einsum("cii->ci", gram)[0]
         scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
         solution = np.linalg.lstsq(gram[0] / np.outer(scale, scale), n[0, :, 0] / scale, rcond=1e-4)[0]
@@ -129,9 +135,10 @@ class Scanner:
         return (key,), np.ones((1, len(self.at)))
 
     def _column(self, key: Key, space: _Space) -> Array:
-        if key in self._composed:
-            return np.sum([space.column(k, d) * share for k, d, share in self._composed[key]], axis=0)
-        return space.column(key[0], int(key[1]))  # type: ignore[call-overload,no-any-return]
+        if key not in space.columns:
+            parts = self._composed.get(key) or [(key[0], int(key[1]), 1.0)]  # type: ignore[call-overload]
+            space.columns[key] = np.sum([space.column(k, d) * share for k, d, share in parts], axis=0)
+        return space.columns[key]
 
     def _explained(self, bank: Bank, space: _Space, trials: _Trials) -> tuple[Array, Array]:
         """Squares (C, trials) that the candidates of a bank explain, and their numbers of new directions (C,)."""
@@ -151,10 +158,13 @@ class Scanner:
         """Products with the trials (C, m, trials), and with each other (C, m, m), the fitted projected out."""
         m = len(bank.keys)
         distinct = {key: self._column(key, space) for key in dict.fromkeys(bank.keys)}
-        against = {key: np.einsum("cN,cNp->Np", c, space.Q) for key, c in distinct.items()}
-        seen = {key: trials.seen_by(c, against[key]) for key, c in distinct.items()}
-        n = np.stack([bank.numbers[:, a] @ seen[bank.keys[a]] for a in range(m)], axis=1)
-        fitted = [bank.numbers[:, a] @ against[bank.keys[a]] for a in range(m)]
+        for key, column in distinct.items():
+            if key not in space.against:
+                space.against[key] = np.sum(column[:, :, None] * space.Q, axis=0)
+            if key not in trials.known:
+                trials.known[key] = trials.seen_by(column, space.against[key])
+        n = np.stack([bank.numbers[:, a] @ trials.known[bank.keys[a]] for a in range(m)], axis=1)
+        fitted = [bank.numbers[:, a] @ space.against[bank.keys[a]] for a in range(m)]
         if len(distinct) == 1:
             square = np.sum(distinct[bank.keys[0]] ** 2, axis=0)
             gram = (bank.numbers * square) @ bank.numbers.transpose(0, 2, 1)
@@ -180,6 +190,7 @@ class _Trials:
     signs: Array
     seen: Array
     total: Array
+    known: dict[Key, Array] = field(default_factory=dict)
 
     def seen_by(self, column: Array, against: Array) -> Array:
         """Contraction, sample by sample, of a column (6, N) with the trials, (N, trials)."""
@@ -200,6 +211,8 @@ class _Space:
     residual: Array
     Q: Array
     freedom: int
+    columns: dict[Key, Array] = field(default_factory=dict)
+    against: dict[Key, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fit: Fit, at: Circumstances) -> _Space:
@@ -208,12 +221,11 @@ class _Space:
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
         now = linearise(fit.model, fit.parameters, values, samples, circumstances=at)
         view = View.of(fit.model, samples, at)
-        J = np.stack([_by_sample(row, view) * weight for row in now.J], axis=-1)
+        J = np.ascontiguousarray(np.stack([_by_sample(row, view) * weight for row in now.J], axis=-1))
         held = np.zeros(J.shape[-1])
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
         N, P = len(samples), J.shape[-1]
-        stacked = np.concatenate([J.reshape(6 * N, P), np.diag(held)])
-        Q = np.linalg.qr(stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300))[0][: 6 * N].reshape(6, N, P)
+        Q = _orthonormal(J.reshape(6 * N, P), held).reshape(6, N, P)
         residual = _drawn_in(_by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
@@ -236,6 +248,14 @@ def sample_weights(fit: Fit, samples: Samples) -> Array:
     position = np.sqrt(fit.spread.position**2 + np.nan_to_num(samples.sigma_position) ** 2)
     rotation = np.sqrt(fit.spread.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
     return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
+
+
+def _orthonormal(J: Array, held: Array) -> Array:
+    """Orthonormal columns of J (m, P) with the rows diag(held) below it, those rows left out again, (m, P)."""
+    size = np.maximum(np.sqrt(np.einsum("ij,ij->j", J, J) + held**2), 1e-300)
+    J, held = J / size, held / size
+    L = np.linalg.cholesky(J.T @ J + np.diag(held**2 + 1e-12))
+    return np.asarray(solve_triangular(L, J.T, lower=True, check_finite=False).T)
 
 
 def _drawn_in(residual: Array) -> Array:

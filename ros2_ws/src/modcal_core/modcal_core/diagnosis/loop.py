@@ -26,10 +26,10 @@ from modcal_core.measurements.samples import Samples
 SIGNIFICANT = 0.002
 LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
 MOST_EFFECTS = 30
-_MOST_SCANNED = 1500  # samples; a longer recording is thinned evenly
+_MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
-_MOST_REVISITED = 400  # samples up to which every effect is weighed again after each new one
+_MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
@@ -74,7 +74,8 @@ def diagnose(
     search = _Search(fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances))
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
-    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= _MOST_REFUSED:
+    patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
+    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
         evidence = scanner.evidence(search.fit, rng)
         if evidence.p_value > SIGNIFICANT:
             left = None
@@ -85,6 +86,8 @@ def diagnose(
         progress(choice.effect.label)
         if search.add(choice):
             left = None
+        elif any(cause.effect.key == choice.effect.key for cause in search.causes):
+            break  # more of the same is not worth having, and was the best there is
         else:
             refused.add(choice.effect.key)
             left = left or choice
@@ -111,16 +114,20 @@ class _Search:
         self._geometric = self.fit
 
     def add(self, choice: Choice) -> bool:
-        """Whether the effect, fitted with all others to *train*, predicts *explain* better than without it."""
-        new = self._with(self.fit, choice.effect)
-        if not self._missed(new) < (1.0 - LEAST_GAIN) * self._missed(self.fit):
-            return False
-        self.fit = new
-        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, new))
-        if len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
+        """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
+        before, causes = self.fit, list(self.causes)
+        missed = self._missed(before)
+        self.fit = self._with(self.fit, choice.effect)
+        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, self.fit))
+        better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
+        if better and len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
-        return True
+            # every round must bring something, or rounds could go in circles
+            better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
+        if not better:
+            self.fit, self.causes = before, causes
+        return better
 
     def _with(self, fit: Fit, effect: Effect) -> Fit:
         started = effect.started(self.scanner.amplitudes(fit, effect))

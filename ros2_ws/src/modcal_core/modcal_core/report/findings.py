@@ -12,6 +12,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import DIRECTIONS
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.diagnosis.loop import Diagnosis
+from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -187,7 +188,10 @@ def curve_sizes(effect: Effect) -> dict[str, Quantity]:
     """RMS of a free shape, and how often a turn it mostly repeats."""
     x, y, std = curve(effect, 4096)
     y = y - y.mean()
-    power = np.abs(np.fft.rfft(y * np.hanning(len(y)), 8 * len(y))) ** 2
+    # slow parts are shared with the geometry; what repeats is looked for beyond them
+    slow = np.stack([f(k * x) for k in range(WHOLE_CYCLES + 1) for f in (np.sin, np.cos)], axis=1)
+    fast = y - slow @ np.linalg.lstsq(slow, y, rcond=1e-9)[0]
+    power = np.abs(np.fft.rfft(fast * np.hanning(len(y)), 8 * len(y))) ** 2
     cycles = 2.0 * np.pi * np.fft.rfftfreq(8 * len(y), x[1] - x[0])
     top = float(cycles[int(np.argmax(power))])
     resolution = np.pi / float(x[-1] - x[0])

@@ -81,15 +81,14 @@ class Report:
     def unexplained_mm(self) -> float | None:
         """RMS of what is left beyond the noise [mm]; None when the rest is noise as far as the recording shows.
 
-        With a known noise floor, what exceeds it by more than a fifth; else all that is left where something was found
-        in it.
+        With a known noise floor, what exceeds it by more than a fifth; without, what one more effect would take away.
         """
         final = self.size_mm("final")
         if final is None:
             return None
-        floor = 0.0 if self.noise_floor is None else 1e3 * self.noise_floor
-        stands_out = floor > 0.0 and final.rms > 1.2 * floor
-        return float(np.sqrt(max(final.rms**2 - floor**2, 0.0))) if stands_out or self.left is not None else None
+        if self.noise_floor is not None and final.rms > 1.2e3 * self.noise_floor:
+            return float(np.sqrt(final.rms**2 - (1e3 * self.noise_floor) ** 2))
+        return None if self.left is None else final.rms * float(np.sqrt(self.left.share))
 
     @property
     def verdict(self) -> str:
