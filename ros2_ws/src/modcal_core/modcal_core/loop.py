@@ -8,7 +8,7 @@ set.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
+
+_MOST_KEPT = 200  # postures that a calibration remembers
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ def calibrate(
     wrong = outlying(final.model, final.spread, samples)
     scored = held_out.select(~wrong[sets.held_out])
     shipped = ship(samples, chain, choice, cell, inertias, final)
+    shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     report = Report(
         samples=samples,
         sets=sets,
@@ -104,8 +107,9 @@ def ship(
     scored: the fit whose effects it has, and which it begins from.
     """
     nominal = fit_cell(chain, samples, cell, inertias)
+    fit = identify(nominal.model, samples, choice.parameters, cell.distances)
+    geometric = fit.model
     if scored is None or not scored.model.effects:
-        fit = identify(nominal.model, samples, choice.parameters, cell.distances)
         tidy = least_change(fit.model, chain)
     else:
         start = nominal.model.with_effects(sharpened(scored.model, samples).effects)
@@ -114,7 +118,9 @@ def ship(
         tidy = least_change(fit.model, chain)
         tidy = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED).model
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
-    return Calibration(nominal.model, tidy, seen, parameter_table(fit))
+    kind = str(samples.kind[0])
+    few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
+    return Calibration(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread)
 
 
 def evaluate(
@@ -132,7 +138,7 @@ def evaluate(
     and the score is that of the rest. Otherwise every sample is scored.
     """
     cell = cell or Cell()
-    models = {"nominal": calibration.nominal, "final": calibration.calibrated}
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
         train = samples.select(np.union1d(sets.train, sets.explain))
@@ -146,13 +152,12 @@ def evaluate(
     held_out = samples.select(sets.held_out)
     scored = held_out.select(~outlying(models["final"], spread, held_out))
     missed = {stage: errors(model, scored) for stage, model in models.items()}
-    geometric = models["final"].with_effects(())
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
-        errors={"nominal": missed["nominal"], "geometric": errors(geometric, scored), "final": missed["final"]},
+        errors=missed,
         noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
         notes=(

@@ -61,9 +61,9 @@ def _settle_delays(
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 
     Correlated speeds tell a delay to some ten milliseconds, which is many millimetres in motion. What is left is fitted
-    together with the arm, so that the arm's own errors do not pose as delay; a few rounds, for the fit is good to second
-    order only. Delays as short as a driver's are then left in: they are not the clock's fault, and the diagnosis names
-    them.
+    together with the arm, so that the arm's own errors do not pose as delay; in a few rounds, for the fit is good to
+    second order only. Delays as short as a driver's are then left in: they are not the clock's fault, and the
+    diagnosis names them.
     """
     total = np.array([_offset(recording, aligned, frame) for frame in samples.frames])
     for _ in range(_ROUNDS):

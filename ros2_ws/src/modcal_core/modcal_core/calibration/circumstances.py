@@ -115,7 +115,7 @@ class Circumstances:
 def delayed(t: Array, x: Array, lag: float, at: Array) -> Array:
     """A signal as seen through a first-order lag, at stamps ``at``, held before its first value and after its last.
 
-    t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes a lag, as of a sensor that is slow itself.
+    t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes that of a slow sensor.
     """
     step = max(float(np.median(np.diff(t))), float(t[-1] - t[0]) / _MOST_POINTS)
     grid = np.arange(t[0], t[-1] + step, step)

@@ -200,7 +200,7 @@ def _directions(direction: str, chain: Chain, k: int) -> list[list[tuple[int, fl
 
 
 def length_direction(chain: Chain, k: int) -> Array:
-    """Unit vector along the link that ends in place k, in the frame of that place, (3,); zero where it has no length."""
+    """Unit vector along the link that ends in place k, in that place's frame, (3,); zero where it has no length."""
     M = chain.along_z[k]
     along = M[:3, :3].T @ M[:3, 3]
     size = float(np.linalg.norm(along))

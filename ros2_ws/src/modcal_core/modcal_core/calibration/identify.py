@@ -37,8 +37,9 @@ class Fit:
     """A fitted model and what is known of it.
 
     model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
-    covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not explain, per axis. weights: (N,) in [0, 1], of the
-    samples it was fitted to; 0 is rejected. information: JᵀWJ of the data alone, (P, P). iterations: steps taken.
+    covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not
+    explain, per axis. weights: (N,) in [0, 1], of the samples it was fitted to; 0 is rejected. information: JᵀWJ of the
+    data alone, (P, P). iterations: steps taken.
     """
 
     model: Model
@@ -133,9 +134,7 @@ def identify(
     )
 
 
-def _priors(
-    effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances
-) -> tuple[Array, Array]:
+def _priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
     """Where each value is expected and how far from there: geometry at zero, effects at nothing, settings as found."""
     centre, prior = [np.zeros(len(parameters))], [np.array([p.prior_std for p in parameters])]
     for effect in effects:

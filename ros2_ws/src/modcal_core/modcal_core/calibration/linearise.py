@@ -148,7 +148,9 @@ def geometry_rows(view: View, model: Model, parameters: Sequence[Parameter], val
 def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
     """The effects with their shares of a vector of values."""
     ends = np.cumsum([len(e.values) for e in effects])
-    return [e.with_values(part) for e, part in zip(effects, np.split(values, ends[:-1]), strict=True)] if effects else []
+    return (
+        [e.with_values(part) for e, part in zip(effects, np.split(values, ends[:-1]), strict=True)] if effects else []
+    )
 
 
 @dataclass
@@ -165,6 +167,7 @@ class View:
 
     @classmethod
     def of(cls, now: Model, samples: Samples, at: Circumstances) -> View:
+        """What these samples show of this model, given their circumstances."""
         chain, n, N = now.chain, now.chain.n, len(samples)
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
         # readings from the root, (3, N)

@@ -53,7 +53,9 @@ def _add(
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])
     terms = all_columns(now.effects, at) if len(values) > P else []
     whole = [j for j, t in enumerate(terms) if len(t) != 1]
-    J = np.concatenate([geometry_rows(view, start, parameters, values), *(view.moved_by(terms[j])[None] for j in whole)])
+    J = np.concatenate(
+        [geometry_rows(view, start, parameters, values), *(view.moved_by(terms[j])[None] for j in whole)]
+    )
     dense = np.r_[np.arange(P), P + np.array(whole, dtype=int)]
     JW = J * weight
     H[np.ix_(dense, dense)] += JW @ J.T

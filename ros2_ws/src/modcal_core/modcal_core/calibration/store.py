@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from modcal_core.calibration.circumstances import Arm
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
@@ -27,14 +29,22 @@ FORMAT = 1
 class Calibration:
     """A nominal model and the calibrated one, both with base frames and tool, and what the fit says of itself.
 
-    seen: smallest and largest joint positions it was made from, (2, n); outside them it extrapolates.
-    parameters: (name, value, standard deviation, unit) of the fit, for people.
+    geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
+    made from, (2, n); outside them it extrapolates.
+    parameters: (name, value, standard deviation, unit) of the fit, for people. rivals: for each effect others that
+    explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
+    scatter about the model; from these further stations can be planned.
     """
 
     nominal: Model
     calibrated: Model
+    geometric: Model
     seen: Array
     parameters: tuple[tuple[str, float, float, str], ...] = ()
+    rivals: tuple[tuple[Effect, ...], ...] = ()
+    kind: str = "pose"
+    postures: Array = field(default_factory=lambda: np.empty((0, 0)))
+    spread: Spread = Spread(1e-4, 1e-4)
 
     @property
     def robot(self) -> str:
@@ -80,6 +90,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         "robot": calibration.robot,
         "nominal": _model_to_data(calibration.nominal),
         "calibrated": _model_to_data(calibration.calibrated),
+        "geometric": _model_to_data(calibration.geometric),
         "seen": {
             name: [float(low), float(high)]
             for name, low, high in zip(calibration.nominal.chain.names, *calibration.seen, strict=True)
@@ -88,7 +99,15 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             {"name": name, "value": value, "std": std, "unit": unit}
             for name, value, std, unit in calibration.parameters
         ],
-        "effects": [_effect_to_data(effect) for effect in calibration.calibrated.effects],
+        "effects": [
+            {**_effect_to_data(effect), "rivals": [_effect_to_data(r) for r in rivals]}
+            for effect, rivals in zip_longest(calibration.calibrated.effects, calibration.rivals, fillvalue=())
+        ],
+        "recorded": {
+            "kind": calibration.kind,
+            "spread": [calibration.spread.position, calibration.spread.rotation],
+            "postures": [_floats(q) for q in calibration.postures],
+        },
         "arm": _arm_to_data(calibration.calibrated.arm),
     }
 
@@ -102,15 +121,21 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     try:
         nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
         arm = Arm(nominal.chain, _inertias_from_data(data.get("arm")))
-        effects = tuple(_effect_from_data(e) for e in data.get("effects", ()))
+        effects = tuple(_effect_from_data(e) for e in data["effects"])
         nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
+        geometric = replace(_model_from_data(data["geometric"]), arm=arm)
         seen = np.array([data["seen"][name] for name in nominal.chain.names], dtype=float).T
+        recorded = data["recorded"]
+        rivals = tuple(tuple(_effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
+        postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
+        spread = Spread(*(float(x) for x in recorded["spread"]))
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
     except (KeyError, TypeError, ValueError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
-    return Calibration(nominal, calibrated, seen, parameters)
+    kind = str(recorded["kind"])
+    return Calibration(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread)
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:

@@ -24,18 +24,20 @@ _MOST_KG = 100.0
 _PLAINLY_MORE = 1.3
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MOST_NAMED = 12
+_MOST_RIVALS = 4
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen effect, the chance that noise would look as good, what would explain it as well, and the share of the
-    squared residual that it explains.
+    """The chosen effect, the chance that noise would look as good, what would explain it as well, the share of the
+    squared residual that it explains, and the first of its rivals as effects.
     """
 
     effect: Effect
     p_value: float
     same_as: tuple[str, ...]
     share: float
+    rivals: tuple[Effect, ...] = ()
 
 
 def choose(
@@ -62,16 +64,21 @@ def choose(
         if evidence.explained[best_plain] >= enough or _together(evidence, best_plain, scanner, fit, plain) >= enough:
             top = best_plain
     pool = plain if plain[top] else allowed
-    alike = np.flatnonzero(pool & (score >= score[top] - tie))
+    alike = np.flatnonzero(pool & (score >= score[top] - tie)).tolist()
     if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
         return None
-    best = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
+    best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
     chosen = evidence.effects[best]
     if chosen.family == "payload" and not _is_weight(scanner.amplitudes(fit, chosen)):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
-    names = _names(evidence, best, alike)
-    return Choice(evidence.effects[best], evidence.p_value, names, float(evidence.explained[best]))
+    rivals = _rivals(evidence, best, alike)
+    names = tuple(effect.label for effect in rivals)
+    if chosen.place == "base" and chosen.direction == "all":
+        names = (f"tracker all by {chosen.public_driver}", *names)
+    share = float(evidence.explained[best])
+    started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MOST_RIVALS])
+    return Choice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
 
 
 def _is_weight(amplitudes: Array) -> bool:
@@ -86,7 +93,7 @@ def _simplicity(effect: Effect) -> tuple[float, ...]:
 
 
 def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
-    """The curve of a joint's own position, drawn finely, where that explains plainly more than the best of its lines."""
+    """A joint's whole curve over its own position, where that explains plainly more than the best single line."""
     line = evidence.effects[best]
     if line.family != "gear_harmonic" or line.shape.kind == "spline":
         return best
@@ -112,13 +119,11 @@ def _together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain:
     return 1.0 - left
 
 
-def _names(evidence: Evidence, best: int, alike: np.ndarray) -> tuple[str, ...]:
+def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:
     """What explains as much as the best, most telling first, each place and driver once."""
     chosen = evidence.effects[best]
-    names: dict[tuple[str, str, str], str] = {(chosen.place, chosen.direction, chosen.public_driver): ""}
+    found: dict[tuple[str, str, str], Effect] = {(chosen.place, chosen.direction, chosen.public_driver): chosen}
     for i in sorted(alike, key=lambda i: -evidence.score[i]):
         effect = evidence.effects[i]
-        names.setdefault((effect.place, effect.direction, effect.public_driver), effect.label)
-    if chosen.place == "base" and chosen.direction == "all":
-        names["tracker", "", ""] = f"tracker all by {chosen.public_driver}"
-    return tuple(name for name in names.values() if name)[:_MOST_NAMED]
+        found.setdefault((effect.place, effect.direction, effect.public_driver), effect)
+    return list(found.values())[1:]

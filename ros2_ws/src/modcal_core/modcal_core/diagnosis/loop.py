@@ -20,7 +20,6 @@ from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.vocabulary import vocabulary
-from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 SIGNIFICANT = 0.002
@@ -36,7 +35,8 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect that was chosen, and why. p_value: that noise would look as good. same_as: what explains it as well.
+    """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
+    as well, by name and as effects.
 
     fit: to *train* with this effect and the ones before it.
     """
@@ -44,6 +44,7 @@ class Cause:
     effect: Effect
     p_value: float
     same_as: tuple[str, ...]
+    rivals: tuple[Effect, ...]
     fit: Fit
 
 
@@ -71,7 +72,9 @@ def diagnose(
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
     scanner = Scanner(list(vocabulary(at)), at)
-    search = _Search(fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances))
+    search = _Search(
+        fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances)
+    )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
@@ -118,7 +121,7 @@ class _Search:
         before, causes = self.fit, list(self.causes)
         missed = self._missed(before)
         self.fit = self._with(self.fit, choice.effect)
-        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, self.fit))
+        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
         better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
         if better and len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
             self._exchange()
@@ -136,9 +139,7 @@ class _Search:
     def _refit(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
         # about the same start as ever, so that priors keep their meaning
         start = self._geometric.start.with_effects(effects)
-        return identify(
-            start, self.train, fit.parameters, self.distances, tolerance=_TOLERANCE, begin=self.fit.values
-        )
+        return identify(start, self.train, fit.parameters, self.distances, tolerance=_TOLERANCE, begin=self.fit.values)
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the vocabulary again, with the later ones known."""
@@ -152,13 +153,16 @@ class _Search:
             new = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
             if self._missed(new) < self._missed(self.fit):
                 self.fit = new
-                self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, new)
+                self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, better.rivals, new)
                 self._redo()
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
         while True:
-            size = [float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300))) for e in map(_linear, self.fit.model.effects)]
+            size = [
+                float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
+                for e in map(_linear, self.fit.model.effects)
+            ]
             weakest = int(np.argmin(size))
             if size[weakest] >= _NEEDLESS or len(size) < 2:
                 return
@@ -188,5 +192,5 @@ def _linear(effect: Effect) -> Effect:
     return replace(effect, values=effect.values[:count], std=effect.std[:count])
 
 
-def _evenly(rows: Array, most: int) -> Array:
+def _evenly(rows: np.ndarray, most: int) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int))]

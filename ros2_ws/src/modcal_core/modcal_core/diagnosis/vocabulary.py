@@ -41,7 +41,9 @@ def plainness(effect: Effect) -> int:
         return 1
     if effect.family == "unknown" or effect.shape.kind in ("spline", "waves", "polynomial"):
         return 2
-    plain = effect.family in ("compliance", "gear_ratio", "gear_harmonic", "backlash") and effect.direction == AXIS and own
+    plain = (
+        effect.family in ("compliance", "gear_ratio", "gear_harmonic", "backlash") and effect.direction == AXIS and own
+    )
     return 0 if plain else 1
 
 
@@ -149,7 +151,11 @@ def drift(at: Circumstances) -> Iterator[Effect]:
 
 def step(at: Circumstances) -> Iterator[Effect]:
     """A tool that was bumped, a tracker or an arm that was moved, a joint that slipped."""
-    places = [("base", ALL), ("tool", ALL if at.samples.is_pose.any() else SHIFT), *((n, AXIS) for n in at.arm.chain.names)]
+    places = [
+        ("base", ALL),
+        ("tool", ALL if at.samples.is_pose.any() else SHIFT),
+        *((n, AXIS) for n in at.arm.chain.names),
+    ]
     for moment in breaks(at):
         for place, direction in places:
             yield Effect("step", place, direction, "time", Shape("step", {"at": float(moment)}))

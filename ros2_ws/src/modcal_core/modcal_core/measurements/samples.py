@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,7 @@ class Samples:
     def join(self, other: Samples) -> Samples:
         """These samples and others of the same recording, in the order of their stamps."""
         shared = ("names", "frames", "signals")
-        arrays = {
+        arrays: dict[str, Any] = {
             f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
             for f in fields(self)
             if f.name not in shared

@@ -17,7 +17,14 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and, joint_stamps_and_positions
+from modcal_core.measurements.recording import (
+    POINT,
+    POSE,
+    ReadingTrack,
+    Recording,
+    joint_stamps_and,
+    joint_stamps_and_positions,
+)
 from modcal_core.measurements.samples import Samples
 
 

@@ -1,4 +1,4 @@
-"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes, units and a sentence."""
+"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes and a sentence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Finding:
 
 
 def findings(
-    diagnosis: Diagnosis, geometric: Fit, shipped: Model, samples: Samples, wrong: Array, scored: Samples
+    diagnosis: Diagnosis, geometric: Fit, shipped: Model, samples: Samples, wrong: np.ndarray, scored: Samples
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
@@ -73,7 +73,7 @@ def findings(
     return (*_outliers(diagnosis.fit, samples, wrong), *entries.values())
 
 
-def _known(model: Model, samples: Samples) -> Array:
+def _known(model: Model, samples: Samples) -> np.ndarray:
     """False where an effect asks for what a sample does not say, such as where a joint came from, (N,)."""
     known = np.ones(len(samples), bool)
     for effect in model.effects:
@@ -82,11 +82,11 @@ def _known(model: Model, samples: Samples) -> Array:
     return known
 
 
-def _outliers(fit: Fit, samples: Samples, wrong: Array) -> tuple[Finding, ...]:
+def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, ...]:
     if not wrong.any():
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
-    with_them, without = _rms(fit, samples), _rms(fit, samples.select(~wrong))
+    with_them, without = _rms(fit, samples), _rms(fit, samples.select(np.flatnonzero(~wrong)))
     return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, 1e-9, with_them, without),)
 
 
@@ -218,8 +218,13 @@ def _gear(f: Finding) -> str:
 def _compliance_story(f: Finding) -> str:
     part = "bearing tilts" if f.direction == ACROSS else "joint gives way"
     stiffness = f.parameters.get("stiffness", (float("inf"), 0.0, ""))[0]
-    how = f", about {f.parameters['payload'][0]:.2g} kg more than the description knows" if f.family == "payload" else ""
-    return f"{f.place}'s {part} under load, at {stiffness:.3g} N m/rad{how}"
+    carried = f.parameters.get("payload")
+    more = f", about {carried[0]:.2g} kg more than the description knows" if carried else ""
+    return f"{f.place}'s {part} under load, at {stiffness:.3g} N m/rad{more}"
+
+
+def _coupling_story(f: Finding) -> str:
+    return f"{f.place} moves by {1e6 * f.parameters['coupling'][0]:.0f} ppm of {f.driver.partition(':')[2]}"
 
 
 def _time_story(f: Finding) -> str:
@@ -241,7 +246,7 @@ _STORIES = {
     "compliance": _compliance_story,
     "payload": _compliance_story,
     "backlash": lambda f: f"{f.place} has {_mrad(f, 'backlash')} of play, taken up by {f.driver.replace(':', ' of ')}",
-    "coupling": lambda f: f"{f.place} moves by {1e6 * f.parameters['coupling'][0]:.0f} ppm of {f.driver.partition(':')[2]}",
+    "coupling": _coupling_story,
     "axis_wobble": lambda f: f"{f.place}'s axis tilts as it turns",
     "thermal": _time_story,
     "drift": _time_story,

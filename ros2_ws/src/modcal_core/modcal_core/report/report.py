@@ -24,9 +24,10 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. effects:
-    what the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise. parameters: (name, value,
-    standard deviation, unit). left_out: parameters that say the same as others. notes: a sentence each, for a person.
+    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. effects: what
+    the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise.
+    parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
+    sentence each, for a person.
     """
 
     samples: Samples

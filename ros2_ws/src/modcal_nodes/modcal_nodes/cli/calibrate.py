@@ -73,9 +73,7 @@ def calibrate_command(
     recording = read_bag(bag)
     chain, text = robot_of(recording, urdf, base, tip)
     prepared = prepare(recording, chain, clock_limit=clock_limit)
-    result = calibrate(
-        prepared.samples, chain, np.random.default_rng(seed), cell, block, read_inertias(text, chain)
-    )
+    result = calibrate(prepared.samples, chain, np.random.default_rng(seed), cell, block, read_inertias(text, chain))
     report = _named(result.report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, calibration_files(result, report, chain, text))

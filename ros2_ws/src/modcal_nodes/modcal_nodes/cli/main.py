@@ -15,6 +15,7 @@ import click
 import modcal_core
 from modcal_core.errors import ModcalError
 from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
+from modcal_nodes.cli.plan import plan_command
 from modcal_nodes.cli.recordings import import_command, info_command
 
 
@@ -27,7 +28,7 @@ def modcal() -> None:
     """
 
 
-for _command in (calibrate_command, evaluate_command, import_command, info_command):
+for _command in (calibrate_command, evaluate_command, plan_command, import_command, info_command):
     modcal.add_command(_command)
 
 

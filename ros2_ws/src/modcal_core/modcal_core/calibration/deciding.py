@@ -1,0 +1,133 @@
+"""Stations that tell two explanations of the same error apart.
+
+If one effect is the truth, the other one and the geometry together can imitate it on what was recorded, but not
+everywhere. The imitation is fitted to what was recorded; where it then misses the truth by most, a station says which
+of the two it is. That station is added to what is imitated, and so on (T-optimal design; Atkinson & Fedorov 1975).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.circumstances import Circumstances
+from modcal_core.calibration.effects import Effect, all_columns, columns, prior_stds
+from modcal_core.calibration.linearise import View, geometry_rows
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import View as Seen
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
+_CANDIDATES = 600
+_BEYOND = 0.5  # of the recorded range, by which proposals may leave it
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Stations that separate an effect from a rival.
+
+    q: (k, n). approach: direction from which each joint should come, −1, 0 (any) or 1, (k, n). separation: by how many
+    standard deviations the two explanations differ over these stations, once each has adapted itself.
+    """
+
+    effect: Effect
+    rival: Effect
+    q: Array
+    approach: Array
+    separation: float
+
+    @property
+    def decides(self) -> bool:
+        """Whether recording these stations settles it."""
+        return self.separation >= DECIDES
+
+
+def propose(calibration: Calibration, effect: int, rival: int, count: int, rng: np.random.Generator) -> Proposal:
+    """The ``count`` stations, of many within the joint limits, that best separate an effect from one of its rivals."""
+    model = calibration.calibrated
+    truth, other = model.effects[effect], calibration.rivals[effect][rival]
+    rest = tuple(e for i, e in enumerate(model.effects) if i != effect)
+    imitation = model.with_effects((*rest, other))
+    seen = Seen(calibration.kind, 0)
+    parameters = choose_parameters(model, [seen]).parameters
+    samples = _candidates(calibration, seen, rng)
+    recorded = len(calibration.postures)
+    difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.spread)
+    chosen = list(range(recorded))
+    for _ in range(count):
+        miss = _miss(difference, J, prior, chosen)
+        miss[chosen] = 0.0
+        chosen.append(int(np.argmax(miss)))
+    new = np.array(chosen[recorded:])
+    separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
+    directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
+    matters = np.array([name in directed for name in samples.names])
+    return Proposal(truth, other, samples.q[new], np.where(matters, samples.approach[new], 0.0), separation)
+
+
+def _candidates(calibration: Calibration, seen: Seen, rng: np.random.Generator) -> Samples:
+    """What was recorded, then random postures in and around it, each come to from either side."""
+    model = calibration.calibrated
+    low, high = calibration.seen
+    room = np.maximum(_BEYOND * (high - low), 0.5)
+    chain = replace(
+        model.chain,
+        lower=np.maximum(model.chain.lower, low - room),
+        upper=np.minimum(model.chain.upper, high + room),
+    )
+    q = np.concatenate([calibration.postures, random_postures(chain, _CANDIDATES, rng)])
+    like = general_samples(replace(model, effects=(), frames=model.frames[:1]), [seen], 1)
+    N = len(q)
+    repeated = like.select(np.zeros(N, int))
+    approach = rng.choice([-1.0, 1.0], q.shape)
+    T = model.predict(q, 0)
+    return replace(
+        repeated, q=q, approach=approach, velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
+        acceleration=np.zeros_like(q), station=np.arange(N), position=T[:, :3, 3], R=T[:, :3, :3],
+    )  # fmt: skip
+
+
+def _rows(
+    model: Model,
+    imitation: Model,
+    truth: Effect,
+    parameters: Sequence[Parameter],
+    samples: Samples,
+    spread: Spread,
+) -> tuple[Array, Array, Array]:
+    """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
+    at = Circumstances(samples, model.arm or model.circumstances(samples).arm)
+    view = View.of(model.with_effects(()), samples, at)
+    moved = np.sum([a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0)
+    zero = np.zeros(len(parameters))
+    J = np.concatenate(
+        [
+            geometry_rows(view, model, parameters, zero),
+            *(view.moved_by(t)[None] for t in all_columns(imitation.effects, at)),
+        ]
+    )
+    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
+    N = len(samples)
+    weight = np.full(len(moved), 1.0 / spread.position)
+    weight[3 * N :] = 1.0 / spread.rotation
+    return _by_station(moved * weight, N).T, _by_station(J * weight, N).transpose(2, 1, 0), prior
+
+
+def _by_station(rows: Array, N: int) -> Array:
+    """Rows (…, 3 N) or (…, 6 N) as (…, c, N)."""
+    return rows.reshape(*rows.shape[:-1], -1, N)
+
+
+def _miss(difference: Array, J: Array, prior: Array, chosen: list[int]) -> Array:
+    """Squared miss at every station (N,), in variances, of the imitation fitted to the chosen ones."""
+    P = J.shape[2]
+    A, b = J[chosen].reshape(-1, P), difference[chosen].ravel()
+    x = np.linalg.lstsq(np.concatenate([A, np.diag(1.0 / prior)]), np.concatenate([b, np.zeros(P)]), rcond=1e-12)[0]
+    return np.asarray(np.sum((difference - J @ x) ** 2, axis=1))
