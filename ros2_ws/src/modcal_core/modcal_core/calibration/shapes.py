@@ -48,8 +48,8 @@ class Shape:
 
         linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. hardening: the
         y with y + beta y³ = x / scale, as a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a
-        turn, a small whole number that stays or one that is fitted. sign: ±1. ramp: x − since. step: 0 before ``at``, 1 from
-        then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``,
+        turn, a small whole number that stays or one that is fitted. sign: ±1. ramp: x − since. step: 0 before ``at``, 1
+        from then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``,
         fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held
         outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
         """

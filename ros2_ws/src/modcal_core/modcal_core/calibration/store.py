@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -44,12 +43,16 @@ class Calibration:
     rivals: tuple[tuple[Effect, ...], ...] = ()
     kind: str = "pose"
     postures: Array = field(default_factory=lambda: np.empty((0, 0)))
-    spread: Spread = Spread(1e-4, 1e-4)
+    spread: Spread = field(default_factory=lambda: Spread(1e-4, 1e-4))
 
     @property
     def robot(self) -> str:
         """Fingerprint of the nominal kinematics."""
         return fingerprint(self.nominal.chain)
+
+    def rivals_of(self, effect: int) -> tuple[Effect, ...]:
+        """Others that explain as much as the effect with this number."""
+        return self.rivals[effect] if effect < len(self.rivals) else ()
 
     def require_robot(self, chain: Chain) -> None:
         """Raises BadRobot unless the chain is the nominal one this calibration was made for."""
@@ -100,8 +103,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             for name, value, std, unit in calibration.parameters
         ],
         "effects": [
-            {**_effect_to_data(effect), "rivals": [_effect_to_data(r) for r in rivals]}
-            for effect, rivals in zip_longest(calibration.calibrated.effects, calibration.rivals, fillvalue=())
+            {**_effect_to_data(effect), "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)]}
+            for i, effect in enumerate(calibration.calibrated.effects)
         ],
         "recorded": {
             "kind": calibration.kind,

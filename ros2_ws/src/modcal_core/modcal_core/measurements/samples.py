@@ -71,7 +71,7 @@ class Samples:
         return replace(self, **arrays)
 
     def join(self, other: Samples) -> Samples:
-        """These samples and others of the same recording, in the order of their stamps."""
+        """These samples and others of the same recording, in the order of their stamps; stations keep their numbers."""
         shared = ("names", "frames", "signals")
         arrays: dict[str, Any] = {
             f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
@@ -79,6 +79,22 @@ class Samples:
             if f.name not in shared
         }
         return replace(self, **arrays).select(np.argsort(np.r_[self.stamps, other.stamps], kind="stable"))
+
+    def followed_by(self, other: Samples) -> Samples:
+        """These samples and those of another recording of the same cell, whose stations are numbered on."""
+        frames = tuple(dict.fromkeys((*self.frames, *other.frames)))
+        index = np.array([frames.index(name) for name in other.frames])
+        tracks = {track.name: track for track in self.signals}
+        for track in other.signals:
+            before = tracks.get(track.name)
+            if before is not None:
+                stamps = np.r_[before.stamps, track.stamps]
+                track = replace(track, stamps=stamps, values=np.concatenate([before.values, track.values]))
+            tracks[track.name] = track
+        station = other.station + self.station.max() + 1
+        signals = tuple(tracks.values())
+        numbered = replace(other, frames=frames, frame=index[other.frame], station=station, signals=signals)
+        return replace(self, frames=frames, signals=signals).join(numbered)
 
     def is_same_point(self, frame: int) -> bool:
         """Whether every reading in this frame is one and the same point, as of a ball held in a socket."""

@@ -51,6 +51,10 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @click.option(
     "--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable."
 )
+@click.option(
+    "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
+    help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
+)  # fmt: skip
 @_CELL
 @_SPLITS
 @_SEED
@@ -58,6 +62,7 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @_OUT
 def calibrate_command(
     bag: Path,
+    more: tuple[Path, ...],
     urdf: Path | None,
     base: str | None,
     tip: str | None,

@@ -31,9 +31,7 @@ def plan_command(report: Path, stations: int, seed: int, out: Path | None) -> No
     calibration = read_calibration(folder)
     ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
     if not ties:
-        raise NotEnoughData(
-            str(report), "no effect in it has a rival", "nothing has to be decided: use the calibration"
-        )
+        raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
     rng = np.random.default_rng(seed)
     share = max(2, stations // len(ties))
     console = Console()
