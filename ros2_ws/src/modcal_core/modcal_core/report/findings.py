@@ -16,6 +16,8 @@ from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
+_UNDECIDED = 0.05  # of the usual load, below which its sign is not sure
+
 Quantity = tuple[float, float, str]  # value, standard deviation, unit
 
 
@@ -74,11 +76,13 @@ def findings(
 
 
 def _known(model: Model, samples: Samples) -> np.ndarray:
-    """False where an effect asks for what a sample does not say, such as where a joint came from, (N,)."""
+    """False where it cannot be said on which side of its play a joint rests, (N,): unmoved so far, or hardly loaded."""
     known = np.ones(len(samples), bool)
+    at = model.circumstances(samples)
     for effect in model.effects:
-        if effect.driver.startswith("direction:"):
-            known &= samples.approach[:, samples.names.index(effect.place)] != 0.0
+        if effect.family == "backlash":
+            side = at.driver(effect.driver)
+            known &= np.abs(side) > _UNDECIDED * np.sqrt(np.mean(side**2))
     return known
 
 

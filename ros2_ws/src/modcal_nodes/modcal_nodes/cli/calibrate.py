@@ -78,6 +78,9 @@ def calibrate_command(
     recording = read_bag(bag)
     chain, text = robot_of(recording, urdf, base, tip)
     prepared = prepare(recording, chain, clock_limit=clock_limit)
+    for other in more:
+        added = prepare(read_bag(other), chain, clock_limit=clock_limit)
+        prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
     result = calibrate(prepared.samples, chain, np.random.default_rng(seed), cell, block, read_inertias(text, chain))
     report = _named(result.report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_calibration")

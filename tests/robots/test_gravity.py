@@ -1,0 +1,57 @@
+"""Gravity's loads against Pinocchio, whose mechanics are its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots.test_inertias import reduced
+from robots.test_kinematics import ARMS, chain_of, urdf
+
+from modcal_core.calibration.structure import random_postures
+from modcal_core.robots.gravity import STANDARD_GRAVITY, gravity_wrench, payload_wrench
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf_inertias import read_inertias
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_torques_about_the_joints(arm: str) -> None:
+    """What gravity does to a joint is the opposite of what holds it up."""
+    chain, model = chain_of(arm), reduced(urdf(arm), chain_of(arm))
+    model.gravity.linear = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    data = model.createData()
+    q = random_postures(chain, 50, np.random.default_rng(1))
+    order = [model.joints[model.getJointId(name)].idx_q for name in chain.names]
+    held = []
+    for posture in q:
+        configuration = np.zeros(model.nq)
+        configuration[order] = posture
+        held.append(pin.computeGeneralizedGravity(model, data, configuration)[order])
+    rows = np.where(chain.revolute, 5, 2)
+    found = gravity_wrench(chain, read_inertias(urdf(arm), chain), q)[np.arange(chain.n), rows].T
+    assert np.abs(found + np.array(held)).max() < 1e-10
+
+
+def test_a_payload_pulls_with_its_lever() -> None:
+    """Torques of a mass at the tip are minus the slope of its height."""
+    chain = chain_of("ur10")
+    q = random_postures(chain, 20, np.random.default_rng(2))
+    found = payload_wrench(chain, q)[:, 5].T
+    for j in range(chain.n):
+        d = np.zeros(chain.n)
+        d[j] = 1e-6
+        rise = (forward(chain, q + d)[:, 2, 3] - forward(chain, q - d)[:, 2, 3]) / 2e-6
+        assert np.abs(found[:, j] + STANDARD_GRAVITY * rise).max() < 1e-7
+
+
+def test_the_moment_across_an_axis_completes_the_torque() -> None:
+    """All three components of the moment together are the same vector from any frame at the same point."""
+    chain = chain_of("ur10")
+    inertias = read_inertias(urdf("ur10"), chain)
+    q = random_postures(chain, 30, np.random.default_rng(3))
+    wrench = gravity_wrench(chain, inertias, q)
+    assert np.abs(np.linalg.norm(wrench[:, :3], axis=1) - STANDARD_GRAVITY * np.cumsum(inertias.mass[::-1])[::-1, None]).max() < 1e-9
+    # turning the wrist's last joint moves its own body only, which lies on its axis up to its offset
+    turned = q.copy()
+    turned[:, 0] += 1.0  # about the vertical: nothing changes as seen from the arm
+    assert np.abs(gravity_wrench(chain, inertias, turned)[1:] - wrench[1:]).max() < 1e-9
