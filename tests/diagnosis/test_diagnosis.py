@@ -73,7 +73,8 @@ def only(report: Report) -> Finding:
 def test_clean_arms_come_out_clean(kind: str) -> None:
     for seed in range(6):
         report = report_of(recorded(seed, nothing, kind), seed)
-        assert report.effects == () and report.left is None
+        assert report.effects == ()
+        assert report.left is None
         assert to_json_data(report)["effects"] == []
 
 
@@ -119,7 +120,9 @@ def test_a_planted_cause_is_named_and_removed(name: str) -> None:
     assert named(report) == [expected], named(report)
     clean = report_of(recorded(3, nothing)).size_mm("final")
     final, geometric = report.size_mm("final"), report.size_mm("geometric")
-    assert final is not None and geometric is not None and clean is not None
+    assert final is not None
+    assert geometric is not None
+    assert clean is not None
     assert final.rms < 1.1 * clean.rms < 0.9 * geometric.rms
     assert report.left is None
 
@@ -127,12 +130,15 @@ def test_a_planted_cause_is_named_and_removed(name: str) -> None:
 def test_sizes_are_those_planted() -> None:
     gear = only(report_of(recorded(4, CAUSES["gear, 101 a turn"][0])))
     value, std, unit = gear.parameters["cycles_per_turn"]
-    assert abs(value - 101.0) < 4.0 * std < 0.1 and unit == "1"
+    assert abs(value - 101.0) < 4.0 * std < 0.1
+    assert unit == "1"
     value, std, unit = gear.parameters["amplitude"]
-    assert abs(value - 2e-4) < 4.0 * std and unit == "rad"
+    assert abs(value - 2e-4) < 4.0 * std
+    assert unit == "rad"
     soft = only(report_of(recorded(4, CAUSES["compliance"][0])))
     value, std, unit = soft.parameters["stiffness"]
-    assert abs(value - 2e5) < 4.0 * std and unit == "N m/rad"
+    assert abs(value - 2e5) < 4.0 * std
+    assert unit == "N m/rad"
 
 
 def test_two_causes_at_once() -> None:
@@ -146,10 +152,13 @@ def test_what_has_no_name_is_still_placed() -> None:
     error = at_joint(2, lambda q: 3e-4 * np.tanh(2.0 * np.sin(q[:, 2] + 0.7 * q[:, 4])))
     report = report_of(recorded(6, error, count=240))
     unknown = [f for f in report.effects if f.family == "unknown"]
-    assert unknown and all(f.place == ELBOW for f in unknown)
+    assert unknown
+    assert all(f.place == ELBOW for f in unknown)
     assert {f.driver for f in unknown} <= {f"position:{ELBOW}", f"position:{WRIST_2}"}
     final, geometric = report.size_mm("final"), report.size_mm("geometric")
-    assert final is not None and geometric is not None and final.rms < 0.7 * geometric.rms
+    assert final is not None
+    assert geometric is not None
+    assert final.rms < 0.7 * geometric.rms
 
 
 def test_a_bumped_tool_is_dated() -> None:
@@ -183,7 +192,8 @@ def test_a_late_tracker_is_named_not_hidden() -> None:
 
 def test_a_clean_motion_comes_out_clean() -> None:
     report = report_of(prepare(streams(60, dwell=0.0), ur10()).samples)
-    assert report.effects == () and report.left is None
+    assert report.effects == ()
+    assert report.left is None
 
 
 def test_the_report_tells_a_technician() -> None:

@@ -50,7 +50,12 @@ def test_the_moment_across_an_axis_completes_the_torque() -> None:
     inertias = read_inertias(urdf("ur10"), chain)
     q = random_postures(chain, 30, np.random.default_rng(3))
     wrench = gravity_wrench(chain, inertias, q)
-    assert np.abs(np.linalg.norm(wrench[:, :3], axis=1) - STANDARD_GRAVITY * np.cumsum(inertias.mass[::-1])[::-1, None]).max() < 1e-9
+    assert (
+        np.abs(
+            np.linalg.norm(wrench[:, :3], axis=1) - STANDARD_GRAVITY * np.cumsum(inertias.mass[::-1])[::-1, None]
+        ).max()
+        < 1e-9
+    )
     # turning the wrist's last joint moves its own body only, which lies on its axis up to its offset
     turned = q.copy()
     turned[:, 0] += 1.0  # about the vertical: nothing changes as seen from the arm

@@ -90,6 +90,7 @@ def diagnose(
         if search.add(choice):
             left = None
         elif any(cause.effect.key == choice.effect.key for cause in search.causes):
+            left = left or choice
             break  # more of the same is not worth having, and was the best there is
         else:
             refused.add(choice.effect.key)

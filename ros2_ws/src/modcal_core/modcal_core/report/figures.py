@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modcal_core.calibration.effects import AXIS
+from modcal_core.report.findings import Finding, curve
 from modcal_core.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_POINTS = 1200  # more make the page heavy and show no more
+_CURVE_POINTS = 2000
 _COLOURS = {"nominal": "#b0b7c3", "final": "#1f6feb"}
 
 
@@ -55,6 +58,35 @@ def error_by_joint(report: Report) -> str:
     figure.supylabel("left over, mm", fontsize=9)
     figure.supxlabel("joint position, rad or m", fontsize=9)
     return _svg(figure)
+
+
+def effect_shapes(report: Report) -> str | None:
+    """Each effect that follows one joint's position, over the range that was seen, with two standard deviations."""
+    from matplotlib.figure import Figure
+
+    shown = [f for f in report.effects if f.direction == AXIS and _follows_one_joint(f)]
+    if not shown:
+        return None
+    figure = Figure(figsize=(8.0, 1.9 * len(shown)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(shown), 1))
+    for ax, finding in zip(axes, shown, strict=True):
+        q = report.samples.q[:, report.samples.names.index(finding.driver.partition(":")[2])]
+        x, size, std = curve(finding.effects, float(q.min()), float(q.max()), _CURVE_POINTS)
+        ax.fill_between(x, 1e3 * (size - 2.0 * std), 1e3 * (size + 2.0 * std), color=_COLOURS["nominal"], lw=0)
+        ax.plot(x, 1e3 * size, color=_COLOURS["final"], lw=0.9)
+        ax.set_title(f"{finding.place}: {finding.family.replace('_', ' ')}", fontsize=9)
+        ax.set_ylabel("mrad", fontsize=8)
+        ax.tick_params(labelsize=7)
+    axes[-1].set_xlabel("joint position, rad", fontsize=9)
+    return _svg(figure)
+
+
+def _follows_one_joint(finding: Finding) -> bool:
+    return (
+        bool(finding.effects)
+        and all(e.driver == finding.driver for e in finding.effects)
+        and (finding.driver.startswith("position:"))
+    )
 
 
 def _svg(figure: Figure) -> str:

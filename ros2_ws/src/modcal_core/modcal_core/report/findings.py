@@ -181,16 +181,20 @@ def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
     return out
 
 
-def curve(effect: Effect, points: int = 800) -> tuple[Array, Array, Array]:
-    """A free shape over the range it was learned on: driver, size and its standard deviation, (points,) each."""
-    x = np.linspace(effect.shape.settings["low"], effect.shape.settings["high"], points)
-    basis = effect.shape.basis(x)[: len(effect.amplitudes)]
-    return x, effect.amplitudes @ basis, np.sqrt((effect.std[: len(basis)] ** 2) @ basis**2)
+def curve(effects: tuple[Effect, ...], low: float, high: float, points: int) -> tuple[Array, Array, Array]:
+    """What effects of one driver do together over a range of it: driver, size and its deviation, (points,) each."""
+    x = np.linspace(low, high, points)
+    size, variance = np.zeros(points), np.zeros(points)
+    for effect in effects:
+        basis = effect.shape.basis(x)
+        size += effect.amplitudes @ basis
+        variance += (effect.std[: len(basis)] ** 2) @ basis**2
+    return x, size, np.sqrt(variance)
 
 
 def curve_sizes(effect: Effect) -> dict[str, Quantity]:
     """RMS of a free shape, and how often a turn it mostly repeats."""
-    x, y, std = curve(effect, 4096)
+    x, y, std = curve((effect,), effect.shape.settings["low"], effect.shape.settings["high"], 4096)
     y = y - y.mean()
     # slow parts are shared with the geometry; what repeats is looked for beyond them
     slow = np.stack([f(k * x) for k in range(WHOLE_CYCLES + 1) for f in (np.sin, np.cos)], axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modcal_core.report.figures import error_by_joint, error_histogram
+from modcal_core.report.figures import effect_shapes, error_by_joint, error_histogram
 from modcal_core.report.report import STAGES, Report, to_json_data
 
 _PAGE = """<!doctype html>
@@ -40,6 +40,22 @@ _PAGE = """<!doctype html>
 {{ histogram|safe }}
 {% if by_joint %}<h2>What is left, joint by joint</h2>
 <p class="soft">A pattern in one of these is an effect that the model lacks.</p><div class="wide">{{ by_joint|safe }}</div>{% endif %}
+{% if data.effects %}
+<h2>What the model lacked</h2>
+{% for sentence in data.story %}<p>{{ sentence }}</p>
+{% endfor %}
+<div class="wide"><table>
+<tr><th>effect</th><th>place</th><th>direction</th><th>driver</th><th>sizes</th><th class="n">p</th><th class="n">RMS before, mm</th>
+<th class="n">after, mm</th><th>or</th></tr>
+{% for e in data.effects %}
+<tr><td>{{ e.family }}</td><td>{{ e.place }}</td><td>{{ e.direction }}</td><td>{{ e.driver }}</td>
+<td>{% for name, q in e.parameters.items() %}{{ name }} {{ "%.4g"|format(q.value) }} ± {{ "%.1g"|format(q.std) }} {{ q.unit if q.unit != "1" }}<br>{% endfor %}</td>
+<td class="n">{{ "%.1g"|format(e.p_value) }}</td><td class="n">{{ "%.3f"|format(e.rms_mm_before) }}</td>
+<td class="n">{{ "%.3f"|format(e.rms_mm_after) }}</td><td>{{ e.same_as|join("; ") }}</td></tr>
+{% endfor %}
+</table></div>
+{% if shapes %}<p class="soft">Shapes over the joints' positions, with two standard deviations.</p><div class="wide">{{ shapes|safe }}</div>{% endif %}
+{% endif %}
 {% if data.identifiability %}
 <h2>What the data could tell</h2>
 <p>{{ data.identifiability.parameters }} parameters, rank {{ data.identifiability.rank }}{% if data.identifiability.condition %},
@@ -73,4 +89,5 @@ def to_html(report: Report) -> str:
         stages=STAGES,
         histogram=error_histogram(report),
         by_joint=error_by_joint(report),
+        shapes=effect_shapes(report),
     )
