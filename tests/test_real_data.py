@@ -39,35 +39,38 @@ def report_of(out: Path, *arguments: str) -> dict[str, Any]:
 def test_ur10(name: str, nominal: float, geometric: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
     """Random stations, as in the published figures, averaged over three splits; 190 stations scatter by about 5 %."""
     bag = imported(name)
-    reports = [report_of(tmp_path / f"{k}", "calibrate", str(bag), "--block", "1", "--seed", str(k)) for k in range(3)]
+    fixed = ("calibrate", str(bag), "--geometry-only", "--block", "1")
+    reports = [report_of(tmp_path / f"{k}", *fixed, "--seed", str(k)) for k in range(3)]
     for stage, expected in (("nominal", nominal), ("geometric", geometric)):
         mean = sum(r["error_mm"][stage]["rms"] for r in reports) / 3
         assert mean == pytest.approx(expected, rel=0.05)
     assert all(r["error_deg"]["geometric"]["rms"] < 0.65 * r["error_deg"]["nominal"]["rms"] for r in reports)
+    assert all(r["effects"] == [] for r in reports)
 
 
-def test_ur10_frozen_from_one_series_to_the_other(imported: Callable[[str], Path], tmp_path: Path) -> None:
-    """Blocks of 200 poses; another tracker place and another tool, found again on a part of the second series."""
+def test_ur10_what_nobody_declared(imported: Callable[[str], Path], tmp_path: Path) -> None:
+    """Blocks of 200 poses; then another tracker place and another tool, found again on a part of the second series."""
     first = report_of(tmp_path / "a", "calibrate", str(imported("ipa_ur10_series_a")), "--block", "200")
     assert first["split"]["unit"] == "block"
-    assert first["error_mm"]["final"]["rms"] < 0.55 * first["error_mm"]["nominal"]["rms"]
-    frozen = report_of(
-        tmp_path / "d",
-        "evaluate",
-        str(tmp_path / "a"),
-        str(imported("ipa_ur10_series_d")),
-        "--refit-base",
-        "--refit-tool",
-    )
-    assert frozen["error_mm"]["final"]["rms"] < 0.6 * frozen["error_mm"]["nominal"]["rms"]
+    assert first["error_mm"]["geometric"]["rms"] > 0.4
+    assert first["error_mm"]["final"]["rms"] < 0.13
+    periodic = {e["place"] for e in first["effects"] if e["family"] == "gear_harmonic"}
+    joints = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2")
+    assert {f"{joint}_joint" for joint in joints} <= periodic
+    assert all(e["driver"] == f"position:{e['place']}" for e in first["effects"] if e["family"] == "gear_harmonic")
+    arguments = ("evaluate", str(tmp_path / "a"), str(imported("ipa_ur10_series_d")), "--refit-base", "--refit-tool")
+    frozen = report_of(tmp_path / "d", *arguments)
+    assert frozen["error_mm"]["geometric"]["rms"] < 0.6 * frozen["error_mm"]["nominal"]["rms"]
+    assert frozen["error_mm"]["final"]["rms"] < 0.65 * frozen["error_mm"]["geometric"]["rms"]
+    assert any("outside the joint ranges" in note for note in frozen["notes"])
 
 
 @pytest.mark.parametrize(("name", "scatter"), [("panda_3", 0.22), ("panda_4", 0.25), ("kuka_14", 0.25)])
 def test_ball_in_sockets(name: str, scatter: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
     cell = ROOT / "examples" / "import" / f"mukca_{name}_cell.yaml"
     arguments = ["calibrate", str(imported(f"mukca_{name}")), "--tip", "ball_link", "--cell", str(cell)]
-    reports = [report_of(tmp_path / f"{k}", *arguments, "--block", "1", "--seed", str(k)) for k in range(3)]
+    reports = [report_of(tmp_path / f"{k}", *arguments, "--block", "1", "--seed", str(k)) for k in range(2)]
     assert all(r["recording"]["measurement"] == "same_point" for r in reports)
-    mean = sum(r["error_mm"]["final"]["rms"] for r in reports) / 3
-    assert mean < 1.1 * scatter
+    mean = sum(r["error_mm"]["final"]["rms"] for r in reports) / 2
+    assert mean < scatter
     assert all(r["error_mm"]["nominal"]["rms"] > 2.5 * r["error_mm"]["final"]["rms"] for r in reports)

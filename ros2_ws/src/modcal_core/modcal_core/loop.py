@@ -22,7 +22,7 @@ from modcal_core.calibration.score import Errors, errors, noise_floor, outlying,
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
-from modcal_core.diagnosis.loop import diagnose
+from modcal_core.diagnosis.loop import Diagnosis, diagnose
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
@@ -49,11 +49,13 @@ def calibrate(
     block: int | None = None,
     inertias: Inertias | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    look_for_effects: bool = True,
 ) -> Result:
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
     None decides. inertias: of the arm's bodies, for effects of load. progress: hears of each effect that is tried.
+    look_for_effects: go beyond geometry.
     Raises ModcalError for data that cannot carry a fit.
     """
     cell = cell or Cell()
@@ -67,7 +69,9 @@ def calibrate(
     choice = choose_parameters(nominal.model, views_of(samples), cell.fixed, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     require_plausible(nominal, geometric, train)
-    diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress)
+    diagnosis = Diagnosis(geometric, (), None)
+    if look_for_effects:
+        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress)
     final = diagnosis.fit
 
     wrong = outlying(final.model, final.spread, samples)

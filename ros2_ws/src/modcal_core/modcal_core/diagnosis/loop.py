@@ -16,6 +16,7 @@ from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors
+from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.outliers import isolated_outliers
@@ -30,6 +31,7 @@ _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fit
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3
+_SURE = 5.0  # standard deviations from which a mass is believed
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
 
@@ -165,12 +167,27 @@ class _Search:
                 for e in map(_linear, self.fit.model.effects)
             ]
             weakest = int(np.argmin(size))
+            if self._without_payload():
+                continue
             if size[weakest] >= _NEEDLESS or len(size) < 2:
                 return
             del self.causes[weakest]
             effects = self.fit.model.effects
             self.fit = self._refit(self.fit, effects[:weakest] + effects[weakest + 1 :])
             self._redo()
+
+    def _without_payload(self) -> bool:
+        """Whether a payload was found to be nothing, and its joint's compliance left alone."""
+        effects = self.fit.model.effects
+        for i, effect in enumerate(effects):
+            if effect.family == "payload" and abs(effect.values[1]) < _SURE * effect.std[1]:
+                plain = Effect("compliance", effect.place, effect.direction, f"load:{effect.place}", Shape("linear"))
+                started = plain.started(effect.values[:1])
+                self.fit = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
+                self.causes[i] = replace(self.causes[i], effect=plain)
+                self._redo()
+                return True
+        return False
 
     def _redo(self) -> None:
         """The fits with the first, the first two, … effects, after the order of things has changed."""

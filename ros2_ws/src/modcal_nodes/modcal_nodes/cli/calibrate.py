@@ -51,6 +51,7 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @click.option(
     "--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable."
 )
+@click.option("--geometry-only", is_flag=True, help="Look for no other effects: only the geometry is fitted.")
 @click.option(
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
@@ -62,6 +63,7 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @_OUT
 def calibrate_command(
     bag: Path,
+    geometry_only: bool,
     more: tuple[Path, ...],
     urdf: Path | None,
     base: str | None,
@@ -73,7 +75,7 @@ def calibrate_command(
     clock_limit: float,
     out: Path | None,
 ) -> None:
-    """Identify the arm's kinematics from BAG and write the corrected model and a report."""
+    """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
     cell = read_cell(cell_file, fixed)
     recording = read_bag(bag)
     chain, text = robot_of(recording, urdf, base, tip)
@@ -81,7 +83,15 @@ def calibrate_command(
     for other in more:
         added = prepare(read_bag(other), chain, clock_limit=clock_limit)
         prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
-    result = calibrate(prepared.samples, chain, np.random.default_rng(seed), cell, block, read_inertias(text, chain))
+    result = calibrate(
+        prepared.samples,
+        chain,
+        np.random.default_rng(seed),
+        cell,
+        block,
+        read_inertias(text, chain),
+        look_for_effects=not geometry_only,
+    )
     report = _named(result.report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, calibration_files(result, report, chain, text))

@@ -1,0 +1,94 @@
+"""Two explanations that a recording cannot tell apart: both are named, and the stations proposed settle it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cells import record, samples_of, ur10
+from robots.test_kinematics import urdf
+
+from modcal_core.calibration.deciding import propose
+from modcal_core.calibration.store import to_data
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import Result, calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.cli.main import run
+from modcal_nodes.files import to_yaml
+
+WRIST_1, WRIST_2 = 3, 4
+RATIO, COUPLING = ("gear_ratio", "position:wrist_2_joint"), ("coupling", "position:wrist_1_joint")
+
+
+class Cell:
+    """An arm in MuJoCo whose second wrist joint errs: by its own angle, or by that of the joint before it."""
+
+    def __init__(self, truth: int) -> None:
+        self.truth = truth
+        self.made = record(11, 160)
+        self.rng = np.random.default_rng(12)
+
+    def measure(self, q: Array, start: float) -> Samples:
+        actual = q + 1e-5 * self.rng.standard_normal(q.shape)
+        actual[:, WRIST_2] += 3e-4 * q[:, self.truth]
+        T = self.made.world.tool_in_tracker(actual)
+        T[:, :3, 3] += 2e-5 * self.rng.standard_normal((len(q), 3))
+        samples = samples_of(ur10(), q, T)
+        return replace(samples, stamps=start + 2.0 * np.arange(len(q)))
+
+    def first(self) -> Samples:
+        """Both joints were only ever moved together."""
+        q = self.made.samples.q.copy()
+        q[:, WRIST_1] = q[:, WRIST_2] + 1e-4 * self.rng.standard_normal(len(q))
+        return self.measure(q, 1.7e9)
+
+
+def solve(samples: Samples) -> Result:
+    return calibrate(samples, ur10(), np.random.default_rng(0), inertias=read_inertias(urdf("ur10"), ur10()))
+
+
+@pytest.mark.parametrize(("truth", "name"), [(WRIST_2, RATIO), (WRIST_1, COUPLING)])
+def test_the_proposed_stations_decide(truth: int, name: tuple[str, str]) -> None:
+    cell = Cell(truth)
+    before = solve(cell.first())
+    finding = before.report.effects[0]
+    both = [f"{finding.place} {finding.direction} by {finding.driver}", *finding.same_as]
+    assert any(text.endswith(RATIO[1]) for text in both)
+    assert any(text.endswith(COUPLING[1]) for text in both)
+
+    proposal = propose(before.calibration, 0, 0, 20, np.random.default_rng(1))
+    assert proposal.decides
+    more = cell.measure(proposal.q, 1.7e9 + 1000.0)
+    after = solve(cell.first().followed_by(more))
+    finding = after.report.effects[0]
+    assert (finding.family, finding.driver) == name
+    assert not any(text.endswith((RATIO[1], COUPLING[1])) for text in finding.same_as)
+
+
+def test_the_command_writes_stations(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    result = solve(Cell(WRIST_2).first())
+    (tmp_path / "found").mkdir()
+    (tmp_path / "found" / "calibration.yaml").write_text(to_yaml(to_data(result.calibration)))
+    report = tmp_path / "found" / "report.json"
+    report.write_text("{}")
+    assert run(["plan", "--decide", str(report), "--out", str(tmp_path / "plan")]) == 0
+    plan = yaml.safe_load((tmp_path / "plan" / "plan.yaml").read_text())
+    assert plan["joints"] == list(ur10().names)
+    tie = plan["ties"][0]
+    assert len(tie["between"]) == 2
+    stations = np.array([s["position"] for s in tie["stations"]])
+    assert (stations >= ur10().lower).all()
+    assert (stations <= ur10().upper).all()
+    assert np.abs(stations[:, WRIST_1] - stations[:, WRIST_2]).max() > 0.5
+    assert "or" in capfd.readouterr().out
+
+
+def test_nothing_to_decide_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    result = solve(record(13, 160).samples)
+    (tmp_path / "calibration.yaml").write_text(to_yaml(to_data(result.calibration)))
+    assert run(["plan", "--decide", str(tmp_path)]) == 2
+    assert "no effect in it has a rival" in capfd.readouterr().err
