@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -48,6 +48,9 @@ format: setup-test  ## let ruff mend what it can
 
 bench: setup-test build  ## measure; see bench/
 	@$(PY) bench/run.py $(BENCH_ARGS)
+
+undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
+	@$(PY) bench/undeclared/run.py $(BENCH_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py

@@ -250,7 +250,7 @@ class Pair:
 
 def make(scenario: str, robot: str, seed: int, folder: Path, stations: int = STATIONS) -> Pair:
     """Write both bags of a scenario below folder/bags, and the truth below folder/truth."""
-    name = f"{scenario.replace('+', '_and_')}_{robot}_{seed}"
+    name = f"{robot}_{seed}"  # the fault is not to be read off the bag's name
     rng = np.random.default_rng([zlib.crc32(f"{scenario} {robot}".encode()), seed])
     cell = Cell(robot, rng)
     makers = SCENARIOS[scenario]
