@@ -22,6 +22,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
 _ROUNDS = 5
+_EXPANDED = 2e-5  # rad or m
 _MOST = 3000  # samples that a delay is fitted to
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
@@ -72,7 +73,8 @@ def _settle_delays(
         samples = cut_stations(_shifted(recording, samples.frames, total), chain.names, rules)
         if np.abs(step).max() < 1e-6:
             break
-    clocks = np.where(np.abs(total) > LONGEST_LATENCY, total, 0.0)
+    as_recorded = cut_stations(recording, chain.names, rules)
+    clocks = np.where((np.abs(total) <= LONGEST_LATENCY) & _within_reach(as_recorded, samples, total), 0.0, total)
     samples = cut_stations(_shifted(recording, samples.frames, clocks), chain.names, rules)
     drops = tuple(n for n in notes if not n.startswith("The clock of"))
     said = tuple(
@@ -81,6 +83,20 @@ def _settle_delays(
         if delay
     )
     return samples, drops + said
+
+
+def _within_reach(late: Samples, exact: Samples, delay: Array) -> np.ndarray:
+    """For each frame whether an effect of the second order in the delay says where the joints were, (F,)."""
+    out = np.ones(len(delay), bool)
+    for f, seconds in enumerate(delay):
+        here, there = late.select(late.frame == f), exact.select(exact.frame == f)
+        same = np.clip(np.searchsorted(there.stamps, here.stamps - seconds - 1e-5), 0, max(len(there) - 1, 0))
+        rows = np.flatnonzero(np.abs(there.stamps[same] + seconds - here.stamps) < 1e-4) if len(there) else same[:0]
+        if len(rows):
+            expected = here.q - seconds * np.nan_to_num(here.velocity) + 0.5 * seconds**2 * here.acceleration
+            missed = np.abs(there.q[same[rows]] - expected[rows]).max(axis=1)
+            out[f] = np.percentile(missed, 95) < _EXPANDED
+    return out
 
 
 def _offset(recording: Recording, aligned: Recording, frame: str) -> float:

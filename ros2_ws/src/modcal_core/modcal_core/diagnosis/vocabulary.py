@@ -15,7 +15,8 @@ from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, R
 from modcal_core.calibration.shapes import Shape
 from modcal_core.geometry.so3 import Array
 
-MOST_CYCLES = 330.0  # a turn: twice a ratio of 160
+LEAST_SPEED = 1e-3  # rad/s or m/s
+MOST_CYCLES = 400.0  # a turn: twice a ratio of 200
 WHOLE_CYCLES = 3  # up to here an error repeats a whole number of times a turn: encoders, eccentric gears
 LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
 SMOOTH = 7  # functions in a smooth free shape
@@ -172,7 +173,7 @@ def breaks(at: Circumstances) -> Array:
 
 def delay(at: Circumstances) -> Iterator[Effect]:
     """Readings that come late, or one joint's position that does."""
-    if not at.samples.moving.any():
+    if not np.abs(np.nan_to_num(at.samples.velocity)).max(initial=0.0) > LEAST_SPEED:
         return
     yield Effect("latency", "tracker", JOINTS, "velocity", Shape("linear"))
     for _, name in _moving_joints(at):

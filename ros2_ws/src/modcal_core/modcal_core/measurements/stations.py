@@ -73,8 +73,9 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
     t, q = joint_stamps_and_positions(recording, names)
     order = np.argsort(t, kind="stable")
     t, q = t[order], q[order]
+    velocity = joint_stamps_and(recording, names, "velocity")[1][order]
     dwells = find_dwells(t, q, rules)
-    pieces = [_cut(track, t, q, dwells, rules) for track in tracks]
+    pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
     if not sum(len(p.q) for p in pieces):
         raise BadRecording(
             "joint states and readings",
@@ -127,14 +128,15 @@ def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
     return spans[spans[:, 1] - spans[:, 0] >= rules.least]
 
 
-def _cut(track: ReadingTrack, t: Array, q: Array, dwells: Array, rules: StationRules) -> _Piece:
+def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> _Piece:
     pairs = _paired(track.stamps, t)
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     if len(pairs) >= 0.5 * len(track.stamps) and (sparse or len(dwells) < _LEAST_DWELLS):
         rows = pairs[:, 1]
         if sparse:
-            return _as_is(track, pairs[:, 0], q[rows], np.full_like(q[rows], np.nan), np.zeros_like(q[rows]), False)
+            # a course between stations far apart is not known; what the joints said of their speed is
+            return _as_is(track, pairs[:, 0], q[rows], velocity[rows], np.zeros_like(q[rows]), False)
         course, at = _course(t, q), t[rows] - t[0]
         return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
     if len(dwells) >= _LEAST_DWELLS:

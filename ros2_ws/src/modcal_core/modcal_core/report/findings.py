@@ -67,12 +67,20 @@ def findings(
             min(cause.p_value, known.p_value) if known else cause.p_value,
             known.before if known else before,
             after,
-            tuple(dict.fromkeys((*(known.same_as if known else ()), *cause.same_as))),
+            tuple(dict.fromkeys((*(known.same_as if known else ()), *_link_name(effect, shipped), *cause.same_as))),
             effects,
         )
         before = after
     wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _known(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries.values())
+
+
+def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
+    """What grows or creeps in front of a joint is the link there: its name, where the robot states it."""
+    names, links = model.chain.names, model.chain.links
+    if effect.direction == AXIS or effect.place not in names or not links:
+        return ()
+    return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
 
 
 def _known(model: Model, samples: Samples) -> np.ndarray:
@@ -148,7 +156,8 @@ def _wave(v: Array, s: Array, unit: str) -> dict[str, Quantity]:
 
 
 def _compliance(effect: Effect) -> dict[str, Quantity]:
-    v, s = effect.values, effect.std
+    # an actuator's torque is the opposite of the load that it holds
+    v, s = effect.values * (-1.0 if effect.driver.startswith("effort:") else 1.0), effect.std
     out = {"compliance": (float(v[0]), float(s[0]), "rad/(N m)")}
     if v[0]:
         out["stiffness"] = (1.0 / abs(float(v[0])), float(s[0] / v[0] ** 2), "N m/rad")

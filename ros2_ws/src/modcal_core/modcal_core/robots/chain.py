@@ -36,6 +36,7 @@ class Chain:
     axes: unit axes in their joint frames, (n, 3).
     revolute: True where the joint turns, False where it slides, (n,).
     lower, upper: limits [rad or m], (n,); ±inf where the robot states none.
+    links: the link in front of each joint, where the robot names them; empty otherwise.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class Chain:
     upper: Array
     base: str = "base"
     tip: str = "tip"
+    links: tuple[str, ...] = ()
 
     @classmethod
     def build(

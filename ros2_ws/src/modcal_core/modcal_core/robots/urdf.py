@@ -7,7 +7,7 @@ The frame of a joint is the frame of its child link, so joint k of the chain mov
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def read_chain(
         tip=tip,
     )
     _check_unit(chain, tree)
-    return chain
+    return replace(chain, links=tuple(joint.parent for joint in moving))
 
 
 def read_path(urdf_xml: str, base: str, tip: str) -> UrdfPath:
