@@ -18,11 +18,13 @@ from robots.test_kinematics import urdf
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
+from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import Report, to_json_data
 from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.simulation.world import World
 
 REPEATABILITY = 2e-5  # rad
 COUNT = 160
@@ -159,6 +161,51 @@ def test_what_has_no_name_is_still_placed() -> None:
     assert final is not None
     assert geometric is not None
     assert final.rms < 0.7 * geometric.rms
+
+
+def with_signal(samples: Samples, name: str, seed: int) -> tuple[Samples, Array]:
+    """The samples with a signal that wanders, and its values at the samples."""
+    rng = np.random.default_rng(seed)
+    t = samples.stamps[0] + np.arange(0.0, np.ptp(samples.stamps) + 1.0)
+    wander = np.cumsum(rng.normal(size=len(t)))
+    wander = (wander - wander.mean()) / wander.std()
+    track = SignalTrack(name, t, wander[:, None], "/any/topic")
+    return replace(samples, signals=(track,)), np.interp(samples.stamps, t, wander)
+
+
+def test_any_recorded_signal_can_be_the_driver() -> None:
+    """A hose whose pressure pulls at the elbow; its topic is in no contract."""
+    bare, pressure = with_signal(recorded(3, nothing), "signal:/hose/pressure", 5)
+    pulled = recorded(3, at_joint(2, lambda q: 2e-4 * pressure))
+    found = only(report_of(replace(pulled, signals=bare.signals)))
+    assert (found.family, found.place, found.driver) == ("unknown", ELBOW, "signal:/hose/pressure")
+    value, std, _ = found.parameters["axis"]
+    assert abs(value - 2e-4) < 4.0 * std
+
+
+def test_a_link_that_grows_with_its_temperature() -> None:
+    """The upper arm, 612 mm along −x of its frame, by 0.1 mm for a unit of temperature."""
+    made = record(4, COUNT)
+    bare, warm = with_signal(made.samples, "temperature:upper_arm_link", 6)
+    T = np.array([grown(made.world, q, 1e-4 * x) for q, x in zip(made.samples.q, warm, strict=True)])
+    T[:, :3, 3] += 2e-5 * np.random.default_rng(1).standard_normal((COUNT, 3))
+    found = only(report_of(replace(samples_of(ur10(), made.samples.q, T), signals=bare.signals)))
+    assert (found.family, found.driver) == ("thermal", "temperature:upper_arm_link")
+    assert found.place == ELBOW
+    size, std, unit = next(iter(found.parameters.values()))
+    assert abs(abs(size) - 1e-4) < 4.0 * std
+    assert unit == "m/K"
+
+
+def grown(world: World, q: Array, more: float) -> Array:
+    """The tool in the tracker when MuJoCo's forearm stands further out along the upper arm."""
+    body = world.model.body("body_elbow_joint").id
+    pos = world.model.body_pos[body].copy()
+    world.model.body_pos[body] = pos + more * pos / np.linalg.norm(pos)
+    try:
+        return world.tool_in_tracker(q)
+    finally:
+        world.model.body_pos[body] = pos
 
 
 def test_a_bumped_tool_is_dated() -> None:

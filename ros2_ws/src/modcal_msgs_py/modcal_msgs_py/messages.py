@@ -14,13 +14,14 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import (
+    PART,
     WIDTH,
     JointTrack,
     ReadingTrack,
     Recording,
     SignalTrack,
 )
-from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, WRENCH, role_of
+from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
 
 
 @dataclass
@@ -63,10 +64,11 @@ class RecordingBuilder:
             stamp = self._stamp(topic, message, received)
             self._signal(topic, f"temperature:{message.header.frame_id}", stamp, received, [message.temperature])
         else:
-            prefix = f"wrench:{message.header.frame_id}" if role == WRENCH else f"signal:{topic}"
             stamp = self._stamp(topic, message, received)
-            for path, value in _numbers(message):
-                self._signal(topic, f"{prefix}{path}", stamp, received, [value])
+            numbers = list(_numbers(message))
+            for path, value in numbers:
+                part = f"{PART}{path[1:]}" if len(numbers) > 1 else ""
+                self._signal(topic, f"signal:{topic}{part}", stamp, received, [value])
 
     def counts(self) -> dict[str, int]:
         """Messages so far: joint states, and readings by frame."""

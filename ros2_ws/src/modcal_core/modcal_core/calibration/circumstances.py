@@ -15,6 +15,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import gravity_wrench, payload_wrench
@@ -42,7 +43,7 @@ def public_driver(driver: str) -> str:
     """The name of a driver in reports."""
     first = driver.partition(",")[0]
     kind, _, rest = first.partition(":")
-    return f"load:{rest}" if kind in _LOADS else first
+    return f"load:{rest}" if kind in _LOADS else first.partition(PART)[0]
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 POSE, POINT, RANGE, BEARING = "pose", "point", "range", "bearing"
+PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 WIDTH = {POSE: 7, POINT: 3, RANGE: 1, BEARING: 3}
 
 
