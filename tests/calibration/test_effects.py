@@ -32,6 +32,10 @@ SPAN = {"low": -3.0, "high": 3.0}
 EFFECTS: dict[str, tuple[Effect, list[float]]] = {
     "ratio": (Effect("gear_ratio", ELBOW, AXIS, f"position:{ELBOW}", Shape("linear")), [1e-4]),
     "gear": (Effect("gear_harmonic", ELBOW, AXIS, f"position:{ELBOW}", Shape("sine", {"cycles": 17.3})), [2e-4, -1e-4]),
+    "strain wave": (
+        Effect("gear_harmonic", ELBOW, AXIS, f"position:{ELBOW}", Shape("double", {"cycles": 17.3})),
+        [2e-4, -1e-4, 1e-4, 2e-4],
+    ),
     "compliance": (Effect("compliance", LIFT, AXIS, f"load:{LIFT}", Shape("linear")), [4e-6]),
     "hardening": (
         Effect("compliance", LIFT, AXIS, f"load:{LIFT}", Shape("hardening", {"scale": 80.0, "beta": 1.0})), [4e-4]

@@ -71,7 +71,7 @@ class Effect:
     @property
     def label(self) -> str:
         """For people and for ``same_as``."""
-        cycles = f" ({self.shape.settings['cycles']:.4g} cycles a turn)" if self.shape.kind == "sine" else ""
+        cycles = f" ({self.shape.settings['cycles']:.4g} cycles a turn)" if "cycles" in self.shape.settings else ""
         return f"{self.place} {self.direction} by {self.public_driver}{cycles}"
 
     @property

@@ -14,14 +14,14 @@ from scipy.interpolate import BSpline
 
 from modcal_core.geometry.so3 import Array
 
-REFINED = {"sine": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
+REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
 SPLINE_DEGREE = 3
 
 
 @dataclass(frozen=True)
 class Shape:
-    """kind: linear, lagged, several, hardening, turn, sine, sign, ramp, step, settle, spline, polynomial or waves.
-    settings: by name, see ``basis``.
+    """kind: one of linear, lagged, several, hardening, turn, sine, double, sign, ramp, step, settle, spline, polynomial
+    and waves. settings: by name, see ``basis``.
     """
 
     kind: str
@@ -37,7 +37,7 @@ class Shape:
         if self.kind == "waves":
             order = int(self.settings["order"])
             return 2 * (order + order * (order + 1) + order * order)
-        return {"sine": 2, "turn": 2, "several": 2}.get(self.kind, 1)
+        return {"sine": 2, "turn": 2, "several": 2, "double": 4}.get(self.kind, 1)
 
     def with_settings(self, settings: Mapping[str, float]) -> Shape:
         """The same kind of shape with some settings changed."""
@@ -48,10 +48,11 @@ class Shape:
 
         linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. hardening: the
         y with y + beta y³ = x / scale, as a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a
-        turn, a small whole number that stays or one that is fitted. sign: ±1. ramp: x − since. step: 0 before ``at``, 1
-        from then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``,
-        fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held
-        outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
+        turn, a small whole number that stays or one that is fitted. double: the same and twice as many cycles. sign:
+        ±1. ramp: x − since. step: 0 before ``at``, 1 from then on. settle: exp(−(x − since) / tau). spline: ``count``
+        cubic B-splines between ``low`` and ``high``, fading to nothing outside. polynomial: powers to ``degree`` of x
+        scaled to ±1 over ``low`` … ``high`` and held outside. waves: sines and cosines of all sums of up to ``order``
+        turns of either driver.
         """
         s = self.settings
         if self.kind in ("linear", "lagged"):
@@ -65,6 +66,9 @@ class Shape:
             return np.stack([np.sin(s["cycles"] * x), np.cos(s["cycles"] * x)])
         if self.kind == "sign":
             return np.sign(x)[None]
+        if self.kind == "double":
+            phase = s["cycles"] * x
+            return np.stack([np.sin(phase), np.cos(phase), np.sin(2.0 * phase), np.cos(2.0 * phase)])
         if self.kind == "ramp":
             return (x - s["since"])[None]
         if self.kind == "step":

@@ -42,6 +42,8 @@ def plainness(effect: Effect) -> int:
         return 1
     if effect.family == "unknown" or effect.shape.kind in ("spline", "waves", "polynomial"):
         return 2
+    if effect.family == "thermal" and effect.driver.startswith("temperature:"):
+        return 0  # what was measured is plainer than the passing of time
     plain = (
         effect.family in ("compliance", "gear_ratio", "gear_harmonic", "backlash") and effect.direction == AXIS and own
     )
@@ -80,6 +82,8 @@ def gears(at: Circumstances) -> Iterator[Effect]:
             yield Effect("gear_harmonic", name, AXIS, driver, Shape("turn", {"cycles": float(cycles)}))
         for cycles in cycle_grid(float(np.ptp(at.samples.q[:, j]))):
             yield Effect("gear_harmonic", name, AXIS, driver, Shape("sine", {"cycles": float(cycles)}))
+            if cycles <= 0.5 * MOST_CYCLES:  # strain wave gears err twice in each turn of their wave as well
+                yield Effect("gear_harmonic", name, AXIS, driver, Shape("double", {"cycles": float(cycles)}))
 
 
 def cycle_grid(joint_range: float) -> Array:

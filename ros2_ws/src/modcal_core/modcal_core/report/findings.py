@@ -124,6 +124,15 @@ def _sizes(effect: Effect) -> dict[str, Quantity]:
         return {"delay": (-float(v[0]), float(s[0]), "s")}
     if effect.family == "scale":
         return {"scale": (float(v[0]), float(s[0]), "1")}
+    if effect.shape.kind == "double":
+        first, second = _wave(v[:2], s[:2], unit), _wave(v[2:4], s[2:4], unit)
+        cycles = (settings["cycles"], float(s[4]), "1")
+        return {
+            **first,
+            "cycles_per_turn": cycles,
+            "amplitude_twice": second["amplitude"],
+            "phase_twice": second["phase"],
+        }
     if effect.shape.kind in ("sine", "turn") and effect.direction == AXIS:
         return {**_wave(v, s, unit), "cycles_per_turn": (settings["cycles"], float(s[2]) if len(s) > 2 else 0.0, "1")}
     if effect.shape.kind == "spline" and effect.direction == AXIS:
