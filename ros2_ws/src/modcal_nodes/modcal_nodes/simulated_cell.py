@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.parameters import SIMULATED_CELL, declare, values
@@ -37,7 +38,12 @@ class SimulatedCell(Node):
             raise BadTable(f"urdf '{file}'", "is no file", "set the parameter urdf")
         text = file.read_text(encoding="utf-8")
         self._chosen = chosen
+        self._gear = chosen["gear_joint"]
         self.chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
+        if self._gear and self._gear not in self.chain.names:
+            raise BadTable(
+                f"gear_joint '{self._gear}'", f"joints are {', '.join(self.chain.names)}", "name one of them"
+            )
         rng = np.random.default_rng(chosen["seed"])
         self.world = make_world(self.chain, rng, chosen["length_std_m"], chosen["angle_std_rad"])
         self._noise = np.random.default_rng(chosen["seed"] + 1)
@@ -75,7 +81,7 @@ class SimulatedCell(Node):
         now = self.get_clock().now()
         if self._seconds(now) < 0.0:
             return
-        T = self.world.tool_in_tracker(self._program.at(self._seconds(now)))
+        T = self.world.tool_in_tracker(self._actual(self._program.at(self._seconds(now))))
         T[:3, 3] += self._chosen["noise_m"] * self._noise.standard_normal(3)
         T[:3, :3] = T[:3, :3] @ so3.exp(self._chosen["noise_rad"] * self._noise.standard_normal(3))
         x, y, z, *q = (float(v) for v in se3.to_pose(T))
@@ -90,6 +96,14 @@ class SimulatedCell(Node):
         message.header.stamp = now.to_msg()
         message.header.frame_id = "tracker"
         self._tracker.publish(message)
+
+    def _actual(self, q: Array) -> Array:
+        """Where the joints stand when they report q (n,)."""
+        out = q.copy()
+        if self._gear:
+            j = self.chain.names.index(self._gear)
+            out[j] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * q[j])
+        return out
 
     def _follow(self, trajectory: JointTrajectory) -> None:
         """Go through the points of a trajectory from where the arm is, or refuse the whole of it."""

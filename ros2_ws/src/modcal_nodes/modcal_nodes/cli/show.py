@@ -37,7 +37,7 @@ def show_report(report: Report, console: Console) -> None:
 def _effects(report: Report) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("effect", "place", "direction", "driver"):
-        table.add_column(name)
+        table.add_column(name, overflow="fold")
     for name in ("p", "RMS mm before", "after"):
         table.add_column(name, justify="right")
     for f in report.effects:
