@@ -70,7 +70,7 @@ def choose(
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
     chosen = evidence.effects[best]
-    if chosen.family == "payload" and not _is_weight(scanner.amplitudes(fit, chosen)):
+    if chosen.family == "payload" and not is_weight(scanner.amplitudes(fit, chosen)):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
     rivals = _rivals(evidence, best, alike)
     names = tuple(effect.label for effect in rivals)
@@ -81,7 +81,7 @@ def choose(
     return Choice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
 
 
-def _is_weight(amplitudes: Array) -> bool:
+def is_weight(amplitudes: Array) -> bool:
     """Whether what joint and payload give way by stand for a mass that an arm can carry."""
     return 0.0 < float(amplitudes[1] / amplitudes[0]) < _MOST_KG if amplitudes[0] else False
 

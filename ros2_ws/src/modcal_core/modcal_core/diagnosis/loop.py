@@ -17,7 +17,7 @@ from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.shapes import Shape
-from modcal_core.diagnosis.choice import Choice, choose
+from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.vocabulary import vocabulary
@@ -177,10 +177,11 @@ class _Search:
             self._redo()
 
     def _without_payload(self) -> bool:
-        """Whether a payload was found to be nothing, and its joint's compliance left alone."""
+        """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""
         effects = self.fit.model.effects
         for i, effect in enumerate(effects):
-            if effect.family == "payload" and abs(effect.values[1]) < _SURE * effect.std[1]:
+            sure = effect.family != "payload" or abs(effect.values[1]) >= _SURE * effect.std[1]
+            if not sure or (effect.family == "payload" and not is_weight(effect.values)):
                 plain = Effect("compliance", effect.place, effect.direction, f"load:{effect.place}", Shape("linear"))
                 started = plain.started(effect.values[:1])
                 self.fit = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
