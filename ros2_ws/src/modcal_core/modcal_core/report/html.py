@@ -26,11 +26,12 @@ _PAGE = """<!doctype html>
 <p class="verdict">{{ data.verdict }}</p>
 <h2>Error on held-out {{ data.split.unit }}s</h2>
 <table>
-<tr><th>model</th><th class="n">mean, mm</th><th class="n">RMS, mm</th><th class="n">95 %, mm</th><th class="n">max, mm</th>
+<tr><th>model</th><th class="n">mean, mm</th><th class="n">RMS, mm (95 % interval)</th><th class="n">95 %, mm</th><th class="n">max, mm</th>
 {% if data.error_deg.nominal %}<th class="n">RMS, deg</th>{% endif %}</tr>
 {% for stage in stages if data.error_mm[stage] %}
 <tr><td>{{ stage }}</td>{% for k in ("mean", "rms", "p95", "max") %}
-<td class="n">{{ "%.3f"|format(data.error_mm[stage][k]) }}</td>{% endfor %}
+<td class="n">{{ "%.3f"|format(data.error_mm[stage][k]) }}{% if k == "rms" and data.error_mm[stage].rms_ci95 %}
+&nbsp;<span class="soft">({{ "%.3f … %.3f"|format(*data.error_mm[stage].rms_ci95) }})</span>{% endif %}</td>{% endfor %}
 {% if data.error_deg[stage] %}<td class="n">{{ "%.4f"|format(data.error_deg[stage].rms) }}</td>{% endif %}</tr>
 {% endfor %}
 </table>

@@ -125,7 +125,7 @@ class Report:
     @property
     def story(self) -> tuple[str, ...]:
         """A sentence for each effect, for a technician."""
-        return tuple(_capital(finding.sentence) for finding in self.effects)
+        return tuple(finding.sentence for finding in self.effects)
 
 
 def to_json_data(report: Report) -> dict[str, Any]:
@@ -200,7 +200,3 @@ def _size(size: ErrorSize | None, interval: tuple[float, float] | None = None) -
         return None
     out: dict[str, Any] = {"mean": size.mean, "rms": size.rms, "p95": size.p95, "max": size.max}
     return out if interval is None else {**out, "rms_ci95": list(interval)}
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
