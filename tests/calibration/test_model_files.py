@@ -40,7 +40,7 @@ def test_calibration_survives_its_file() -> None:
 
 def test_calibration_of_another_robot_is_refused() -> None:
     model = calibrate(record(1, 100).samples, ur10(), np.random.default_rng(0)).calibration.nominal
-    calibration = Calibration(model, model, np.zeros((2, 6)))
+    calibration = Calibration(model, model, model, np.zeros((2, 6)))
     calibration.require_robot(ur10())
     longer = np.array(ur10().origins)
     longer[2, 0, 3] += 1e-4
