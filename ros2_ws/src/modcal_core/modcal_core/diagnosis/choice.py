@@ -54,8 +54,10 @@ def choose(
     allowed = np.array([e.key not in refused for e in evidence.effects])
     if not (allowed & (evidence.score > 0.0)).any():
         return None
-    score = np.where(allowed, evidence.score, -1.0)
     plain = allowed & np.array([plainness(e) < 2 for e in evidence.effects])
+    if incumbent is not None and plainness(incumbent) < 2 and plain.any():
+        allowed = plain  # a plain cause is not given up for a free shape
+    score = np.where(allowed, evidence.score, -1.0)
     tie = _TIE * evidence.inflation
     top = int(np.argmax(score))
     if not plain[top] and plain.any():

@@ -18,7 +18,7 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
-from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.evidence import FLIPS, Scanner
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.measurements.samples import Samples
@@ -81,7 +81,7 @@ def diagnose(
     refused: set[tuple[str, str, str, str]] = set()
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
-        evidence = scanner.evidence(search.fit, rng)
+        evidence = scanner.evidence(search.fit, rng, FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2)
         if evidence.p_value > SIGNIFICANT:
             left = None
             break
@@ -97,6 +97,7 @@ def diagnose(
         else:
             refused.add(choice.effect.key)
             left = left or choice
+    search.settle()
     final = search.fit
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
@@ -118,6 +119,7 @@ class _Search:
     def __post_init__(self) -> None:
         self.causes: list[Cause] = []
         self._geometric = self.fit
+        self._stale = False  # whether the causes' own fits are those of another order
 
     def add(self, choice: Choice) -> bool:
         """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
@@ -157,7 +159,7 @@ class _Search:
             if self._missed(new) < self._missed(self.fit):
                 self.fit = new
                 self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, better.rivals, new)
-                self._redo()
+                self._stale = True
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
@@ -174,7 +176,7 @@ class _Search:
             del self.causes[weakest]
             effects = self.fit.model.effects
             self.fit = self._refit(self.fit, effects[:weakest] + effects[weakest + 1 :])
-            self._redo()
+            self._stale = True
 
     def _without_payload(self) -> bool:
         """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""
@@ -186,12 +188,14 @@ class _Search:
                 started = plain.started(effect.values[:1])
                 self.fit = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
                 self.causes[i] = replace(self.causes[i], effect=plain)
-                self._redo()
+                self._stale = True
                 return True
         return False
 
-    def _redo(self) -> None:
-        """The fits with the first, the first two, … effects, after the order of things has changed."""
+    def settle(self) -> None:
+        """Fit the first, the first two, … effects again where their order has changed since."""
+        if not self._stale:
+            return
         effects = self.fit.model.effects
         for i, cause in enumerate(self.causes):
             fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
