@@ -1,7 +1,7 @@
 """What is left is traced to its cause, added, and predicts; a clean arm comes out clean.
 
 The truth is MuJoCo's: effects are put into the joint angles or the tool that MuJoCo is given, by formulas written out
-here, with joints that do not repeat, so that noise is far from white at the tool.
+here and by Pinocchio's gravity, with joints that do not repeat, so that noise is far from white at the tool.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pinocchio
 import pytest
 from cells import record, samples_of, ur10
 from cli.recordings import streams
@@ -81,11 +82,7 @@ def test_clean_arms_come_out_clean(kind: str) -> None:
 
 
 def lifted(q: Array) -> Array:
-    """Torque about the shoulder's lift [N m] of the masses that examples/robots/ur10.urdf states, by hand.
-
-    All axes of lift, elbow and wrist 1 are level and parallel, so only angles in the vertical plane of the arm count.
-    """
-    pinocchio = pytest.importorskip("pinocchio")
+    """Torque of gravity about the shoulder's lift [N m], by Pinocchio's own reading of the URDF."""
     model = pinocchio.buildModelFromXML(urdf("ur10"))
     data = model.createData()
     order = [model.joints[model.getJointId(name)].idx_q for name in ur10().names]

@@ -107,6 +107,15 @@ def test_drift_is_found() -> None:
     assert "drifted" in notes[0]
 
 
+def test_drift_stays_corrected_in_a_motion() -> None:
+    recording = streams(120, dwell=0.0, drift=5e-4)
+    prepared = prepare(recording, ur10())
+    true = recording.readings[0].received
+    nearest = true[np.clip(np.searchsorted(true, prepared.samples.stamps - 0.01), 0, len(true) - 1)]
+    assert np.abs(prepared.samples.stamps - nearest).max() < 8e-3
+    assert any("drifted" in note for note in prepared.notes)
+
+
 def test_silence_in_motion_tells_no_offset() -> None:
     """A tracker that only speaks while the arm stands still shows no speed to compare."""
     recording = streams(20)

@@ -44,8 +44,7 @@ def test_a_payload_pulls_with_its_lever() -> None:
         assert np.abs(found[:, j] + STANDARD_GRAVITY * rise).max() < 1e-7
 
 
-def test_the_moment_across_an_axis_completes_the_torque() -> None:
-    """All three components of the moment together are the same vector from any frame at the same point."""
+def test_the_weight_is_that_beyond_the_joint_and_turns_with_the_arm() -> None:
     chain = chain_of("ur10")
     inertias = read_inertias(urdf("ur10"), chain)
     q = random_postures(chain, 30, np.random.default_rng(3))
@@ -56,7 +55,6 @@ def test_the_moment_across_an_axis_completes_the_torque() -> None:
         ).max()
         < 1e-9
     )
-    # turning the wrist's last joint moves its own body only, which lies on its axis up to its offset
     turned = q.copy()
     turned[:, 0] += 1.0  # about the vertical: nothing changes as seen from the arm
     assert np.abs(gravity_wrench(chain, inertias, turned)[1:] - wrench[1:]).max() < 1e-9

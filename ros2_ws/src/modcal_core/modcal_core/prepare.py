@@ -44,10 +44,12 @@ def prepare(
     aligned, notes = align(recording, chain.names, lambda q: frames(chain, q).p[-1].T, clock_limit)
     samples = cut_stations(aligned, chain.names, rules)
     if samples.moving.any():
-        if not np.isfinite(samples.sigma_position).any():
+        stood = np.isfinite(samples.sigma_position).any()
+        # clocks are settled anew, and said again if they are still off
+        samples, notes = _settle_delays(recording, aligned, samples, chain, rules)
+        if not stood:
             said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
-            notes = (said,) if aligned is recording else (said, *notes)
-        samples, notes = _settle_delays(recording, aligned, samples, chain, rules, notes)
+            notes = (said, *notes)
     return Prepared(samples, recording.warnings + notes)
 
 
@@ -57,7 +59,6 @@ def _settle_delays(
     samples: Samples,
     chain: Chain,
     rules: StationRules | None,
-    notes: tuple[str, ...],
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 
@@ -66,23 +67,26 @@ def _settle_delays(
     second order only. Delays as short as a driver's are then left in: they are not the clock's fault, and the
     diagnosis names them.
     """
-    total = np.array([_offset(recording, aligned, frame) for frame in samples.frames])
+    offset, drifts = _aligned_by(recording, aligned, samples.frames)
+    rest = np.zeros(len(offset))
     for _ in range(_ROUNDS):
         step = _delays(samples, chain)
-        total += step
-        samples = cut_stations(_shifted(recording, samples.frames, total), chain.names, rules)
+        rest += step
+        samples = cut_stations(_shifted(aligned, samples.frames, rest), chain.names, rules)
         if np.abs(step).max() < 1e-6:
             break
-    as_recorded = cut_stations(recording, chain.names, rules)
-    clocks = np.where((np.abs(total) <= LONGEST_LATENCY) & _within_reach(as_recorded, samples, total), 0.0, total)
-    samples = cut_stations(_shifted(recording, samples.frames, clocks), chain.names, rules)
-    drops = tuple(n for n in notes if not n.startswith("The clock of"))
+    total = offset + rest
+    as_recorded = cut_stations(_shifted(aligned, samples.frames, -offset), chain.names, rules)
+    own = (np.abs(total) <= LONGEST_LATENCY) & ~drifts & _within_reach(as_recorded, samples, total)
+    samples = cut_stations(_shifted(aligned, samples.frames, np.where(own, -offset, rest)), chain.names, rules)
     said = tuple(
-        f"Readings in {frame} were {1e3 * delay:+.2f} ms late, by their motion; their stamps were corrected."
-        for frame, delay in zip(samples.frames, clocks, strict=True)
-        if delay
+        f"Readings in {frame} were {1e3 * total[f]:+.2f} ms late, by their motion"
+        + (", and their clock drifted" if drifts[f] else "")
+        + "; their stamps were corrected."
+        for f, frame in enumerate(samples.frames)
+        if not own[f]
     )
-    return samples, drops + said
+    return samples, said
 
 
 def _within_reach(late: Samples, exact: Samples, delay: Array) -> np.ndarray:
@@ -99,12 +103,15 @@ def _within_reach(late: Samples, exact: Samples, delay: Array) -> np.ndarray:
     return out
 
 
-def _offset(recording: Recording, aligned: Recording, frame: str) -> float:
-    """By how much aligning has shifted the readings of a frame [s]."""
-    for before, after in zip(recording.readings, aligned.readings, strict=True):
-        if before.frame == frame and len(before.stamps):
-            return float(np.median(before.stamps - after.stamps))
-    return 0.0
+def _aligned_by(recording: Recording, aligned: Recording, frames: tuple[str, ...]) -> tuple[Array, np.ndarray]:
+    """By how much aligning has shifted the readings of each frame [s], (F,), and whether by more and more, (F,)."""
+    shifts = {
+        before.frame: before.stamps - after.stamps
+        for before, after in zip(recording.readings, aligned.readings, strict=True)
+        if len(before.stamps)
+    }
+    each = [shifts[frame] for frame in frames]
+    return np.array([np.median(s) for s in each]), np.array([np.ptp(s) > 1e-6 for s in each])
 
 
 def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Recording:

@@ -38,9 +38,7 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects.
-
-    fit: to *train* with this effect and the ones before it.
+    as well, by name and as effects. fit: to *train* with this effect and the ones before it.
     """
 
     effect: Effect
@@ -163,14 +161,14 @@ class _Search:
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
+        while self._without_payload():
+            pass
         while True:
             size = [
                 float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
                 for e in map(_linear, self.fit.model.effects)
             ]
             weakest = int(np.argmin(size))
-            if self._without_payload():
-                continue
             if size[weakest] >= _NEEDLESS or len(size) < 2:
                 return
             del self.causes[weakest]
@@ -182,8 +180,9 @@ class _Search:
         """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""
         effects = self.fit.model.effects
         for i, effect in enumerate(effects):
-            sure = effect.family != "payload" or abs(effect.values[1]) >= _SURE * effect.std[1]
-            if not sure or (effect.family == "payload" and not is_weight(effect.values)):
+            if effect.family != "payload":
+                continue
+            if abs(effect.values[1]) < _SURE * effect.std[1] or not is_weight(effect.values):
                 plain = Effect("compliance", effect.place, effect.direction, f"load:{effect.place}", Shape("linear"))
                 started = plain.started(effect.values[:1])
                 self.fit = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))

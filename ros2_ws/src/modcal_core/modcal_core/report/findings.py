@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import norm
 
 from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.parameters import DIRECTIONS
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.diagnosis.loop import Diagnosis
@@ -99,7 +101,8 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
     with_them, without = _rms(fit, samples), _rms(fit, samples.select(np.flatnonzero(~wrong)))
-    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, 1e-9, with_them, without),)
+    by_chance = min(1.0, len(samples) * float(norm.sf(REJECT_Z)))  # that noise makes any of them
+    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without),)
 
 
 def _rms(fit: Fit, samples: Samples) -> float:

@@ -11,9 +11,9 @@ from rich.console import Console
 from modcal_core.calibration.deciding import Proposal, propose
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
+from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.files import read_calibration, to_yaml, write_folder
 
-EXISTING = click.Path(exists=True, path_type=Path)
 _BY_POSTURE = ("position", "load", "direction")
 
 
