@@ -28,6 +28,7 @@ setup(
             f"modcal = {PACKAGE}.cli.main:main",
             f"recorder = {PACKAGE}.recorder:main",
             f"calibrator = {PACKAGE}.calibrator:main",
+            f"corrector = {PACKAGE}.corrector:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
         ],
     },

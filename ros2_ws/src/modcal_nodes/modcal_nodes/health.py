@@ -1,0 +1,56 @@
+"""What a node says of itself on ``/diagnostics``, once a second and at once when it gets better or worse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_PERIOD = 1.0  # s
+
+
+@dataclass(frozen=True)
+class Status:
+    """One line of a node's health. part: what of the node it is about. values: facts behind the message, by name."""
+
+    part: str
+    level: bytes
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class Health:
+    """Publishes a node's statuses. ``report`` is asked for them."""
+
+    def __init__(self, node: Node, report: Callable[[], Iterable[Status]]) -> None:
+        self._node, self._report = node, report
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._levels: tuple[bytes, ...] = ()
+        # wall time: a simulation that stands still must not silence the node that would say so
+        node.create_timer(_PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def publish(self) -> None:
+        """Publish all statuses now."""
+        statuses = list(self._report())
+        message = DiagnosticArray(status=[self._converted(status) for status in statuses])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._levels = tuple(status.level for status in statuses)
+        self._publisher.publish(message)
+
+    def publish_if_changed(self) -> None:
+        """Publish now if the level of any status has changed since the last time."""
+        if tuple(status.level for status in self._report()) != self._levels:
+            self.publish()
+
+    def _converted(self, status: Status) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=status.level,
+            name=f"{self._node.get_fully_qualified_name()}: {status.part}",
+            hardware_id="modcal",
+            message=status.message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in status.values.items()],
+        )
