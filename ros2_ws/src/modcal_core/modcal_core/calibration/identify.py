@@ -96,7 +96,7 @@ def identify(
     around = start.circumstances(samples)
     P = len(parameters)
     fitted = () if keep_effects else start.effects
-    centre, prior = _priors(fitted, parameters, around)
+    centre, prior = priors(fitted, parameters, around)
     values = np.concatenate([np.zeros(P) if begin is None else begin, *(e.values for e in fitted)])
 
     damping = 0.0
@@ -134,7 +134,7 @@ def identify(
     )
 
 
-def _priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
+def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
     """Where each value is expected and how far from there: geometry at zero, effects at nothing, settings as found."""
     centre, prior = [np.zeros(len(parameters))], [np.array([p.prior_std for p in parameters])]
     for effect in effects:

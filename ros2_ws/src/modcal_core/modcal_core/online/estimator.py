@@ -1,0 +1,245 @@
+"""The running estimate: every sample updates the parameters, the effects' values, and their covariance.
+
+A sample is linearised at the present estimate and taken into the square-root information of :mod:`information`. The
+latest samples are kept and linearised again when the estimate has moved, as a batch Gauss–Newton step does, so that on
+an arm that does not change the running estimate is the batch solution. An arm that does change may wander: parameters
+named for it get process noise. Samples that do not fit count less, as in a batch fit, and are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.effects import place_index
+from modcal_core.calibration.identify import priors
+from modcal_core.calibration.linearise import Linearised, linearise, model_at
+from modcal_core.calibration.linearise import View as Seen
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread, robust_weights, standard_score
+from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.structure import general_samples
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.information import Information
+
+KEPT = 512  # samples that can be linearised again
+_MOVED = 0.02  # standard deviations; an estimate that moved further is linearised anew
+_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one sample did. score: how far it lay from what was expected, as a standard score. weight: 1 taken in full,
+    0 rejected. innovation: its residual before it was taken in, position [m] then rotation [rad], (3,) or (6,).
+    """
+
+    score: float
+    weight: float
+    innovation: Array
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Places that may move with time, and how fast. places: of "base", "tool" and joints. views: what the instruments
+    see. metres, radians: standard deviation after one second [m/√s, rad/√s].
+    """
+
+    places: tuple[str, ...]
+    views: tuple[View, ...]
+    metres: float
+    radians: float
+
+    def ways(self, model: Model, parameters: Sequence[Parameter], count: int) -> tuple[Array, Array]:
+        """How the values (count,) change with each motion of the places, (count, 6 m), and how fast, (6 m,).
+
+        A minimal set of parameters holds only some directions of a place; the others are what they pass through to.
+        """
+        samples = general_samples(model, self.views, each=max(12, -(-len(parameters) // len(self.views))))
+        bare = model.with_effects(())
+        J = linearise(bare, parameters, np.zeros(len(parameters)), samples).J
+        seen = Seen.of(bare, samples, bare.circumstances(samples))
+        moved = [seen.unit_column(place_index(place, model.chain), d) for place in self.places for d in range(6)]
+        ways = np.zeros((count, len(moved)))
+        ways[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
+        return ways, np.tile([self.metres] * 3 + [self.radians] * 3, len(self.places))
+
+
+class Estimator:
+    """Values of a model's parameters and effects, and their covariance, as samples come in.
+
+    The values are those of :func:`~modcal_core.calibration.identify.identify` about the same model: the parameters',
+    relative to the model, and behind them the values of its effects.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        parameters: Sequence[Parameter],
+        spread: Spread,
+        covariance: Array | None = None,
+        wander: Wander | None = None,
+        robust: bool = True,
+        kept: int = KEPT,
+    ) -> None:
+        """Begin at a model.
+
+        spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are known;
+        None: the priors of a batch fit. wander: what may change with time. robust: mistrust samples that do not fit.
+        kept: samples that are linearised again when the estimate moves; 0 with ``wander``, which has an order.
+        """
+        self.start, self.parameters, self.spread = model, tuple(parameters), spread
+        self.names = (*(p.name for p in parameters), *_effect_names(model))
+        self._robust = robust
+        self._kept_most = 0 if wander else kept
+        effects = np.concatenate([np.zeros(0), *(e.values for e in model.effects)])
+        begin = np.concatenate([np.zeros(len(parameters)), effects])
+        if covariance is None:
+            self._before = Information(np.zeros((len(begin), len(begin))), np.zeros(len(begin)))
+        else:
+            self._before = Information.of_prior(begin, covariance)
+        self._unprimed = covariance is None
+        self._now = self._before
+        self.values = begin
+        self._point = begin  # where the kept samples were linearised
+        self._kept: list[Samples] = []
+        self._weights: list[float] = []
+        self._ways = wander.ways(model, self.parameters, len(begin)) if wander else None
+        self._stamp = -np.inf
+        self.taken, self.rejected = 0, 0
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the values, (P, P)."""
+        return self._now.covariance
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the values, (P,)."""
+        return np.asarray(np.sqrt(np.einsum("ij,ij->i", self._now.root, self._now.root)))
+
+    @property
+    def model(self) -> Model:
+        """The model with the present values put in."""
+        return model_at(self.start, self.parameters, self.values)
+
+    def update(self, sample: Samples) -> Update:
+        """Take in one sample (a row), and say how well it fitted."""
+        if self._unprimed:
+            self._take_priors(sample)
+        self._let_wander(float(sample.stamps[0]))
+        at = linearise(self.start, self.parameters, self.values, sample)
+        r, J = at.residual, at.J.T
+        noise = self._noise(sample, at)
+        score, weight = self._judge(r, J, noise)
+        self.taken += 1
+        self.rejected += weight == 0.0
+        if weight > 0.0:
+            self._now = self._now.with_rows(*_whitened(r + J @ self.values, J, noise, weight))
+            self.values = self._now.mean
+            self._keep(sample, weight)
+        return Update(score, weight, r)
+
+    def settle(self) -> int:
+        """Linearise the kept samples again until the estimate stands; returns how often that was needed."""
+        for done in range(_ROUNDS):
+            if not self._kept or self._apart(self.values - self._point) < 1e-3 * _MOVED:
+                return done
+            self._again()
+        return _ROUNDS
+
+    def _take_priors(self, sample: Samples) -> None:
+        """The priors of a batch fit, which depend on the drivers at hand for the effects only."""
+        centre, prior = priors(self.start.effects, self.parameters, self.start.circumstances(sample))
+        self._before = self._now = Information(np.diag(1.0 / prior), centre / prior)
+        self._unprimed = False
+
+    def _let_wander(self, stamp: float) -> None:
+        passed = stamp - self._stamp
+        self._stamp = max(stamp, self._stamp)
+        if self._ways is not None and np.isfinite(passed) and passed > 0.0:
+            ways, rates = self._ways
+            self._now = self._now.grown(ways, rates**2 * passed)
+
+    def _noise(self, sample: Samples, at: Linearised) -> Array:
+        """Standard deviation of each row of the residual, (3,) or (6,)."""
+        known_p, known_r = np.nan_to_num(sample.sigma_position[0]), np.nan_to_num(sample.sigma_rotation[0])
+        position = np.full(3, np.hypot(self.spread.position, known_p))
+        if not at.rotation.size:
+            return position
+        return np.concatenate([position, np.full(3, np.hypot(self.spread.rotation, known_r))])
+
+    def _judge(self, r: Array, J: Array, noise: Array) -> tuple[float, float]:
+        """(standard score, weight) of a residual that the present estimate expected to be zero."""
+        if not np.diag(self._now.R).all():  # nothing at all is known of something yet
+            return 0.0, 1.0
+        root = J @ self._now.root
+        expected = root @ root.T + np.diag(noise**2)
+        square = float(r @ np.linalg.solve(expected, r))
+        score = float(standard_score(np.array([square]), np.array([float(len(r))]))[0])
+        return score, float(robust_weights(np.array([score]))[0]) if self._robust else 1.0
+
+    def _keep(self, sample: Samples, weight: float) -> None:
+        if not self._kept_most:
+            return
+        self._kept.append(sample)
+        self._weights.append(weight)
+        if len(self._kept) >= self._kept_most:
+            half = len(self._kept) // 2
+            self._before = self._with(self._before, self._kept[:half], self._weights[:half])
+            del self._kept[:half], self._weights[:half]
+            self._again()
+        elif (self.taken & (self.taken - 1)) == 0 and self._apart(self.values - self._point) > _MOVED:
+            self._again()
+
+    def _again(self) -> None:
+        self._point = self.values
+        self._now = self._with(self._before, self._kept, self._weights)
+        self.values = self._now.mean
+
+    def _with(self, known: Information, samples: list[Samples], weights: list[float]) -> Information:
+        """What is known, and besides it these samples as seen from the present estimate."""
+        if not samples:
+            return known
+        together = joined(samples)
+        at = linearise(self.start, self.parameters, self.values, together)
+        N, pose = len(together), together.is_pose
+        deviation_p = np.hypot(self.spread.position, np.nan_to_num(together.sigma_position))
+        deviation_r = np.hypot(self.spread.rotation, np.nan_to_num(together.sigma_rotation[pose]))
+        w = np.asarray(weights)
+        scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
+        assert len(scale) == 3 * N + 3 * int(pose.sum())
+        b = at.residual + self.values @ at.J
+        return known.with_rows((at.J * scale).T, b * scale)
+
+    def _apart(self, step: Array) -> float:
+        """How many standard deviations a step is long."""
+        return float(np.linalg.norm(self._now.R @ step))
+
+
+def joined(samples: Sequence[Samples]) -> Samples:
+    """Samples of the same cell, one after the other."""
+    first = samples[0]
+    shared = ("names", "frames", "signals")
+    arrays = {
+        name: np.concatenate([getattr(s, name) for s in samples])
+        for name in first.__dataclass_fields__
+        if name not in shared
+    }
+    return replace(samples[-1], **arrays)
+
+
+def _whitened(b: Array, A: Array, noise: Array, weight: float) -> tuple[Array, Array]:
+    scale = np.sqrt(weight) / noise
+    return A * scale[:, None], b * scale
+
+
+def _effect_names(model: Model) -> tuple[str, ...]:
+    out: list[str] = []
+    for effect in model.effects:
+        amplitudes = len(effect.amplitudes)
+        out += [f"{effect.label} / {i + 1}" for i in range(amplitudes)]
+        out += [f"{effect.label} / {name}" for name in effect.refined]
+    return tuple(out)

@@ -1,0 +1,82 @@
+"""The square-root information form of a linear least-squares estimate, updated row by row.
+
+What is known of x is kept as an upper triangular R and a vector z with ``R x = z + noise of unit variance``: R is the
+Cholesky factor of the information matrix, so nothing is squared and an estimate stays positive definite however long it
+runs (Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*). New rows are taken in by one
+orthogonal triangularisation, which gives what a batch solution of all rows would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack, solve_triangular
+
+from modcal_core.geometry.so3 import Array
+
+
+@dataclass(frozen=True)
+class Information:
+    """What is known of x (P,): ``R x = z``. R: (P, P), upper triangular. z: (P,)."""
+
+    R: Array
+    z: Array
+
+    @classmethod
+    def of_prior(cls, mean: Array, covariance: Array) -> Information:
+        """What a mean (P,) and a covariance (P, P) say."""
+        L = np.linalg.cholesky(covariance)
+        R = triangular(solve_triangular(L, np.eye(len(mean)), lower=True))
+        return cls(R, R @ mean)
+
+    def with_rows(self, A: Array, b: Array) -> Information:
+        """The same with rows ``A x = b + noise of unit variance`` added, A (k, P), b (k,)."""
+        P = len(self.z)
+        stacked = np.empty((P + len(A), P + 1), order="F")
+        stacked[:P, :P], stacked[:P, P] = self.R, self.z
+        stacked[P:, :P], stacked[P:, P] = A, b
+        top = triangular(stacked)
+        return Information(top[:P, :P], top[:P, P])
+
+    def grown(self, G: Array, variance: Array) -> Information:
+        """The same after x has wandered by ``G w``, w (m,) being noise of these variances (m,), G (P, m).
+
+        The noise is added as unknowns of its own, known to be about zero, and eliminated again.
+        """
+        moving = np.asarray(variance) > 0.0
+        m, P = int(moving.sum()), len(self.z)
+        if not m:
+            return self
+        stacked = np.zeros((m + P, m + P + 1), order="F")
+        stacked[:m, :m] = np.diag(1.0 / np.sqrt(np.asarray(variance)[moving]))
+        stacked[m:, :m] = -self.R @ G[:, moving]
+        stacked[m:, m : m + P], stacked[m:, m + P] = self.R, self.z
+        rest = triangular(stacked)[m : m + P, m:]
+        return Information(rest[:, :P], rest[:, P])
+
+    @property
+    def mean(self) -> Array:
+        """The estimate of x, (P,)."""
+        return np.asarray(solve_triangular(self.R, self.z, check_finite=False))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the estimate, (P, P)."""
+        inverse = self.root
+        return inverse @ inverse.T
+
+    @property
+    def root(self) -> Array:
+        """A square root S of the covariance, ``S Sᵀ``, (P, P)."""
+        return np.asarray(solve_triangular(self.R, np.eye(len(self.z)), check_finite=False))
+
+
+def triangular(rows: Array) -> Array:
+    """The upper triangle that an orthogonal transformation makes of rows (m, n), its diagonal not negative."""
+    a = np.array(rows, order="F")
+    qr, _, _, _ = lapack.dgeqrf(a, overwrite_a=1)
+    R = np.triu(qr[: a.shape[1]])
+    sign = np.where(np.diag(R) < 0.0, -1.0, 1.0)
+    R[: len(sign)] *= sign[:, None]
+    return np.asarray(R)

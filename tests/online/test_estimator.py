@@ -1,0 +1,158 @@
+"""The running estimate is the batch estimate, its covariance is right, and it follows what is allowed to wander."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import record, samples_of
+from numpy.random import Generator
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.estimator import Estimator, Wander
+from modcal_core.online.information import Information, triangular
+
+
+def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> Fit:
+    cell = fit_cell(chain, samples, Cell())  # type: ignore[arg-type]
+    model = cell.model.with_effects(effects)
+    parameters = choose_parameters(cell.model, views_of(samples)).parameters
+    return identify(model, samples, parameters, robust=False, tolerance=1e-9)
+
+
+def feed(estimator: Estimator, samples: Samples) -> None:
+    for i in range(len(samples)):
+        estimator.update(samples.select(np.array([i])))
+    estimator.settle()
+
+
+def test_information_is_the_batch_solution(rng: Generator) -> None:
+    A, x = rng.normal(size=(200, 7)), rng.normal(size=7)
+    b = A @ x + rng.normal(size=200)
+    known = Information.of_prior(np.zeros(7), 100.0 * np.eye(7))
+    for i in range(0, 200, 5):
+        known = known.with_rows(A[i : i + 5], b[i : i + 5])
+    H = A.T @ A + 0.01 * np.eye(7)
+    assert np.abs(known.mean - np.linalg.solve(H, A.T @ b)).max() < 1e-12
+    assert np.abs(known.covariance - np.linalg.inv(H)).max() < 1e-12
+
+
+def test_growing_adds_the_variance_that_was_asked_for(rng: Generator) -> None:
+    root = triangular(rng.normal(size=(9, 5)))
+    known = Information(root, rng.normal(size=5))
+    G, variance = rng.normal(size=(5, 3)), np.array([0.5, 0.0, 2.0])
+    grown = known.grown(G, variance)
+    assert np.abs(grown.covariance - known.covariance - G @ np.diag(variance) @ G.T).max() < 1e-12
+    assert np.abs(grown.mean - known.mean).max() < 1e-12
+
+
+@pytest.mark.parametrize(("kind", "count"), [("pose", 300), ("point", 300), ("pose", 1500)])
+def test_equals_the_batch_solution(kind: str, count: int) -> None:
+    """1500 is more than can be linearised again: what was kept of the rest must do."""
+    world = record(3, count, kind)
+    fit = batch(world.samples, world.world.nominal)
+    estimator = Estimator(fit.start, fit.parameters, fit.spread, robust=False)
+    feed(estimator, world.samples)
+    assert np.abs(estimator.values - fit.values).max() < 1e-9
+    assert np.abs(estimator.std / fit.std - 1.0).max() < 1e-6
+    assert estimator.taken == count
+
+
+def test_equals_the_batch_solution_with_an_effect() -> None:
+    cell = record(4, 250)
+    q = cell.samples.q.copy()
+    q[:, 2] -= 4e-4 * np.sin(37.0 * q[:, 2] + 0.3)
+    samples = samples_of(cell.world.nominal, q, _poses(cell.samples))
+    gear = Effect("gear_harmonic", samples.names[2], AXIS, f"position:{samples.names[2]}", Shape("sine", {"cycles": 36.97}))
+    fit = batch(samples, cell.world.nominal, (gear.started(np.zeros(2) + 1e-5),))
+    estimator = Estimator(fit.start, fit.parameters, fit.spread, robust=False)
+    feed(estimator, samples)
+    effect = fit.model.effects[0]
+    # the settings' prior stands where they were found, whatever the drivers of the first sample
+    assert np.abs(estimator.values[-3:] - effect.values).max() < 1e-7
+    assert np.abs(estimator.values[:-3] - fit.values).max() < 1e-9
+
+
+def test_goes_on_from_a_batch_fit() -> None:
+    """What a batch fit knows of the first half, and the second half, are the batch fit of all."""
+    cell = record(5, 400)
+    whole = batch(cell.samples, cell.world.nominal)
+    first, rest = cell.samples.select(np.arange(200)), cell.samples.select(np.arange(200, 400))
+    half = identify(whole.start, first, whole.parameters, robust=False, tolerance=1e-9)
+    estimator = Estimator(half.model, half.parameters, whole.spread, half.covariance)
+    for i in range(len(rest)):
+        estimator.update(rest.select(np.array([i])))
+    q = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
+    assert np.abs(estimator.model.predict(q)[:, :3, 3] - whole.model.predict(q)[:, :3, 3]).max() < 3e-6
+    assert np.abs(half.model.predict(q)[:, :3, 3] - whole.model.predict(q)[:, :3, 3]).max() > 5e-6
+
+
+def test_the_stated_covariance_is_right() -> None:
+    """Normalised errors of predicted positions over many cells are those of a χ² law."""
+    squares = []
+    for seed in range(12):
+        cell = record(100 + seed, 60)
+        fit = batch(cell.samples, cell.world.nominal)
+        estimator = Estimator(fit.start, fit.parameters, fit.spread)
+        feed(estimator, cell.samples)
+        exact = batch(cell.exact, cell.world.nominal)
+        truth = identify(fit.start, cell.exact, fit.parameters, robust=False, tolerance=1e-9)
+        assert exact.spread.position < 1e-7
+        gap = np.linalg.solve(np.linalg.cholesky(estimator.covariance), estimator.values - truth.values)
+        squares.append(float(gap @ gap) / len(gap))
+    assert 0.8 < np.mean(squares) < 1.25
+
+
+@pytest.mark.parametrize("place", ["base", "tool"])
+def test_what_wanders_is_followed(place: str) -> None:
+    """Tracker or tool creep by a millimetre, in a direction that a minimal set of parameters does not hold as such."""
+    cell = record(6, 400)
+    fit = batch(cell.samples, cell.world.nominal)
+    T = _poses(cell.samples)
+    creep = np.outer(np.linspace(0.0, 1e-3, 400), np.ones(3) / np.sqrt(3.0))
+    T[:, :3, 3] += creep if place == "base" else (T[:, :3, :3] @ creep[..., None])[..., 0]
+    samples = samples_of(cell.world.nominal, cell.samples.q, T)
+    wander = Wander((place,), views_of(samples), 3e-5, 1e-7)
+    stiff = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
+    free = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander, robust=False)
+    for estimator in (stiff, free):
+        for i in range(len(samples)):
+            estimator.update(samples.select(np.array([i])))
+    late = samples.select(np.arange(380, 400))
+    missed = [np.sqrt(np.mean((e.model.predict(late.q)[:, :3, 3] - late.position) ** 2)) for e in (stiff, free)]
+    assert missed[1] < 1.5 * 5e-5  # the noise of the readings
+    assert missed[0] > 2e-4
+
+
+def test_an_outlier_is_counted_and_has_no_say() -> None:
+    cell = record(7, 200)
+    fit = batch(cell.samples, cell.world.nominal)
+    wrong = cell.samples.position.copy()
+    wrong[::20] += 0.02
+    bad = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, wrong))
+    estimator = Estimator(fit.model, fit.parameters, fit.spread, 100.0 * fit.covariance)
+    updates = [estimator.update(bad.select(np.array([i]))) for i in range(200)]
+    assert [i for i, u in enumerate(updates) if u.weight == 0.0] == list(range(0, 200, 20))
+    assert estimator.rejected == 10
+    assert np.abs(estimator.values).max() < 6.0 * fit.std.max()
+
+
+def test_covariance_stays_positive_definite_for_long() -> None:
+    """Twenty thousand updates on columns of very different size, by the algebra alone."""
+    rng = np.random.default_rng(0)
+    known = Information.of_prior(np.zeros(12), np.eye(12))
+    A = rng.normal(size=(50, 6, 12)) * np.logspace(-4, 4, 12)
+    for i in range(20_000):
+        known = known.with_rows(A[i % 50], np.zeros(6)).grown(np.eye(12)[:, :3], np.full(3, 1e-9))
+    scale = 1.0 / np.sqrt(np.diag(known.covariance))
+    assert np.linalg.eigvalsh(known.covariance * np.outer(scale, scale)).min() > 0.0
+
+
+def _poses(samples: Samples) -> Array:
+    return se3.transform(samples.R, samples.position)
