@@ -22,6 +22,7 @@ from modcal_core.calibration.score import Errors, errors, noise_floor, outlying,
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
+from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.loop import Diagnosis, diagnose
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
@@ -113,7 +114,7 @@ def ship(
     scored: the fit whose effects it has, and which it begins from.
     """
     nominal = fit_cell(chain, samples, cell, inertias)
-    fit = identify(nominal.model, samples, choice.parameters, cell.distances)
+    fit = last = identify(nominal.model, samples, choice.parameters, cell.distances)
     geometric = fit.model
     if scored is None or not scored.model.effects:
         tidy = least_change(fit.model, chain)
@@ -122,11 +123,16 @@ def ship(
         fit = identify(start, samples, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values)
         # places moved by what was passed through the joints: effects settle where they are now
         tidy = least_change(fit.model, chain)
-        tidy = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED).model
+        settled = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED)
+        tidy, last = settled.model, settled
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
-    return Calibration(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread)
+    known = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
+    watched = float(samples.stamps.min()), float(samples.stamps.max())
+    return Calibration(
+        nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, known, watched
+    )
 
 
 def evaluate(

@@ -14,7 +14,9 @@ from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -32,7 +34,8 @@ class Calibration:
     made from, (2, n); outside them it extrapolates.
     parameters: (name, value, standard deviation, unit) of the fit, for people. rivals: for each effect others that
     explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
-    scatter about the model; from these further stations can be planned.
+    scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
+    where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     """
 
     nominal: Model
@@ -44,6 +47,8 @@ class Calibration:
     kind: str = "pose"
     postures: Array = field(default_factory=lambda: np.empty((0, 0)))
     spread: Spread = field(default_factory=lambda: Spread(1e-4, 1e-4))
+    uncertainty: Uncertainty | None = None
+    watched: tuple[float, float] | None = None
 
     @property
     def robot(self) -> str:
@@ -110,7 +115,9 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             "kind": calibration.kind,
             "spread": [calibration.spread.position, calibration.spread.rotation],
             "postures": [_floats(q) for q in calibration.postures],
+            **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
         },
+        **({"uncertainty": _uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
         "arm": _arm_to_data(calibration.calibrated.arm),
     }
 
@@ -135,10 +142,13 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
-    except (KeyError, TypeError, ValueError) as error:
+        known = _uncertainty_from_data(data.get("uncertainty"), calibrated)
+        first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
     kind = str(recorded["kind"])
-    return Calibration(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread)
+    watched = (first, last) if np.isfinite([first, last]).all() else None
+    return Calibration(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known, watched)
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:
@@ -164,6 +174,37 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
         np.array(data["values"], dtype=float),
         np.array(data["std"], dtype=float),
     )
+
+
+def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
+    """The parameters, and the rows of the covariance up to the diagonal."""
+    return {
+        "parameters": [
+            {"name": p.name, "place": p.place, "direction": p.direction, "frame": p.frame, "prior": float(p.prior_std)}
+            for p in known.parameters
+        ],
+        "covariance": [_floats(row[: i + 1]) for i, row in enumerate(known.covariance)],
+    }
+
+
+def _uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
+    if data is None:
+        return None
+    parameters = tuple(
+        Parameter(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"]))
+        for p in data["parameters"]
+    )
+    rows = data["covariance"]
+    K = len(parameters) + sum(len(e.values) for e in model.effects)
+    if [len(row) for row in rows] != list(range(1, K + 1)):
+        raise ValueError(f"a covariance of {K} values has {K} rows of 1 to {K} numbers")
+    lower = np.zeros((K, K))
+    for i, row in enumerate(rows):
+        lower[i, : i + 1] = row
+    covariance = lower + np.tril(lower, -1).T
+    if not np.isfinite(covariance).all() or (np.diag(covariance) < 0.0).any():
+        raise ValueError("a covariance has finite numbers and no negative variance")
+    return Uncertainty(parameters, covariance)
 
 
 def _arm_to_data(arm: Arm | None) -> dict[str, Any] | None:

@@ -1,0 +1,77 @@
+"""How well a calibrated model is known: one covariance of its geometry and its effects together.
+
+Amplitudes of effects and constants of the arm share what the data says (a sag that grows with load is half a joint
+zero), so their variances alone would say too much or too little of a predicted pose. The values are small deviations
+about the calibrated model *as it is written*, after its gauge has been chosen, so that no second model is needed to
+read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.effects import prior_stds
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of deviations from a model.
+
+    parameters: P of the geometry, each one direction at one place (see :mod:`modcal_core.calibration.parameters`), zero
+    at the model itself. covariance: (K, K), of the parameters [m, rad], then of the values of the model's effects in
+    their order.
+    """
+
+    parameters: tuple[Parameter, ...]
+    covariance: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, (K,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def uncertainty(
+    model: Model, samples: Samples, parameters: Sequence[Parameter], fit: Fit, distances: Sequence[Distance] = ()
+) -> Uncertainty:
+    """The uncertainty of these parameters about a model, and of its effects, as these samples leave it.
+
+    fit: of the same samples, whose weights and spread count. It is the inverse of JᵀWJ with the priors added.
+    """
+    P = len(parameters)
+    values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
+    around = model.circumstances(samples)
+    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
+    H, _ = normal_equations(model, parameters, values, samples, _row_weights(fit, samples))
+    if distances:
+        rows = distance_rows(model, parameters, values[:P], distances)
+        H[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
+    H += np.diag(prior**-2.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    H = H * np.outer(scale, scale)
+    try:
+        inverse = cho_solve(cho_factor(H, lower=True), np.eye(len(H)))
+    except np.linalg.LinAlgError:  # singular to rounding
+        inverse = np.linalg.pinv(H, rcond=1e-12, hermitian=True)
+    covariance = inverse * np.outer(scale, scale)
+    return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
+
+
+def _row_weights(fit: Fit, samples: Samples) -> Array:
+    """Weight of each row of a linearisation, (3 N + 3 M,), as the fit had them."""
+    pose = samples.is_pose
+    known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation[pose])
+    position = fit.weights / (fit.spread.position**2 + known_p**2)
+    rotation = fit.weights[pose] / (fit.spread.rotation**2 + known_r**2)
+    return np.concatenate([np.tile(position, 3), np.tile(rotation, 3)])
