@@ -69,7 +69,9 @@ def test_equals_the_batch_solution_with_an_effect() -> None:
     q = cell.samples.q.copy()
     q[:, 2] -= 4e-4 * np.sin(37.0 * q[:, 2] + 0.3)
     samples = samples_of(cell.world.nominal, q, _poses(cell.samples))
-    gear = Effect("gear_harmonic", samples.names[2], AXIS, f"position:{samples.names[2]}", Shape("sine", {"cycles": 36.97}))
+    gear = Effect(
+        "gear_harmonic", samples.names[2], AXIS, f"position:{samples.names[2]}", Shape("sine", {"cycles": 36.97})
+    )
     fit = batch(samples, cell.world.nominal, (gear.started(np.zeros(2) + 1e-5),))
     estimator = Estimator(fit.start, fit.parameters, fit.spread, robust=False)
     feed(estimator, samples)

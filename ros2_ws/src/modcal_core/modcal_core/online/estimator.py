@@ -15,7 +15,7 @@ import numpy as np
 
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.identify import priors
-from modcal_core.calibration.linearise import Linearised, linearise, model_at
+from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.linearise import View as Seen
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread, robust_weights, standard_score
@@ -23,6 +23,7 @@ from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.online.frozen import Frozen
 from modcal_core.online.information import Information
 
 KEPT = 512  # samples that can be linearised again
@@ -103,7 +104,8 @@ class Estimator:
         self._unprimed = covariance is None
         self._now = self._before
         self.values = begin
-        self._point = begin  # where the kept samples were linearised
+        self._point = begin  # where samples are linearised
+        self._frozen: Frozen | None = None
         self._kept: list[Samples] = []
         self._weights: list[float] = []
         self._ways = wander.ways(model, self.parameters, len(begin)) if wander else None
@@ -130,14 +132,16 @@ class Estimator:
         if self._unprimed:
             self._take_priors(sample)
         self._let_wander(float(sample.stamps[0]))
-        at = linearise(self.start, self.parameters, self.values, sample)
-        r, J = at.residual, at.J.T
-        noise = self._noise(sample, at)
+        if self._frozen is None:
+            self._frozen = Frozen(self.start, self.parameters, self._point)
+        at_point, J = self._frozen(sample)
+        r = at_point - J @ (self.values - self._point)
+        noise = self._noise(sample, len(r))
         score, weight = self._judge(r, J, noise)
         self.taken += 1
         self.rejected += weight == 0.0
         if weight > 0.0:
-            self._now = self._now.with_rows(*_whitened(r + J @ self.values, J, noise, weight))
+            self._now = self._now.with_rows(*_whitened(at_point + J @ self._point, J, noise, weight))
             self.values = self._now.mean
             self._keep(sample, weight)
         return Update(score, weight, r)
@@ -163,26 +167,26 @@ class Estimator:
             ways, rates = self._ways
             self._now = self._now.grown(ways, rates**2 * passed)
 
-    def _noise(self, sample: Samples, at: Linearised) -> Array:
+    def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
-        known_p, known_r = np.nan_to_num(sample.sigma_position[0]), np.nan_to_num(sample.sigma_rotation[0])
-        position = np.full(3, np.hypot(self.spread.position, known_p))
-        if not at.rotation.size:
-            return position
-        return np.concatenate([position, np.full(3, np.hypot(self.spread.rotation, known_r))])
+        out = np.full(rows, np.hypot(self.spread.position, _known(sample.sigma_position[0])))
+        out[3:] = np.hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
+        return out
 
     def _judge(self, r: Array, J: Array, noise: Array) -> tuple[float, float]:
         """(standard score, weight) of a residual that the present estimate expected to be zero."""
-        if not np.diag(self._now.R).all():  # nothing at all is known of something yet
+        expected = self._now.variance_of(J)
+        if expected is None:
             return 0.0, 1.0
-        root = J @ self._now.root
-        expected = root @ root.T + np.diag(noise**2)
+        expected[np.diag_indices(len(r))] += noise**2
         square = float(r @ np.linalg.solve(expected, r))
-        score = float(standard_score(np.array([square]), np.array([float(len(r))]))[0])
-        return score, float(robust_weights(np.array([score]))[0]) if self._robust else 1.0
+        score = float(standard_score(square, len(r)))
+        return score, float(robust_weights(score)) if self._robust else 1.0
 
     def _keep(self, sample: Samples, weight: float) -> None:
         if not self._kept_most:
+            if self._apart(self.values - self._point) > _MOVED:
+                self._stand_at(self.values)
             return
         self._kept.append(sample)
         self._weights.append(weight)
@@ -192,12 +196,16 @@ class Estimator:
             del self._kept[:half], self._weights[:half]
             self._again()
         elif (self.taken & (self.taken - 1)) == 0 and self._apart(self.values - self._point) > _MOVED:
-            self._again()
+            self._again()  # at every doubling: an estimate moves less and less
 
     def _again(self) -> None:
-        self._point = self.values
+        self._stand_at(self.values)
         self._now = self._with(self._before, self._kept, self._weights)
         self.values = self._now.mean
+
+    def _stand_at(self, values: Array) -> None:
+        """Linearise about these values from now on."""
+        self._point, self._frozen = values, None
 
     def _with(self, known: Information, samples: list[Samples], weights: list[float]) -> Information:
         """What is known, and besides it these samples as seen from the present estimate."""
@@ -234,6 +242,10 @@ def joined(samples: Sequence[Samples]) -> Samples:
 def _whitened(b: Array, A: Array, noise: Array, weight: float) -> tuple[Array, Array]:
     scale = np.sqrt(weight) / noise
     return A * scale[:, None], b * scale
+
+
+def _known(sigma: float) -> float:
+    return float(sigma) if np.isfinite(sigma) else 0.0
 
 
 def _effect_names(model: Model) -> tuple[str, ...]:

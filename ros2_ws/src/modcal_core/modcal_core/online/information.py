@@ -55,10 +55,15 @@ class Information:
         rest = triangular(stacked)[m : m + P, m:]
         return Information(rest[:, :P], rest[:, P])
 
+    def variance_of(self, J: Array) -> Array | None:
+        """Covariance of ``J x``, (k, k), for J (k, P); None while nothing at all is known of some of x."""
+        half, singular = lapack.dtrtrs(self.R, J.T, trans=1)
+        return None if singular else half.T @ half
+
     @property
     def mean(self) -> Array:
         """The estimate of x, (P,)."""
-        return np.asarray(solve_triangular(self.R, self.z, check_finite=False))
+        return np.asarray(lapack.dtrtrs(self.R, self.z)[0])
 
     @property
     def covariance(self) -> Array:
