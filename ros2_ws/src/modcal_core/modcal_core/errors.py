@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import nan
+
 
 class ModcalError(Exception):
     """Refusal in one line: what offends, which limit it breaks, and what to do about it.
@@ -34,3 +36,16 @@ class NotEnoughData(ModcalError):
 
 class NotRepresentable(ModcalError):
     """A result that the asked-for format cannot hold, such as nearly parallel axes in a DH table."""
+
+
+class NotReachable(ModcalError):
+    """A pose that no posture within the limits reaches. ``position`` [m] and ``rotation`` [rad] say what was left."""
+
+    def __init__(self, offender: str, limit: str, remedy: str, position: float = nan, rotation: float = nan) -> None:
+        self.position = position
+        self.rotation = rotation
+        super().__init__(offender, limit, remedy)
+
+
+class BadCommand(ModcalError):
+    """A wish that an arm must not follow as it stands: not a pose, in no known frame, too old, or too far at once."""

@@ -63,7 +63,7 @@ def uncertainty(
     try:
         inverse = cho_solve(cho_factor(H, lower=True), np.eye(len(H)))
     except np.linalg.LinAlgError:  # singular to rounding
-        inverse = np.linalg.pinv(H, rcond=1e-12, hermitian=True)
+        inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
     covariance = inverse * np.outer(scale, scale)
     return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
 

@@ -1,0 +1,168 @@
+"""Inverse kinematics: the posture that puts the tip where it is wanted.
+
+Newton's method, damped as Levenberg and Marquardt do, on the error seen from the tip,
+
+    e = (Rᵀ (p_d − p), log(Rᵀ R_d)),        de/dq = −[[I, −hat(e_p)], [0, J_l⁻¹(e_ω)]] J_body,
+
+with the damping in proportion to the squared error (Sugihara 2011): far away it holds the steps back, close to the
+solution it vanishes and convergence is quadratic, also where a redundant arm leaves steps undecided. A joint that would
+leave its limits is held at them and the others go on. Where that ends in a dead end, other postures are tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import NotReachable
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import frames
+
+ALL_SIX = (True, True, True, True, True, True)
+TOLERANCE = 1e-10  # m and rad
+_MOST_STEPS = 60
+_LONGEST = 0.6  # rad or m, of one joint in one step
+_DAMPING = 1e-3  # times the squared error
+_FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
+_FREE_SLIDE = 0.5  # m
+
+
+def inverse(
+    chain: Chain,
+    T_base_tip: ArrayLike,
+    seed: ArrayLike,
+    mask: ArrayLike = ALL_SIX,
+    weights: ArrayLike | None = None,
+    rng: np.random.Generator | None = None,
+    restarts: int = 30,
+    tolerance: float = TOLERANCE,
+) -> Array:
+    """Joint positions (n,) [rad, m] within the limits that put the tip at a pose (4, 4) of the base.
+
+    seed: posture (n,) to begin from; the solution near it is found, turns counted, where there is one. mask: which of
+    x y z rx ry rz, along and about the axes of the tip as it will be, must be met. weights: of the six, (6,), for the
+    way there. rng: draws the postures of up to ``restarts`` other tries; without it only the seed is tried.
+    tolerance: largest error [m and rad] of what must be met. Raises NotReachable with the smallest error found.
+    """
+    goal = np.asarray(T_base_tip, dtype=float)
+    wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
+    weight = np.ones(6) if weights is None else np.asarray(weights, dtype=float)
+    start = np.asarray(seed, dtype=float)
+    assert goal.shape == (4, 4), goal.shape
+    assert start.shape == (chain.n,), start.shape
+    best = np.full(6, np.inf)
+    for q in _starts(chain, start, rng, restarts):
+        q, error = _descend(chain, goal, q, wanted, weight[wanted], tolerance)
+        if np.abs(error).max(initial=0.0) <= tolerance:
+            return _unwound(chain, q, start)
+        if np.linalg.norm(error) < np.linalg.norm(best):
+            best = error
+    position, rotation = np.linalg.norm(best[:3]), np.linalg.norm(best[3:])
+    x, y, z = goal[:3, 3]
+    raise NotReachable(
+        f"pose of {chain.tip} at ({x:.3f}, {y:.3f}, {z:.3f}) m in {chain.base}",
+        f"the nearest posture found within the limits misses it by {1e3 * position:.3g} mm, {rotation:.3g} rad",
+        "ask for a pose within reach and away from the limits, or come from another posture",
+        float(position),
+        float(rotation),
+    )
+
+
+def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts: int) -> Iterator[Array]:
+    """The seed, put within the limits, then random postures."""
+    yield np.clip(seed, chain.lower, chain.upper)
+    if rng is not None:
+        span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
+        low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
+        high = np.minimum(chain.upper, np.where(np.isfinite(chain.lower), chain.lower + 2.0 * span, span))
+        middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
+        low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
+        for _ in range(restarts):
+            yield rng.uniform(low, high)
+
+
+def _descend(
+    chain: Chain, goal: Array, q: Array, wanted: np.ndarray, weight: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """The posture that the steps from q end in, and the error (6,) that is left there, zero where none is wanted."""
+    e, J = _linearised(chain, goal, q)
+    for _ in range(_MOST_STEPS):
+        r, A = weight * e[wanted], weight[:, None] * J[wanted]
+        if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
+            break
+        cost = float(r @ r)
+        damping = _DAMPING * cost + 1e-14
+        for _ in range(6):
+            new = q + _step(chain, q, A, r, damping)
+            e_new, J_new = _linearised(chain, goal, new)
+            left = weight * e_new[wanted]
+            if float(left @ left) < cost:
+                break
+            damping = max(30.0 * damping, 1e-6)
+        else:
+            break
+        stalled = float(left @ left) > 0.9999 * cost
+        q, e, J = new, e_new, J_new
+        if stalled:
+            break
+    out = np.zeros(6)
+    out[wanted] = e[wanted]
+    return q, out
+
+
+def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
+    """The error (6,) at a posture (n,), seen from the tip, and what it loses per unit of each joint, (6, n)."""
+    f = frames(chain, q[None])
+    R, p = f.axes[-1, :, :, 0].T, f.p[-1, :, 0]
+    axis, arm = f.axes[:-1, 2, :, 0], p - f.p[:-1, :, 0]
+    turn = chain.revolute[:, None]
+    v = np.where(turn, _cross(axis, arm), axis) @ R  # rows, in the tip
+    w = np.where(turn, axis, 0.0) @ R
+    e_p, e_w = R.T @ (goal[:3, 3] - p), so3.log(R.T @ goal[:3, :3])
+    J = np.empty((6, chain.n))
+    J[:3] = (v - _cross(e_p[None], w)).T
+    J[3:] = so3.left_jacobian_inverse(e_w) @ w.T
+    return np.concatenate([e_p, e_w]), J
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of rows; np.cross takes longer to begin than this to finish."""
+    return np.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        axis=1,
+    )
+
+
+def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
+    """The damped step (n,) within the limits: joints that it would push out stay at them, and the rest is done anew."""
+    free = np.ones(chain.n, bool)
+    for _ in range(chain.n):
+        B = A * free
+        # either form gives the same step; the smaller system is solved
+        if len(r) <= chain.n:
+            step = B.T @ np.linalg.solve(B @ B.T + damping * np.eye(len(r)), r)
+        else:
+            step = np.linalg.solve(B.T @ B + damping * np.eye(chain.n), B.T @ r)
+        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        held = free & (
+            ((q + step < chain.lower) & (q <= chain.lower)) | ((q + step > chain.upper) & (q >= chain.upper))
+        )
+        if not held.any():
+            break
+        free &= ~held
+    return np.clip(q + step, chain.lower, chain.upper) - q
+
+
+def _unwound(chain: Chain, q: Array, seed: Array) -> Array:
+    """The same posture with whole turns taken off where that is closer to the seed and within the limits."""
+    turns = np.where(chain.revolute, np.round((q - seed) / (2.0 * np.pi)), 0.0)
+    nearer = q - 2.0 * np.pi * turns
+    return np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q)
