@@ -45,7 +45,7 @@ class StationRules:
 
 
 @dataclass(frozen=True)
-class _Piece:
+class Piece:
     """Samples of one reading track, before they are put together."""
 
     q: Array
@@ -128,7 +128,7 @@ def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
     return spans[spans[:, 1] - spans[:, 0] >= rules.least]
 
 
-def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> _Piece:
+def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> Piece:
     pairs = _paired(track.stamps, t)
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
@@ -140,7 +140,7 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
         course, at = _course(t, q), t[rows] - t[0]
         return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
     if len(dwells) >= _LEAST_DWELLS:
-        return _averaged(track, t, q, dwells)
+        return averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
 
 
@@ -159,13 +159,13 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
 
 def _as_is(
     track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, acceleration: Array, moving: bool
-) -> _Piece:
+) -> Piece:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
-    return _Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
+    return Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
 
 
-def _nothing(track: ReadingTrack, joints: int) -> _Piece:
+def _nothing(track: ReadingTrack, joints: int) -> Piece:
     none = np.empty((0, joints))
     return _as_is(track, np.empty(0, int), none, none, none, moving=False)
 
@@ -179,7 +179,7 @@ def _course(t: Array, q: Array) -> CubicSpline:
     return CubicSpline(t[keep] - t[0], q[keep])
 
 
-def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> _Piece:
+def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> Piece:
     """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
     if len(np.unique(t)) < 4:
         return _nothing(track, q.shape[1])
@@ -191,7 +191,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
 
 
-def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
+def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
     """One sample a dwell: means on the manifold, and the standard deviations of those means."""
     order = np.argsort(track.stamps, kind="stable")
     stamps = track.stamps[order]
@@ -221,7 +221,7 @@ def _averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> _Piece:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
     still = np.zeros_like(q_mean)
-    return _Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
+    return Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
 
 
 def _inliers(position: Array) -> np.ndarray:

@@ -1,0 +1,295 @@
+"""Joint states and readings as they come; samples as soon as they are whole.
+
+The same three ways as in a recording (:mod:`modcal_core.measurements.stations`), without its end being known: readings
+taken while the arm stands still are averaged until it moves on, readings that carry a joint state's own stamp are
+paired with it where messages are sparse, and on an arm that never stops a reading gets the posture interpolated to its
+stamp. Memory does not grow: a few seconds of messages are held.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE, WIDTH, ReadingTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.stations import StationRules, averaged
+
+_HELD = 8192  # joint states, and readings of each frame
+_LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
+_JUMP = 1.0  # s; a stamp that lies this far before the last one is a clock that was set back, not a late message
+_RESTLESS = 30.0  # s without a stand after which readings in motion are used
+_STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from
+_UNIT = 1e-3
+
+
+@dataclass
+class Counts:
+    """What was left out, by reason."""
+
+    late: int = 0
+    jumps: int = 0
+    unpaired: int = 0
+
+
+@dataclass
+class _Readings:
+    """Readings of one frame that are not used up."""
+
+    kind: str
+    waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
+    last: float = -np.inf
+
+
+class Stream:
+    """Samples of one arm from messages in the order they arrive. Stamps in seconds, joints in the order of ``names``."""
+
+    def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:
+        """frames: names of the frames that are expected, in this order; others are added behind them."""
+        self.names = names
+        self.frames = list(frames)
+        self.counts = Counts()
+        self._rules = rules or StationRules()
+        self._station = 0
+        self._readings: dict[tuple[str, str], _Readings] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        n = len(self.names)
+        self._t = np.empty(2 * _HELD)
+        self._q = np.empty((2 * _HELD, n))
+        self._effort = np.empty((2 * _HELD, n))
+        self._first = self._end = 0
+        self._low = self._high = np.zeros(n)
+        self._since = -np.inf  # when the present stand began
+        self._stood = -np.inf  # when the last one ended
+        self._began = -np.inf
+        self._approach = np.zeros(n)
+        self._anchor = np.zeros(n)
+        self._step = np.nan
+        self._noise = np.zeros(n)
+        self._ready: list[Samples] = []
+        for readings in self._readings.values():
+            readings.waiting.clear()
+            readings.last = -np.inf
+
+    def joint_state(self, stamp: float, q: Array, effort: Array | None = None) -> None:
+        """Take one joint state, q (n,) [rad, m]. Raises BadRecording for a position that is no number."""
+        if not (np.isfinite(q).all() and np.isfinite(stamp)):
+            worst = self.names[int(np.argmin(np.isfinite(q)))]
+            raise BadRecording(f"joint {worst}", "position is no number", "mend the driver; the message is left out")
+        if self._end > self._first:
+            last = self._t[self._end - 1]
+            if stamp < last - _JUMP:
+                self._forget()
+                self.counts.jumps += 1
+            elif stamp <= last:
+                self.counts.late += 1
+                return
+        self._append(stamp, q, effort)
+        self._watch_motion(stamp, q)
+
+    def reading(self, kind: str, frame: str, stamp: float, values: Array) -> None:
+        """Take one reading, as wide as its kind. Raises BadRecording for one that is not finite or no rotation."""
+        if len(values) != WIDTH[kind] or not (np.isfinite(values).all() and np.isfinite(stamp)):
+            raise BadRecording(f"{kind} in {frame}", "is no number", "leave out readings without a target")
+        if kind == POSE and abs(float(np.linalg.norm(values[3:])) - 1.0) > _UNIT:
+            raise BadRecording(
+                f"pose in {frame}",
+                f"its quaternion has length {np.linalg.norm(values[3:]):.3f}",
+                "publish unit quaternions x y z w",
+            )
+        if frame not in self.frames:
+            self.frames.append(frame)
+        readings = self._readings.setdefault((kind, frame), _Readings(kind))
+        if stamp < readings.last - _JUMP:
+            readings.waiting.clear()
+        elif stamp <= readings.last:
+            self.counts.late += 1
+            return
+        readings.last = stamp
+        readings.waiting.append((stamp, np.array(values, dtype=float)))
+
+    def take(self) -> list[Samples]:
+        """The samples that have become whole since the last time, one row each, in the order of their stamps."""
+        for (_, frame), readings in self._readings.items():
+            self._pair_or_interpolate(frame, readings)
+        out, self._ready = self._ready, []
+        return out
+
+    def flush(self) -> None:
+        """Make a sample of the present stand, if it is long enough."""
+        if self._end > self._first:
+            self._end_stand(float(self._t[self._end - 1]))
+
+    @property
+    def still(self) -> bool:
+        """Whether the arm stands."""
+        return self._end > self._first and float(self._t[self._end - 1]) - self._since >= self._rules.window
+
+    def _append(self, stamp: float, q: Array, effort: Array | None) -> None:
+        if self._end == len(self._t):
+            keep = slice(self._end - _HELD, self._end)
+            for a in (self._t, self._q, self._effort):
+                a[:_HELD] = a[keep]
+            self._first, self._end = 0, _HELD
+        self._t[self._end], self._q[self._end] = stamp, q
+        self._effort[self._end] = np.nan if effort is None else effort
+        self._end += 1
+        self._first = max(self._first, self._end - _HELD)
+
+    def _watch_motion(self, stamp: float, q: Array) -> None:
+        if self._end - self._first < 2:
+            self._begin_stand(stamp, q)
+            self._began, self._anchor = stamp, q.copy()
+            return
+        step = stamp - self._t[self._end - 2]
+        self._step = step if not np.isfinite(self._step) else self._step + 0.05 * (step - self._step)
+        if self._end - self._first > 2:
+            # a running median of the second difference: encoder noise must not look like motion
+            jerk = np.abs(q - 2.0 * self._q[self._end - 2] + self._q[self._end - 3])
+            self._noise = np.where(jerk > self._noise, 1.02 * self._noise + 1e-9, 0.98 * self._noise)
+        low, high = np.minimum(self._low, q), np.maximum(self._high, q)
+        allowed = np.maximum(self._rules.still, 6.0 / (0.6745 * np.sqrt(6.0)) * self._noise)
+        if (high - low > allowed).any() or step > self._rules.gap + 5.0 * self._step:
+            self._end_stand(stamp - step)
+            self._begin_stand(stamp, q)
+        else:
+            self._low, self._high = low, high
+            if stamp - self._since >= _LONGEST:
+                self._end_stand(stamp)
+                self._since = stamp - self._rules.settle  # it stands already: nothing to settle
+        # last, for a stand that has just ended was approached by the motion before this one
+        self._approach, self._anchor = _moved_on(self._approach, self._anchor, q)
+
+    def _begin_stand(self, stamp: float, q: Array) -> None:
+        self._since, self._low, self._high = stamp, q.copy(), q.copy()
+
+    def _end_stand(self, stamp: float) -> None:
+        """Average what was read between settling and half a window before the end, where motion may have begun."""
+        start, end = self._since + self._rules.settle, stamp - 0.5 * self._rules.window
+        if end - start < self._rules.least - 0.5 * self._rules.window:
+            return
+        rows = slice(self._first, self._end)
+        t, q = self._t[rows], self._q[rows]
+        made = False
+        for (kind, frame), readings in self._readings.items():
+            inside = [(s, v) for s, v in readings.waiting if start <= s <= end]
+            if not inside:
+                continue
+            stamps, values = np.array([s for s, _ in inside]), np.stack([v for _, v in inside])
+            piece = averaged(ReadingTrack(kind, frame, stamps, values, stamps), t, q, np.array([[start, end]]))
+            if not len(piece.q):
+                continue
+            made = True
+            effort = self._effort[rows][(t >= start) & (t <= end)].mean(axis=0)
+            row = (piece.position[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
+            self._emit(kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=effort)
+        if made:
+            self._station += 1
+            self._stood = stamp
+
+    def _pair_or_interpolate(self, frame: str, readings: _Readings) -> None:
+        if self._end - self._first < 2:
+            return
+        t = self._t[self._first : self._end]
+        sparse = self._step > self._rules.window
+        moving = not sparse and t[-1] - max(self._stood, self._began) > _RESTLESS
+        while readings.waiting:
+            stamp, values = readings.waiting[0]
+            if stamp > t[-1] - (0.0 if sparse else _STENCIL):
+                return  # the joint states around it have not come yet
+            if not sparse and not moving and stamp >= self._since:
+                return  # it may belong to a stand
+            if not sparse and not moving and t[-1] - stamp < _LONGEST + self._rules.settle:
+                return
+            readings.waiting.popleft()
+            if sparse:
+                self._pair(frame, readings.kind, stamp, values, t)
+            elif moving:
+                self._interpolate(frame, readings.kind, stamp, values, t)
+
+    def _pair(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
+        row = int(np.searchsorted(t, stamp))
+        if row == len(t) or t[row] != stamp:
+            self.counts.unpaired += 1
+            return
+        k = self._first + row
+        self._emit(kind, frame, stamp, self._q[k], *_parts(kind, values), effort=self._effort[k])
+        self._station += 1
+
+    def _interpolate(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
+        """The posture at a reading's stamp: a cubic through the joint states around it, by least squares."""
+        first, last = np.searchsorted(t, (stamp - _STENCIL, stamp + _STENCIL))
+        first, last = min(first, max(0, np.searchsorted(t, stamp) - 2)), max(last, np.searchsorted(t, stamp) + 2)
+        u = t[first:last] - stamp
+        if len(u) < 4 or u[0] > 0.0 or u[-1] < 0.0 or np.diff(u).max() > self._rules.gap:
+            self.counts.unpaired += 1
+            return
+        scale = max(-u[0], u[-1])
+        powers = np.vander(u / scale, 4, increasing=True)
+        rows = slice(self._first + first, self._first + last)
+        c = np.linalg.lstsq(powers, self._q[rows], rcond=None)[0]
+        self._emit(
+            kind, frame, stamp, c[0], *_parts(kind, values), effort=self._effort[rows].mean(axis=0),
+            velocity=c[1] / scale, acceleration=2.0 * c[2] / scale**2,
+        )  # fmt: skip
+        self._station += 1
+
+    def _emit(
+        self,
+        kind: str,
+        frame: str,
+        stamp: float,
+        q: Array,
+        position: Array,
+        R: Array,
+        sigma_position: float,
+        sigma_rotation: float,
+        effort: Array,
+        velocity: Array | None = None,
+        acceleration: Array | None = None,
+    ) -> None:
+        zero = np.zeros((1, len(self.names)))
+        self._ready.append(
+            Samples(
+                names=self.names,
+                frames=tuple(self.frames),
+                q=np.array(q, dtype=float)[None],
+                stamps=np.array([stamp]),
+                station=np.array([self._station]),
+                frame=np.array([self.frames.index(frame)]),
+                kind=np.array([kind], dtype="U8"),
+                position=np.array(position)[None],
+                R=np.array(R)[None],
+                sigma_position=np.array([sigma_position]),
+                sigma_rotation=np.array([sigma_rotation]),
+                velocity=zero if velocity is None else velocity[None],
+                moving=np.array([velocity is not None]),
+                acceleration=zero if acceleration is None else acceleration[None],
+                approach=(np.sign(velocity) if velocity is not None else self._approach)[None],
+                effort=np.array(effort)[None],
+            )
+        )
+
+
+_TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
+
+
+def _moved_on(approach: Array, anchor: Array, q: Array) -> tuple[Array, Array]:
+    """The direction in which each joint last moved, and where it is taken to have come from."""
+    apart = q - anchor
+    far = np.abs(apart) > _TRAVEL
+    if not far.any():
+        return approach, anchor
+    return np.where(far, np.sign(apart), approach), np.where(far, q, anchor)
+
+
+def _parts(kind: str, values: Array) -> tuple[Array, Array, float, float]:
+    R = so3.from_quaternion(values[3:]) if kind == POSE else np.eye(3)
+    return values[:3], R, float("nan"), float("nan")

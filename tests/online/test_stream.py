@@ -1,0 +1,162 @@
+"""Samples from messages as they come are those that the whole recording gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import ur10
+from cli.recordings import START, stations, streams, with_joints, with_reading
+
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3
+from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.stations import StationRules, cut_stations
+from modcal_core.online.estimator import joined
+from modcal_core.online.stream import Stream
+
+NAMES = ur10().names
+
+
+def play(recording: Recording, stream: Stream | None = None, flush: bool = True) -> Samples:
+    """Feed a recording in the order in which its messages were received."""
+    stream = stream or Stream(NAMES)
+    joints, reading = recording.joints[0], recording.readings[0]
+    order = [NAMES.index(n) for n in joints.names]
+    back = np.argsort(order)
+    events = [(float(r), 0, i) for i, r in enumerate(joints.received)]
+    events += [(float(r), 1, i) for i, r in enumerate(reading.received)]
+    out: list[Samples] = []
+    for _, which, i in sorted(events):
+        if which == 0:
+            stream.joint_state(float(joints.stamps[i]), joints.position[i][back])
+        else:
+            stream.reading(reading.kind, reading.frame, float(reading.stamps[i]), reading.values[i])
+        out += stream.take()
+    if flush:
+        stream.flush()
+        out += stream.take()
+    return joined(out)
+
+
+def test_stands_become_the_stations_of_the_recording() -> None:
+    recording = streams(30)
+    live, whole = play(recording), cut_stations(recording, NAMES)
+    assert len(live) == len(whole) == 30
+    assert np.abs(live.q - whole.q).max() < 2e-5
+    assert np.abs(live.position - whole.position).max() < 3.0 * np.nanmax(whole.sigma_position)
+    assert np.abs(live.stamps - whole.stamps).max() < 0.2
+    assert 0.7 < np.median(live.sigma_position / whole.sigma_position) < 1.5
+    assert (live.approach == whole.approach).all()
+    assert not live.moving.any()
+
+
+def test_finished_stations_are_paired_as_they_are() -> None:
+    recording = stations(40)
+    live, whole = play(recording), cut_stations(recording, NAMES)
+    assert len(live) >= 38  # of the first two it is not known yet how fast messages come
+    rows = np.searchsorted(whole.stamps, live.stamps)
+    assert (live.q == whole.q[rows]).all()
+    assert (live.position == whole.position[rows]).all()
+
+
+def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
+    recording = streams(60, dwell=0.01)
+    live, whole = play(recording), cut_stations(recording, NAMES)
+    assert whole.moving.all()
+    assert live.moving.all()
+    assert len(live) > 200  # after half a minute without a stand
+    rows = np.searchsorted(whole.stamps, live.stamps)
+    assert np.abs(live.q - whole.q[rows]).max() < 5e-6
+    assert np.abs(live.velocity - whole.velocity[rows]).max() < 2e-2
+    assert np.abs(live.position - whole.position[rows]).max() == 0.0
+
+
+def test_a_long_stand_makes_several_samples_of_one_posture() -> None:
+    recording = streams(5, dwell=11.0)
+    live = play(recording)
+    assert 15 <= len(live) <= 20
+    assert len(np.unique(live.q.round(6), axis=0)) == 5
+
+
+def test_joints_that_come_late_or_twice_are_counted() -> None:
+    stream = Stream(NAMES)
+    for stamp in (0.0, 0.01, 0.02, 0.02, 0.015, 0.03):
+        stream.joint_state(START + stamp, np.zeros(6))
+    assert stream.counts.late == 2
+    assert stream.counts.jumps == 0
+
+
+def test_a_clock_set_back_begins_anew() -> None:
+    recording = streams(12)
+    stream = Stream(NAMES)
+    first = play(recording, stream)
+    earlier = with_reading(
+        with_joints(recording, stamps=recording.joints[0].stamps - 5000.0), stamps=recording.readings[0].stamps - 5000.0
+    )
+    second = play(earlier, stream)
+    assert stream.counts.jumps == 1
+    assert len(first) == len(second) == 12
+    assert np.abs(first.q - second.q).max() < 1e-9
+    assert (second.station > first.station.max()).all()
+
+
+def test_a_drop_out_loses_the_stands_it_covers_and_no_more() -> None:
+    recording = streams(20)
+    s = recording.readings[0].stamps
+    gap = (s > START + 8.0) & (s < START + 14.0)
+    reading = recording.readings[0]
+    holed = with_reading(recording, stamps=s[~gap], values=reading.values[~gap], received=reading.received[~gap])
+    live, whole = play(holed), cut_stations(holed, NAMES)
+    assert len(live) == len(whole) < 18
+    assert np.abs(live.q - whole.q).max() < 2e-5
+
+
+def test_encoder_noise_is_no_motion(rng: np.random.Generator) -> None:
+    recording = streams(10, dwell=2.0)
+    q = recording.joints[0].position
+    noisy = with_joints(recording, position=q + 2e-4 * rng.standard_normal(q.shape))
+    assert len(play(noisy)) >= 9
+
+
+def test_memory_is_bounded() -> None:
+    stream = Stream(NAMES)
+    pose = se3.to_pose(np.eye(4))
+    for i in range(40_000):
+        stream.joint_state(START + 1e-3 * i, np.full(6, 1e-3 * i))
+        if i % 5 == 0:
+            stream.reading("pose", "tracker", START + 1e-3 * i + 1e-4, pose)
+    assert len(stream._t) <= 20_000
+    assert all(len(r.waiting) <= 10_000 for r in stream._readings.values())
+
+
+@pytest.mark.parametrize("kind", ["nan", "quaternion", "joint"])
+def test_what_is_no_number_is_refused_and_harms_nothing(kind: str) -> None:
+    recording = streams(6)
+    stream = Stream(NAMES)
+    pose = recording.readings[0].values[0].copy()
+    stream.joint_state(START - 1.0, np.zeros(6))
+    if kind == "joint":
+        with pytest.raises(BadRecording, match="elbow_joint"):
+            stream.joint_state(START - 0.9, np.array([0, 0, np.nan, 0, 0, 0]))
+    else:
+        pose[0 if kind == "nan" else 6] = np.nan if kind == "nan" else 3.0
+        with pytest.raises(BadRecording, match="pose in tracker"):
+            stream.reading("pose", "tracker", START - 0.9, pose)
+    assert len(play(recording, stream)) == 6
+
+
+def test_rules_are_the_recordings() -> None:
+    strict = StationRules(least=2.0)
+    recording = replace(streams(6, dwell=1.0), warnings=())
+    assert len(cut_stations(recording, NAMES)) == 6
+    stream = Stream(NAMES, rules=strict)
+    joints, reading = recording.joints[0], recording.readings[0]
+    for i, stamp in enumerate(joints.stamps):
+        stream.joint_state(float(stamp), joints.position[i])
+    for i, stamp in enumerate(reading.stamps):
+        stream.reading(reading.kind, reading.frame, float(stamp), reading.values[i])
+    stream.flush()
+    assert not stream.take()
