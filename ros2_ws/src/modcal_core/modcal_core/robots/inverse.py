@@ -20,7 +20,6 @@ from modcal_core.errors import NotReachable
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
@@ -116,9 +115,9 @@ def _descend(
 
 def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     """The error (6,) at a posture (n,), seen from the tip, and what it loses per unit of each joint, (6, n)."""
-    f = frames(chain, q[None])
-    R, p = f.axes[-1, :, :, 0].T, f.p[-1, :, 0]
-    axis, arm = f.axes[:-1, 2, :, 0], p - f.p[:-1, :, 0]
+    before, tip = _frames(chain, q)
+    R, p = tip[:3, :3], tip[:3, 3]
+    axis, arm = before[:, :3, 2], p - before[:, :3, 3]
     turn = chain.revolute[:, None]
     v = np.where(turn, _cross(axis, arm), axis) @ R  # rows, in the tip
     w = np.where(turn, axis, 0.0) @ R
@@ -127,6 +126,24 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     J[:3] = (v - _cross(e_p[None], w)).T
     J[3:] = so3.left_jacobian_inverse(e_w) @ w.T
     return np.concatenate([e_p, e_w]), J
+
+
+def _frames(chain: Chain, q: Array) -> tuple[Array, Array]:
+    """Frames before each joint, its axis as z, (n, 4, 4), and the tip (4, 4), of one posture without a batch's cost."""
+    M = chain.along_z
+    motion = np.tile(np.eye(4), (chain.n, 1, 1))
+    angle = np.where(chain.revolute, q, 0.0)
+    motion[:, 0, 0] = motion[:, 1, 1] = np.cos(angle)
+    motion[:, 1, 0] = np.sin(angle)
+    motion[:, 0, 1] = -motion[:, 1, 0]
+    motion[:, 2, 3] = np.where(chain.revolute, 0.0, q)
+    links = motion @ M[1:]
+    out = np.empty((chain.n, 4, 4))
+    T = M[0]
+    for k in range(chain.n):
+        out[k] = T
+        T = T @ links[k]
+    return out, T
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -152,9 +169,8 @@ def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
         else:
             step = np.linalg.solve(B.T @ B + damping * np.eye(chain.n), B.T @ r)
         step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
-        held = free & (
-            ((q + step < chain.lower) & (q <= chain.lower)) | ((q + step > chain.upper) & (q >= chain.upper))
-        )
+        new = q + step
+        held = free & (((new < chain.lower) & (q <= chain.lower)) | ((new > chain.upper) & (q >= chain.upper)))
         if not held.any():
             break
         free &= ~held
