@@ -11,6 +11,7 @@ leave its limits is held at them and the others go on. Where that ends in a dead
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -121,7 +122,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     turn = chain.revolute[:, None]
     v = np.where(turn, _cross(axis, arm), axis) @ R  # rows, in the tip
     w = np.where(turn, axis, 0.0) @ R
-    e_p, e_w = R.T @ (goal[:3, 3] - p), so3.log(R.T @ goal[:3, :3])
+    e_p, e_w = R.T @ (goal[:3, 3] - p), _turn(R.T @ goal[:3, :3])
     J = np.empty((6, chain.n))
     J[:3] = (v - _cross(e_p[None], w)).T
     J[3:] = so3.left_jacobian_inverse(e_w) @ w.T
@@ -144,6 +145,15 @@ def _frames(chain: Chain, q: Array) -> tuple[Array, Array]:
         out[k] = T
         T = T @ links[k]
     return out, T
+
+
+def _turn(R: Array) -> Array:
+    """Rotation vector (3,) of one rotation matrix; so3.log is for many, and exact near half a turn."""
+    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = math.sqrt(v @ v), 0.5 * (float(R[0, 0] + R[1, 1] + R[2, 2]) - 1.0)
+    if cosine < -0.9:
+        return so3.log(R)
+    return v * (math.atan2(sine, cosine) / sine) if sine > 1e-9 else v
 
 
 def _cross(a: Array, b: Array) -> Array:
