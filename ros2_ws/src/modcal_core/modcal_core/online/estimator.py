@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.identify import priors
-from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.linearise import View as Seen
+from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread, robust_weights, standard_score
 from modcal_core.calibration.parameters import Parameter, View
@@ -87,9 +88,9 @@ class Estimator:
     ) -> None:
         """Begin at a model.
 
-        spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are known;
-        None: the priors of a batch fit. wander: what may change with time. robust: mistrust samples that do not fit.
-        kept: samples that are linearised again when the estimate moves; 0 with ``wander``, which has an order.
+        spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
+        known; None: the priors of a batch fit. wander: what may change with time. robust: mistrust samples that do not
+        fit. kept: samples that are linearised again when the estimate moves; none with ``wander``, which has an order.
         """
         self.start, self.parameters, self.spread = model, tuple(parameters), spread
         self.names = (*(p.name for p in parameters), *_effect_names(model))
@@ -180,8 +181,8 @@ class Estimator:
             return 0.0, 1.0
         expected[np.diag_indices(len(r))] += noise**2
         square = float(r @ np.linalg.solve(expected, r))
-        score = float(standard_score(square, len(r)))
-        return score, float(robust_weights(score)) if self._robust else 1.0
+        score = standard_score(np.array(square), np.array(len(r)))
+        return float(score), float(robust_weights(score)) if self._robust else 1.0
 
     def _keep(self, sample: Samples, weight: float) -> None:
         if not self._kept_most:
@@ -231,7 +232,7 @@ def joined(samples: Sequence[Samples]) -> Samples:
     """Samples of the same cell, one after the other."""
     first = samples[0]
     shared = ("names", "frames", "signals")
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.concatenate([getattr(s, name) for s in samples])
         for name in first.__dataclass_fields__
         if name not in shared

@@ -24,6 +24,7 @@ class Frozen:
     """Residual and derivatives of single samples at these values of a model's parameters and effects."""
 
     def __init__(self, start: Model, parameters: Sequence[Parameter], values: Array) -> None:
+        """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
         now = model_at(start, parameters, values)
         errors = deviations(parameters, values[: len(parameters)], start.chain.n, len(start.frames))
         of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
@@ -31,6 +32,7 @@ class Frozen:
         for j, p in enumerate(parameters):
             twists[j] = (of_places[p.place - 1] if p.place else of_frames[p.frame])[p.direction]
         self._model = now
+        self._effects = len(values) > len(parameters)
         self._shift, self._turn = twists[:, :3, None], twists[:, 3:, None]
         self._place = np.array([p.place for p in parameters], dtype=int)
         self._frame = np.array([p.frame for p in parameters], dtype=int)
@@ -68,7 +70,7 @@ class Frozen:
         J = np.concatenate(rows)
         if len(self._T_root_frame) > 1:
             J[:, (self._place == 0) & (self._frame != frame)] = 0.0
-        if self._model.effects:
+        if self._effects:
             view = View(sample, np.flatnonzero(sample.is_pose), f, position[:, None], rotation, reading[:, None])
             more = [view.moved_by(terms) for terms in all_columns(self._model.effects, at)]
             J = np.concatenate([J, np.stack(more, axis=1)], axis=1)

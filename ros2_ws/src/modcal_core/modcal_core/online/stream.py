@@ -47,7 +47,7 @@ class _Readings:
 
 
 class Stream:
-    """Samples of one arm from messages in the order they arrive. Stamps in seconds, joints in the order of ``names``."""
+    """Samples of one arm from messages as they arrive. Stamps in seconds, joints in the order of ``names``."""
 
     def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:
         """frames: names of the frames that are expected, in this order; others are added behind them."""

@@ -1,0 +1,110 @@
+"""Has anything changed since the model was trusted?
+
+Every sample's residual is compared with what the model and its covariance expect. For each direction of each place, and
+each moment since when it might have moved, the sum of all residuals along that motion is tested (a generalised
+likelihood ratio, Willsky & Jones 1976). Two things keep it quiet where nothing happened: one sample can say only so
+much, so a glint is no change; and a posture speaks once, by its latest sample, for a model that misses there by a
+little does so every time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.frozen import Frozen
+
+POSTURES = 48  # distinct postures that are remembered
+_SAME = 0.03  # rad or m; postures closer than this are one
+_MOST_SAID = 6.0  # standard deviations that one sample may say at most
+# Of the largest of some thousand sums of squares: 7.7 standard deviations, which no noise reaches, with room for a
+# model that misses a little more than it says
+ALARM = 60.0
+_LEAST = 3  # postures that must agree
+_LEAST_GAP = 0.2  # s between samples of an arm in motion, whose residuals are alike
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the watch remembers of one sample: the row, its residual (6,) and the motions (6, C), both whitened, and the
+    motions as they are, in m and rad per unit (6, C).
+    """
+
+    sample: Samples
+    residual: Array
+    motions: Array
+    unwhitened: Array
+
+    @property
+    def stamp(self) -> float:
+        """[s]."""
+        return float(self.sample.stamps[0])
+
+
+class Watch:
+    """Watches the residuals of a model that is trusted."""
+
+    def __init__(self, model: Model, parameters: Sequence[Parameter], covariance: Array, spread: Spread) -> None:
+        """covariance: of the parameters, (P, P); what effects add to it is left out. spread: of the fit."""
+        self.model = model
+        self.directions = all_directions(model)
+        names = {(p.place, p.direction, p.frame): i for i, p in enumerate(self.directions)}
+        self._known = np.array([names[p.place, p.direction, p.frame] for p in parameters], dtype=int)
+        self._covariance = covariance[: len(parameters), : len(parameters)]
+        self._spread = spread
+        self._frozen = Frozen(model, self.directions, np.zeros(len(self.directions)))
+        self.seen: list[Seen] = []
+        self.largest = 0.0
+        C = len(self.directions)
+        self._q, self._b, self._A = np.empty((0, model.chain.n)), np.empty((0, C)), np.empty((0, C))
+
+    def add(self, sample: Samples) -> float | None:
+        """Take in one sample; returns the stamp since when something is different, or None."""
+        if self.seen and sample.moving[0] and 0.0 <= sample.stamps[0] - self.seen[-1].stamp < _LEAST_GAP:
+            return None
+        new = self._whitened(sample)
+        far = np.flatnonzero(np.abs(self._q - sample.q).max(axis=1) > _SAME)[-POSTURES + 1 :]
+        self.seen = [*(self.seen[i] for i in far), new]
+        said = new.residual * min(1.0, _MOST_SAID / max(float(np.linalg.norm(new.residual)), 1e-300))
+        self._q = np.concatenate([self._q[far], sample.q])
+        self._b = np.concatenate([self._b[far], said[None] @ new.motions])
+        self._A = np.concatenate([self._A[far], np.sum(new.motions**2, axis=0)[None]])
+        return self._since()
+
+    def _whitened(self, sample: Samples) -> Seen:
+        r, J = self._frozen(sample)
+        known_p, known_r = sample.sigma_position[0], sample.sigma_rotation[0]
+        variance = np.full(len(r), self._spread.position**2 + (known_p**2 if np.isfinite(known_p) else 0.0))
+        variance[3:] = self._spread.rotation**2 + (known_r**2 if np.isfinite(known_r) else 0.0)
+        part = J[:, self._known]
+        L = np.linalg.cholesky(part @ self._covariance @ part.T + np.diag(variance))
+        residual, motions = np.linalg.solve(L, r), np.linalg.solve(L, J)
+        if len(motions) < 6:
+            residual, motions = np.r_[residual, np.zeros(3)], np.r_[motions, np.zeros((3, motions.shape[1]))]
+        return Seen(sample, residual, motions, J)
+
+    def _since(self) -> float | None:
+        if len(self.seen) < _LEAST:
+            return None
+        b, A = np.cumsum(self._b[::-1], axis=0), np.cumsum(self._A[::-1], axis=0)  # newest first
+        gain = (b**2 / np.maximum(A, 1e-300))[_LEAST - 1 :]
+        self.largest = float(gain.max())
+        if self.largest < ALARM:
+            return None
+        suffix = int(np.argmax(gain.max(axis=1))) + _LEAST
+        return self.seen[-suffix].stamp
+
+
+def all_directions(model: Model) -> tuple[Parameter, ...]:
+    """All six directions of every frame, of every place of the arm, and of the tool."""
+    frames = [Parameter(f"frame {name}/{d}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
+    n = model.chain.n
+    places = [Parameter(f"place {k}/{d}", k, d) for k in range(1, n + 1) for d in range(6)]
+    return (*frames, *places)
