@@ -6,6 +6,7 @@ Everything here works on attributes, so that a message from rclpy and one decode
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,11 +27,25 @@ from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTI
 
 @dataclass
 class _Rows:
-    """Growing columns of one track."""
+    """Growing columns of one track, eight bytes a number, however long a node listens."""
 
-    stamps: list[float] = field(default_factory=list)
-    received: list[float] = field(default_factory=list)
-    values: list[Any] = field(default_factory=list)
+    width: int
+    stamps: array[float] = field(default_factory=lambda: array("d"))
+    received: array[float] = field(default_factory=lambda: array("d"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+
+    def append(self, stamp: float, received: float, values: Any) -> None:
+        """Add one row of ``width`` numbers."""
+        self.stamps.append(stamp)
+        self.received.append(received)
+        if isinstance(values, array):
+            self.values.extend(values)
+        else:
+            self.values.frombytes(np.asarray(values, dtype=float).tobytes())
+
+    def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(stamps (N,), received (N,), values (N, width)), copied."""
+        return np.array(self.stamps), np.array(self.received), np.array(self.values).reshape(-1, self.width)
 
 
 class RecordingBuilder:
@@ -95,16 +110,11 @@ class RecordingBuilder:
                 _joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics
             ),
             readings=tuple(
-                ReadingTrack(
-                    kind, frame, np.array(rows.stamps), _table(rows, WIDTH[kind]), np.array(rows.received), topic
-                )
+                _reading_track(kind, frame, rows, topic)
                 for (topic, kind, frame), rows in self._readings.items()
                 if topic in chosen
             ),
-            signals=tuple(
-                SignalTrack(name, np.array(rows.stamps), _table(rows, 1), topic)
-                for (topic, name), rows in self._signals.items()
-            ),
+            signals=tuple(_signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
             robot_description=self._description[min(descriptions)] if descriptions else None,
             source=self._source,
             warnings=tuple(self._notes + warnings),
@@ -112,7 +122,7 @@ class RecordingBuilder:
 
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
         names = tuple(message.name)
-        position = np.array(message.position, dtype=float)
+        position = message.position
         stamp = self._stamp(topic, message, received)
         if len(position) != len(names) or len(set(names)) != len(names):
             raise BadRecording(
@@ -120,22 +130,18 @@ class RecordingBuilder:
                 f"{len(position)} positions for {len(names)} names, {len(set(names))} of them distinct",
                 "publish one position for every name",
             )
-        rows = self._joints.setdefault((topic, names), _Rows())
-        rows.stamps.append(stamp)
-        rows.received.append(received)
-        rows.values.append((position, _padded(message.velocity, len(names)), _padded(message.effort, len(names))))
+        n = len(names)
+        rows = self._joints.setdefault((topic, names), _Rows(3 * n))
+        rows.append(
+            stamp, received, np.concatenate([position, _padded(message.velocity, n), _padded(message.effort, n)])
+        )
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
-        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows())
-        rows.stamps.append(self._stamp(topic, message, received))
-        rows.received.append(received)
-        rows.values.append(_READING[kind](message))
+        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(WIDTH[kind]))
+        rows.append(self._stamp(topic, message, received), received, READING[kind](message))
 
     def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
-        rows = self._signals.setdefault((topic, name), _Rows())
-        rows.stamps.append(stamp)
-        rows.received.append(received)
-        rows.values.append(values)
+        self._signals.setdefault((topic, name), _Rows(len(values))).append(stamp, received, values)
 
     def _stamp(self, topic: str, message: Any, received: float) -> float:
         header = getattr(message, "header", None)
@@ -153,7 +159,7 @@ def _pose(message: Any) -> tuple[float, ...]:
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
-_READING = {
+READING = {
     "pose": _pose,
     "point": lambda m: (m.point.x, m.point.y, m.point.z),
     "range": lambda m: (m.range,),
@@ -163,17 +169,23 @@ _READING = {
 
 def _padded(values: Any, count: int) -> np.ndarray:
     """A column that was not sent, or not for every joint, is unknown for all of them."""
-    out = np.array(values, dtype=float)
-    return out if len(out) == count else np.full(count, np.nan)
+    return np.asarray(values, dtype=float) if len(values) == count else np.full(count, np.nan)
 
 
 def _joint_track(topic: str, names: tuple[str, ...], rows: _Rows) -> JointTrack:
-    position, velocity, effort = (np.array(column) for column in zip(*rows.values, strict=True))
-    return JointTrack(names, np.array(rows.stamps), position, velocity, effort, np.array(rows.received), topic)
+    stamps, received, values = rows.columns()
+    position, velocity, effort = np.split(values, 3, axis=1)
+    return JointTrack(names, stamps, position, velocity, effort, received, topic)
 
 
-def _table(rows: _Rows, width: int) -> np.ndarray:
-    return np.array(rows.values, dtype=float).reshape(-1, width)
+def _reading_track(kind: str, frame: str, rows: _Rows, topic: str) -> ReadingTrack:
+    stamps, received, values = rows.columns()
+    return ReadingTrack(kind, frame, stamps, values, received, topic)
+
+
+def _signal_track(name: str, rows: _Rows, topic: str) -> SignalTrack:
+    stamps, _, values = rows.columns()
+    return SignalTrack(name, stamps, values, topic)
 
 
 def _preferred(topics: set[str], role: str) -> set[str]:
