@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.loop import Diagnosis, diagnose
+from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
@@ -51,12 +53,13 @@ def calibrate(
     inertias: Inertias | None = None,
     progress: Callable[[str], None] = lambda _: None,
     look_for_effects: bool = True,
+    changed: float | None = None,
 ) -> Result:
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
     None decides. inertias: of the arm's bodies, for effects of load. progress: hears of each effect that is tried.
-    look_for_effects: go beyond geometry.
+    look_for_effects: go beyond geometry. changed: stamp [s] about which something is known to have happened.
     Raises ModcalError for data that cannot carry a fit.
     """
     cell = cell or Cell()
@@ -73,7 +76,8 @@ def calibrate(
         require_plausible(nominal, geometric, train)
     diagnosis = Diagnosis(geometric, (), None)
     if look_for_effects:
-        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress)
+        suspects = (lambda at: ()) if changed is None else partial(load_since, moment=changed)
+        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects)
     final = diagnosis.fit
     require_plausible(nominal, final, train)
 
@@ -124,7 +128,7 @@ def ship(
         # places moved by what was passed through the joints: effects settle where they are now
         tidy = least_change(fit.model, chain)
         settled = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED)
-        tidy, last = settled.model, settled
+        tidy, last = least_change(settled.model, chain), settled
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]

@@ -15,10 +15,10 @@ _AROUND = 12  # stations on either side of a step that are tried
 
 
 def sharpened(model: Model, samples: Samples) -> Model:
-    """The model with the moment of every step put between the two stations that fit it best."""
+    """The model with the moment of every step, and of every load that came, put between the stations that fit best."""
     effects = model.effects
     for i, effect in enumerate(effects):
-        if effect.shape.kind == "step":
+        if effect.shape.kind in ("step", "since"):
             effects = (*effects[:i], _sharpened(model, effects, i, samples), *effects[i + 1 :])
     return model if effects is model.effects else model.with_effects(effects)
 

@@ -20,8 +20,8 @@ SPLINE_DEGREE = 3
 
 @dataclass(frozen=True)
 class Shape:
-    """kind: one of linear, lagged, several, hardening, turn, sine, double, sign, ramp, step, settle, spline, polynomial
-    and waves. settings: by name, see ``basis``.
+    """kind: one of linear, lagged, several, since, hardening, turn, sine, double, sign, ramp, step, settle, spline,
+    polynomial and waves. settings: by name, see ``basis``.
     """
 
     kind: str
@@ -44,21 +44,23 @@ class Shape:
         return Shape(self.kind, {**self.settings, **settings})
 
     def basis(self, x: Array) -> Array:
-        """Basis functions (b, N) at drivers x (N,); ``several`` and ``waves`` take two drivers (2, N).
+        """Basis functions (b, N) at drivers x (N,); ``several``, ``since`` and ``waves`` take two drivers (2, N).
 
-        linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. hardening: the
-        y with y + beta y³ = x / scale, as a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a
-        turn, a small whole number that stays or one that is fitted. double: the same and twice as many cycles. sign:
-        ±1. ramp: x − since. step: 0 before ``at``, 1 from then on. settle: exp(−(x − since) / tau). spline: ``count``
-        cubic B-splines between ``low`` and ``high``, fading to nothing outside. polynomial: powers to ``degree`` of x
-        scaled to ±1 over ``low`` … ``high`` and held outside. waves: sines and cosines of all sums of up to ``order``
-        turns of either driver.
+        linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. since: the
+        first driver, from the time ``at`` on, the second being time. hardening: the y with y + beta y³ = x / scale, as
+        a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a turn, a small whole number that
+        stays or one that is fitted. double: the same and twice as many cycles. sign: ±1. ramp: x − since. step: 0
+        before ``at``, 1 from then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between
+        ``low`` and ``high``, fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low``
+        … ``high`` and held outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
         """
         s = self.settings
         if self.kind in ("linear", "lagged"):
             return x[None]
         if self.kind == "several":
             return x
+        if self.kind == "since":
+            return (x[0] * (x[1] >= s["at"]))[None]
         if self.kind == "hardening":
             root = np.sqrt(3.0 * max(s["beta"], 1e-6))
             return (2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None]

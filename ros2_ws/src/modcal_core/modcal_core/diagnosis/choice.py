@@ -72,7 +72,7 @@ def choose(
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
     chosen = evidence.effects[best]
-    if chosen.family == "payload" and not is_weight(scanner.amplitudes(fit, chosen)):
+    if chosen.shape.kind == "several" and not is_weight(scanner.amplitudes(fit, chosen)):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
     rivals = _rivals(evidence, best, alike)
     names = tuple(effect.label for effect in rivals)

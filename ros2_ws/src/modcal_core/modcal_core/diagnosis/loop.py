@@ -7,11 +7,12 @@ has not seen. An effect that later becomes needless is taken out; one that anoth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
@@ -66,12 +67,16 @@ def diagnose(
     rng: np.random.Generator,
     distances: Sequence[Distance] = (),
     progress: Callable[[str], None] = lambda _: None,
+    suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
 ) -> Diagnosis:
-    """The effects that the fit to *train* lacks, judged on *explain*."""
+    """The effects that the fit to *train* lacks, judged on *explain*.
+
+    suspects: what to look for besides the vocabulary.
+    """
     both = train.join(explain)
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
-    scanner = Scanner(list(vocabulary(at)), at)
+    scanner = Scanner([*vocabulary(at), *suspects(at)], at)
     search = _Search(
         fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances)
     )
@@ -180,7 +185,7 @@ class _Search:
         """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""
         effects = self.fit.model.effects
         for i, effect in enumerate(effects):
-            if effect.family != "payload":
+            if effect.family != "payload" or effect.shape.kind != "several":
                 continue
             if abs(effect.values[1]) < _SURE * effect.std[1] or not is_weight(effect.values):
                 plain = Effect("compliance", effect.place, effect.direction, f"load:{effect.place}", Shape("linear"))

@@ -23,6 +23,7 @@ SMOOTH = 7  # functions in a smooth free shape
 FINE_STEP = 0.05  # rad between the functions of a fine one, which needs a dense recording
 STATIONS_PER_FUNCTION = 6
 MOST_BREAKS = 160
+BREAKS_NEARBY = 12  # the same, where it is known about when
 LEAST_SIDE = 4  # stations on either side of a step
 HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
 LAGS = (-240.0, -120.0, -60.0, -30.0, 0.0, 30.0, 60.0, 120.0, 240.0, 480.0)  # s
@@ -69,6 +70,16 @@ def payload(at: Circumstances) -> Iterator[Effect]:
     for j, name in enumerate(at.arm.chain.names):
         if at.arm.weighed and _varies(at.payload[j, 5]) and "effort" not in _load_kinds(at, j):
             yield Effect("payload", name, AXIS, f"load:{name},payload:{name}", Shape("several"))
+
+
+def load_since(at: Circumstances, moment: float) -> Iterator[Effect]:
+    """Joints that give way to a mass that was put into the hand about this time [s]."""
+    between = breaks(at)
+    for j, name in enumerate(at.arm.chain.names):
+        if _varies(at.payload[j, 5 if at.arm.chain.revolute[j] else 2]):
+            for k in np.argsort(np.abs(between - moment))[:BREAKS_NEARBY]:
+                settings = {"at": float(between[k])}
+                yield Effect("payload", name, AXIS, f"payload:{name},time", Shape("since", settings))
 
 
 def gears(at: Circumstances) -> Iterator[Effect]:

@@ -140,6 +140,8 @@ def _sizes(effect: Effect) -> dict[str, Quantity]:
         return {**_wave(v, s, unit), "cycles_per_turn": (settings["cycles"], float(s[2]) if len(s) > 2 else 0.0, "1")}
     if effect.shape.kind == "spline" and effect.direction == AXIS:
         return curve_sizes(effect)
+    if effect.shape.kind == "since":
+        return {"compliance_times_mass": (float(v[0]), float(s[0]), "kg rad/(N m)"), "at": (settings["at"], 0.0, "s")}
     if effect.family in ("compliance", "payload"):
         return _compliance(effect)
     if effect.family == "backlash":
@@ -245,6 +247,8 @@ def _gear(f: Finding) -> str:
 
 
 def _compliance_story(f: Finding) -> str:
+    if "compliance_times_mass" in f.parameters:
+        return f"{f.place} gives way to a load that came at one moment (stamp {f.parameters['at'][0]:.1f} s)"
     part = "bearing tilts" if f.direction == ACROSS else "joint gives way"
     stiffness = f.parameters.get("stiffness", (float("inf"), 0.0, ""))[0]
     carried = f.parameters.get("payload")

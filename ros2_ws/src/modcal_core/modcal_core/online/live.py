@@ -1,0 +1,53 @@
+"""What goes on sample by sample while a calibration is trusted: the running estimate, and the watch on the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.estimator import Estimator, Wander
+from modcal_core.online.suspicion import Suspicion, suspect
+from modcal_core.online.watch import Watch
+
+_RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
+
+
+class Live:
+    """Follows one calibration with every sample.
+
+    estimator: the parameters as they stand now. watch: whether the calibration still holds. suspicion: what has
+    changed, None while nothing has. changed: since when [s]. since: samples taken in after that. strange: samples of
+    frames that the calibration does not know.
+    """
+
+    def __init__(self, calibration: Calibration, wander: Wander | None = None) -> None:
+        """Begin with a calibration that carries its uncertainty; raises ValueError for one that does not."""
+        known = calibration.uncertainty
+        if known is None:
+            raise ValueError("a calibration without its uncertainty cannot be followed")
+        covariance = known.covariance + _RIDGE * np.diag(np.diag(known.covariance))
+        self.calibration = calibration
+        model, spread = calibration.calibrated, calibration.spread
+        self.estimator = Estimator(model, known.parameters, spread, covariance, wander)
+        self.watch = Watch(model, known.parameters, covariance, spread)
+        self.suspicion: Suspicion | None = None
+        self.changed: float | None = None
+        self.since = 0
+        self.strange = 0
+
+    def add(self, sample: Samples) -> None:
+        """Take in one sample (a row)."""
+        if int(sample.frame[0]) >= len(self.calibration.calibrated.frames):
+            self.strange += 1
+            return
+        self.estimator.update(sample)
+        changed = self.watch.add(sample)
+        if changed is not None and self.suspicion is None:
+            self.changed = changed
+        if self.changed is None:
+            return
+        self.since += 1
+        # asked again as samples come in: the first answer rests on very few
+        if self.suspicion is None or (self.since & (self.since - 1)) == 0:
+            self.suspicion = suspect(self.watch, min(self.changed, self.watch.seen[-1].stamp))

@@ -1,0 +1,134 @@
+"""Calibrate again from all that was heard, and compare with the model that is trusted.
+
+The comparison is made on stations that the new fit has not seen and, where something has changed, only on those since:
+before the change the trusted model was right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, with_frames
+from modcal_core.calibration.score import errors
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import Result, calibrate
+from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.samples import Samples
+from modcal_core.prepare import prepare
+from modcal_core.report.report import Report
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
+
+_LEAST_COMPARED = 4
+_SURE = 2.0  # standard errors by which the new model must be better
+_WORTH = 0.9  # of the error before
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a node remembers: whole recordings, oldest first, and the samples of those it keeps no more."""
+
+    recordings: tuple[Recording, ...]
+    samples: Samples | None = None
+
+    def prepared(self, chain: Chain, clock_limit: float, most: int | None = None) -> tuple[Samples, tuple[str, ...]]:
+        """All samples and what to know of them; of more than ``most`` the older ones are thinned.
+
+        A recording that holds nothing to use is passed over when there are others. Raises ModcalError.
+        """
+        samples, notes, refused = self.samples, [], None
+        for recording in self.recordings:
+            try:
+                prepared = prepare(recording, chain, clock_limit=clock_limit)
+            except BadRecording as error:
+                refused = error
+                notes.append(f"One stretch was left out: {error}.")
+                continue
+            notes += prepared.notes
+            samples = prepared.samples if samples is None else samples.followed_by(prepared.samples)
+        if samples is None:
+            raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
+        return (samples if most is None else thinned(samples, most)), tuple(notes)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """RMS of the position error [m] before (trusted, or nominal) and after, on ``count`` held-out samples."""
+
+    before: float
+    after: float
+    count: int
+    better: bool
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything a calibration needs, so that it can be done elsewhere.
+
+    changed: stamp [s] since when something is different. trusted: what to compare with; None: the nominal arm.
+    """
+
+    heard: Heard
+    chain: Chain
+    inertias: Inertias | None
+    cell: Cell = field(default_factory=Cell)
+    seed: int = 0
+    clock_limit: float = 0.5
+    changed: float | None = None
+    trusted: Calibration | None = None
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """A calibration, its report, and how it compares with the one before."""
+
+    result: Result
+    report: Report
+    comparison: Comparison
+
+
+def resolve(job: Job) -> Resolved:
+    """Calibrate anew and compare. Raises ModcalError for data that cannot carry a fit."""
+    samples, notes = job.heard.prepared(job.chain, job.clock_limit)
+    rng = np.random.default_rng(job.seed)
+    result = calibrate(samples, job.chain, rng, job.cell, inertias=job.inertias, changed=job.changed)
+    report = replace(result.report, title="live", notes=(*result.report.notes, *notes))
+    return Resolved(result, report, _compare(job, result))
+
+
+def _compare(job: Job, result: Result) -> Comparison:
+    scored = result.report.scored
+    if job.changed is not None:
+        since = scored.select(scored.stamps >= job.changed)
+        scored = since if len(since) >= _LEAST_COMPARED else scored
+    if job.trusted is None:
+        before = np.asarray(result.report.errors["nominal"].position_norm)
+        before = before if len(before) == len(scored) else errors(result.calibration.nominal, scored).position_norm
+    else:
+        before = errors(with_frames(job.trusted.calibrated, scored.frames), scored).position_norm
+    after = errors(result.scored.model, scored).position_norm
+    return compared(before, after)
+
+
+def compared(before: Array, after: Array) -> Comparison:
+    """Two models' errors (N,) [m] on the same samples; better: surely, and by enough to be worth a change."""
+    gain = before**2 - after**2
+    count = len(gain)
+    rms_before, rms_after = float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
+    sure = count >= _LEAST_COMPARED and gain.mean() > _SURE * gain.std(ddof=1) / np.sqrt(count)
+    return Comparison(rms_before, rms_after, count, bool(sure and rms_after < _WORTH * rms_before))
+
+
+def thinned(samples: Samples, most: int) -> Samples:
+    """At most so many samples: the newest half as they are, the older ones evenly fewer."""
+    if len(samples) <= most:
+        return samples
+    recent = most // 2
+    older = np.linspace(0, len(samples) - recent - 1, most - recent).astype(int)
+    rows: Sequence[int] = [*older, *range(len(samples) - recent, len(samples))]
+    return samples.select(np.array(rows))
