@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import nan
+from typing import Any
 
 
 class ModcalError(Exception):
@@ -16,6 +17,10 @@ class ModcalError(Exception):
         self.limit = limit
         self.remedy = remedy
         super().__init__(f"{offender}: {limit}: {remedy}".replace("\n", " "))
+
+    def __reduce__(self) -> tuple[type[ModcalError], tuple[str, str, str]]:
+        """So that a refusal can travel between processes in its three parts."""
+        return type(self), (self.offender, self.limit, self.remedy)
 
 
 class BadRecording(ModcalError):
@@ -39,13 +44,29 @@ class NotRepresentable(ModcalError):
 
 
 class NotReachable(ModcalError):
-    """A pose that no posture within the limits reaches. ``position`` [m] and ``rotation`` [rad] say what was left."""
+    """A pose that no posture within the limits reaches.
 
-    def __init__(self, offender: str, limit: str, remedy: str, position: float = nan, rotation: float = nan) -> None:
+    ``position`` [m] and ``rotation`` [rad] say what was left, ``posture`` (n,) where; None where there was none.
+    """
+
+    def __init__(
+        self,
+        offender: str,
+        limit: str,
+        remedy: str,
+        position: float = nan,
+        rotation: float = nan,
+        posture: Any = None,
+    ) -> None:
         self.position = position
         self.rotation = rotation
+        self.posture = posture
         super().__init__(offender, limit, remedy)
 
 
 class BadCommand(ModcalError):
     """A wish that an arm must not follow as it stands: not a pose, in no known frame, too old, or too far at once."""
+
+
+class MissingDriver(ModcalError):
+    """Something that a calibration depends on and that nobody says: a temperature, an effort, a signal."""

@@ -53,6 +53,28 @@ def least_change(model: Model, nominal: Chain) -> Model:
     )
 
 
+def passing_directions(chain: Chain, T_tip_tool: Array) -> Array:
+    """Deviations at places 1 … n, six each, that together change nothing the tool does, (6 n, passing), to first order.
+
+    One column for each direction that passes through a joint: it is taken from behind the joint, and what it was there
+    stands before it; for the first joint that is the base, which has no row. Places are those of
+    :mod:`modcal_core.calibration.parameters`.
+    """
+    n = chain.n
+    M = chain.along_z
+    out = np.zeros((6 * n, sum(_sizes(chain))))
+    column = 0
+    for k in range(n):
+        behind = M[k + 1] @ T_tip_tool if k == n - 1 else M[k + 1]
+        seen = se3.adjoint(se3.inverse(behind))
+        for d in (2, 5) if chain.revolute[k] else (0, 1, 2, 5):
+            out[6 * k : 6 * k + 6, column] = -seen[:, d]
+            if k > 0:
+                out[6 * (k - 1) + d, column] = 1.0
+            column += 1
+    return out
+
+
 def _sizes(chain: Chain) -> list[int]:
     return [2 if turns else 4 for turns in chain.revolute]
 

@@ -54,13 +54,13 @@ def inverse(
     start = np.asarray(seed, dtype=float)
     assert goal.shape == (4, 4), goal.shape
     assert start.shape == (chain.n,), start.shape
-    best = np.full(6, np.inf)
+    best, nearest = np.full(6, np.inf), start
     for q in _starts(chain, start, rng, restarts):
         q, error = _descend(chain, goal, q, wanted, weight[wanted], tolerance)
         if np.abs(error).max(initial=0.0) <= tolerance:
             return _unwound(chain, q, start)
         if np.linalg.norm(error) < np.linalg.norm(best):
-            best = error
+            best, nearest = error, q
     position, rotation = np.linalg.norm(best[:3]), np.linalg.norm(best[3:])
     x, y, z = goal[:3, 3]
     raise NotReachable(
@@ -69,6 +69,7 @@ def inverse(
         "ask for a pose within reach and away from the limits, or come from another posture",
         float(position),
         float(rotation),
+        nearest,
     )
 
 

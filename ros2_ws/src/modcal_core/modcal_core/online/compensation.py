@@ -1,0 +1,138 @@
+"""What to command so that the arm's tool truly comes to be where it is wanted.
+
+The calibrated geometry gives a posture near the seed. From there Newton's method goes on with the whole prediction, its
+derivatives taken by differences: loads, gears and play are then those of the posture itself, and a gear error that is
+steep (amplitude times cycles of some hundredths) is no slower than a flat one. Play is on the side that each joint will
+have come from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.errors import NotReachable
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.online.conditions import Conditions
+from modcal_core.online.correction import Correction, Target
+from modcal_core.robots.inverse import inverse
+
+TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
+_DIFFERENCE = 1e-6  # rad or m
+_MOST_STEPS = 12
+_DAMPING = 1e-12
+_EFFECTS_M, _EFFECTS_RAD = 5e-3, 2e-2  # what effects may add to the reach of an arm
+_SINGULAR = 1e-3  # smallest gain of the joints, m or rad a rad, that still counts as one
+
+
+@dataclass(frozen=True)
+class Command:
+    """A posture to command. q: joint positions (n,). position [m], rotation [rad]: what it misses by prediction.
+
+    steps: of Newton's method. unseen: joints that it takes where the calibration has never seen them. singular: whether
+    the arm can hardly move there in some direction.
+    """
+
+    q: Array
+    position: float
+    rotation: float
+    steps: int
+    unseen: tuple[str, ...]
+    singular: bool
+
+
+def compensate(
+    correction: Correction,
+    desired: Array,
+    seed: Array,
+    at: Conditions,
+    target: Target = "tip",
+    frame: str = "",
+    rng: np.random.Generator | None = None,
+    tolerance_m: float = TOLERANCE_M,
+    tolerance_rad: float = TOLERANCE_RAD,
+) -> Command:
+    """The command that brings tip or tool to a true pose (4, 4), in the base link or in a tracker frame.
+
+    seed: posture (n,) near which it is sought. at: the present conditions; the arm arrives from ``at.q``. rng: draws
+    other postures to begin from where the seed leads nowhere; without it the answer is near the seed or there is none.
+    Raises NotReachable, MissingDriver, BadTable (unknown frame).
+    """
+    correction.require(at)
+    chain = correction.chain
+    goal = _without_effects(correction, desired, target, frame)
+    try:
+        q = inverse(chain, goal, seed, rng=rng, tolerance=1e-7)
+    except NotReachable as plain:  # a stretched arm may be longer, or a joint farther from its limit, than by geometry
+        if not (plain.position < _EFFECTS_M and plain.rotation < _EFFECTS_RAD):
+            raise
+        q = plain.posture
+    # which side a joint comes from is settled by the plain way there, and once: play must not flip to and fro
+    arriving = at.arriving(q)
+    steps, error, J = 0, *_linearised(correction, desired, q, arriving, target, frame)
+    while _size(error) > 0.01 * min(tolerance_m, tolerance_rad) and steps < _MOST_STEPS:
+        better = _improved(correction, desired, q, error, J, arriving, target, frame)
+        if better is None:
+            break
+        q, error, J = better
+        steps += 1
+    position, rotation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    if not (position <= tolerance_m and rotation <= tolerance_rad):
+        x, y, z = desired[:3, 3]
+        raise NotReachable(
+            f"true pose of the {target} at ({x:.3f}, {y:.3f}, {z:.3f}) m in {frame or chain.base}",
+            f"the best command found misses it by {1e3 * position:.3g} mm, {rotation:.3g} rad",
+            "keep away from singular postures and joint limits, or come from another side",
+            position,
+            rotation,
+        )
+    gains = np.linalg.svd(J, compute_uv=False)
+    return Command(q, position, rotation, steps, correction.unseen(q), bool(gains[min(J.shape) - 1] < _SINGULAR))
+
+
+def _without_effects(correction: Correction, desired: Array, target: Target, frame: str) -> Array:
+    """Where the tip would be wanted in the base link if geometry were all."""
+    T = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
+    return T if target == "tip" else T @ se3.inverse(correction.model.T_tip_tool)
+
+
+def _linearised(
+    correction: Correction, desired: Array, q: Array, at: Conditions, target: Target, frame: str
+) -> tuple[Array, Array]:
+    """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n)."""
+    postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
+    errors = _errors(desired, correction.poses(postures, at, target, frame))
+    return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
+
+
+def _errors(desired: Array, T: Array) -> Array:
+    R = np.swapaxes(T[:, :3, :3], 1, 2)
+    gap = (R @ (desired[:3, 3] - T[:, :3, 3])[..., None])[..., 0]
+    return np.concatenate([gap, so3.log(R @ desired[:3, :3])], axis=1)
+
+
+def _improved(
+    correction: Correction,
+    desired: Array,
+    q: Array,
+    error: Array,
+    J: Array,
+    at: Conditions,
+    target: Target,
+    frame: str,
+) -> tuple[Array, Array, Array] | None:
+    """The next command, its error and its derivatives; None where no shorter step is any better either."""
+    chain = correction.chain
+    step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
+    for share in (1.0, 0.5, 0.25, 0.1):
+        new = np.clip(q + share * step, chain.lower, chain.upper)
+        e, J_new = _linearised(correction, desired, new, at, target, frame)
+        if _size(e) < _size(error):
+            return new, e, J_new
+    return None
+
+
+def _size(error: Array) -> float:
+    return float(np.linalg.norm(error))

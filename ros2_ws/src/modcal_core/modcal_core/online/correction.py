@@ -1,0 +1,234 @@
+"""Where an arm truly is, given what its joints report: the calibrated geometry with the effects put in.
+
+*In the base link* means that of the calibrated arm written with the least change to its drawing (see
+:mod:`modcal_core.calibration.gauge`): where the base stands in the tracker, and what turns or slides the first joint as
+a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame* has no
+such freedom: it is what that instrument would show.
+
+Of the effects, those of the arm move the tip; a tool that was bumped moves the tool only; a base or tracker that
+drifts, and a tracker's scale, show in tracker frames only; a tracker's delay shows in no true pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from modcal_core.calibration.circumstances import Arm, Circumstances
+from modcal_core.calibration.effects import JOINTS, READING, Term, columns, motion, shape_columns
+from modcal_core.calibration.gauge import passing_directions
+from modcal_core.calibration.linearise import error_transform
+from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadTable, MissingDriver
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.online.conditions import Conditions
+from modcal_core.robots.kinematics import Frames, frames
+
+Target = Literal["tip", "tool"]
+_HEARD = ("temperature:", "signal:")
+_MARGIN = 0.02  # of the range that was seen
+
+
+class Correction:
+    """A calibration made ready to correct one posture after another. Nothing in it changes."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
+        self.model = calibration.calibrated
+        self.chain = self.model.chain
+        self._arm = self.model.arm or Arm(calibration.nominal.chain)
+        true = [e for e in self.model.effects if e.direction != JOINTS]
+        self._of_arm = tuple(e for e in true if e.place not in ("base", "tool", "tracker"))
+        self._of_tool = tuple(e for e in true if e.place == "tool")
+        self._of_cell = tuple(e for e in true if e.place in ("base", "tracker"))
+        self._covariance = _deviations_covariance(calibration)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the temperatures and signals that the effects depend on."""
+        parts = (part for e in self.model.effects for part in e.driver.split(","))
+        return tuple(dict.fromkeys(part for part in parts if part.startswith(_HEARD)))
+
+    @property
+    def needs_effort(self) -> bool:
+        """Whether the effects depend on what the actuators exert."""
+        return any(part.startswith("effort:") for e in self.model.effects for part in e.driver.split(","))
+
+    def require(self, at: Conditions) -> None:
+        """Raises MissingDriver unless everything is known that the effects depend on."""
+        heard = {track.name for track in at.signals if len(track.stamps)}
+        for name in self.needs:
+            if name not in heard:
+                raise MissingDriver(
+                    name, "the calibration depends on it and it was not heard", "publish it, or calibrate without it"
+                )
+        if self.needs_effort and not np.isfinite(at.effort).all():
+            raise MissingDriver(
+                "effort of the joints",
+                "the calibration depends on it and joint_states carry none",
+                "let the driver publish it, or calibrate without it",
+            )
+
+    def pose(self, q: Array, at: Conditions, target: Target = "tip", frame: str = "") -> Array:
+        """True pose (4, 4) of tip or tool at reported positions q (n,); in the base link, or in a tracker frame."""
+        return self.poses(q[None], at, target, frame)[0]
+
+    def poses(self, postures: Array, at: Conditions, target: Target = "tip", frame: str = "") -> Array:
+        """The same for many postures (N, n) under the same conditions, (N, 4, 4). Raises BadTable: unknown frame."""
+        around = self._around(postures, at)
+        twists, _ = motion(self._of_arm, around)
+        if not frame:
+            return self._behind(frames(self.chain, postures, twists).transform(-1), around, target)
+        in_cell, scale = motion(self._of_cell, around)
+        for place, twist in in_cell.items():
+            twists[place] = twists[place] + twist if place in twists else twist
+        T = self._behind(frames(self.chain, postures, twists).transform(-1), around, target)
+        T = self.base_in(frame) @ T
+        T[:, :3, 3] *= scale[:, None]
+        return T
+
+    def base_in(self, frame: str) -> Array:
+        """Pose (4, 4) of the base link in a tracker frame; raises BadTable for one that was not calibrated."""
+        if frame not in self.model.frames:
+            known = ", ".join((self.chain.base, *self.model.frames))
+            raise BadTable(f"frame '{frame}'", f"the calibration knows {known}", "give a pose in one of these")
+        return self.model.T_frame_base[self.model.frames.index(frame)]
+
+    def joints(self, q: Array, at: Conditions) -> Array:
+        """Where the joints truly stand when they report q (n,): with what effects turn them about their own axes."""
+        twists, _ = motion(self._of_arm, self._around(q[None], at))
+        out = np.array(q, dtype=float)
+        for place, twist in twists.items():
+            if place < self.chain.n:
+                out[place] += twist[5 if self.chain.revolute[place] else 2, 0]
+        return out
+
+    def covariance(self, q: Array, at: Conditions, target: Target = "tip") -> Array:
+        """Covariance (6, 6) of a pose in the base link: x y z [m], turns about its x y z [rad].
+
+        The calibration's, through the Jacobian, and on top of it how the arm scattered about the model when it was
+        calibrated; the latter alone where the calibration does not say how well it is known.
+        """
+        spread = self.calibration.spread
+        out = np.diag([spread.position**2] * 3 + [spread.rotation**2] * 3)
+        if self._covariance is None:
+            return out
+        around = self._around(q[None], at)
+        twists, _ = motion(self._of_arm, around)
+        f = frames(self.chain, q[None], twists)
+        end = self._behind(f.transform(-1), around, target)[0]
+        n = self.chain.n
+        units = np.stack([_unit_motions(f, place, end[:3, 3]) for place in range(n)] + [_at_end(end)])
+        rows = np.zeros((6, len(self._covariance)))
+        for place in range(1, n):
+            rows[:, 6 * (place - 1) : 6 * place] = units[place]
+        if target == "tool":
+            rows[:, 6 * (n - 1) : 6 * n] = units[n]
+        j = 6 * n
+        shown = (*self._of_arm, *self._of_tool) if target == "tool" else self._of_arm
+        for effect in self.model.effects:
+            if any(effect is e for e in shown):
+                for terms in (*columns(effect, around), *shape_columns(effect, around)):
+                    rows[:, j] = _moved(terms, units)
+                    j += 1
+            else:
+                j += len(effect.values)
+        return out + rows @ self._covariance @ rows.T
+
+    def unseen(self, q: Array) -> tuple[str, ...]:
+        """Names of the joints that are where the calibration has never seen them; no learned curve goes on there."""
+        low, high = self.calibration.seen
+        margin = _MARGIN * (high - low)
+        out = (q < low - margin) | (q > high + margin)
+        return tuple(name for name, outside in zip(self.chain.names, out, strict=True) if outside)
+
+    def unwatched(self, stamp: float) -> bool:
+        """Whether something depends on time and this is longer past the calibration than it lasted, or before it."""
+        timed = any(e.driver == "time" for e in (*self._of_arm, *self._of_tool, *self._of_cell))
+        return timed and self._held(stamp) != stamp
+
+    def _held(self, stamp: float) -> float:
+        """A drift is continued for as long again as it was watched, and held from then on."""
+        if self.calibration.watched is None:
+            return stamp
+        first, last = self.calibration.watched
+        return float(np.clip(stamp, first, last + (last - first)))
+
+    def _around(self, postures: Array, at: Conditions) -> Circumstances:
+        at = replace(at, stamp=self._held(at.stamp))
+        samples = at.samples(self.chain, postures, self._arm)
+        if self.needs:  # what was heard once stays as it was
+            samples = replace(samples, signals=tuple(_lasting(track) for track in samples.signals))
+        return Circumstances(samples, self._arm)
+
+    def _behind(self, T_base_tip: Array, around: Circumstances, target: Target) -> Array:
+        """Poses of the target, (N, 4, 4)."""
+        if target == "tip":
+            return T_base_tip
+        T = T_base_tip @ self.model.T_tip_tool
+        twists, _ = motion(self._of_tool, around)
+        for twist in twists.values():
+            T = T @ error_transform(twist.T)
+        return T
+
+
+def _lasting(track: SignalTrack) -> SignalTrack:
+    """A track of at least two values, for one that was heard once."""
+    if len(track.stamps) != 1:
+        return track
+    stamps = np.r_[track.stamps - 1.0, track.stamps]
+    return replace(track, stamps=stamps, values=np.repeat(track.values, 2, axis=0))
+
+
+def _unit_motions(f: Frames, place: int, end: Array) -> Array:
+    """Motion (6, 6) of a point of the arm, in the base, per unit of each direction of a place (columns)."""
+    R, arm = f.axes[place, :, :, 0].T, end - f.p[place, :, 0]
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    out[:3, 3:] = np.cross(R, arm, axisa=0, axisc=0)
+    return out
+
+
+def _at_end(T: Array) -> Array:
+    """The same for directions of the end itself."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = T[:3, :3]
+    return out
+
+
+def _moved(terms: Sequence[Term], units: Array) -> Array:
+    """Motion (6,) that the terms of one amplitude make together, per unit."""
+    out = np.zeros(6)
+    for term in terms:
+        if term.place != READING:
+            out += units[term.place][:, term.direction] * float(term.size[0])
+    return out
+
+
+def _deviations_covariance(calibration: Calibration) -> Array | None:
+    """Covariance of deviations at places 1 … n − 1, six each, at the tool, six, and of the effects' values.
+
+    In the gauge of least change: what could as well stand before a joint as behind it is put where it changes the
+    drawing least, as :mod:`modcal_core.calibration.gauge` does, here to first order.
+    """
+    known = calibration.uncertainty
+    if known is None:
+        return None
+    chain, n, P = calibration.calibrated.chain, calibration.calibrated.chain.n, len(known.parameters)
+    selected = np.zeros((6 * n, P))
+    for j, parameter in enumerate(known.parameters):
+        if parameter.place:
+            selected[6 * (parameter.place - 1) + parameter.direction, j] = 1.0
+    passing = passing_directions(chain, calibration.calibrated.T_tip_tool)
+    inner = slice(0, 6 * (n - 1))
+    unit = np.tile([PRIOR_LENGTH_M] * 3 + [PRIOR_ANGLE_RAD] * 3, n - 1)[:, None]
+    moved = np.linalg.pinv(passing[inner] / unit, rcond=1e-9) @ (selected[inner] / unit)
+    selected -= passing @ moved
+    E = len(known.covariance) - P
+    B = np.block([[selected, np.zeros((6 * n, E))], [np.zeros((E, P)), np.eye(E)]])
+    return np.asarray(B @ known.covariance @ B.T, dtype=float)

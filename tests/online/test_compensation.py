@@ -1,0 +1,279 @@
+"""Corrected poses against the model that was fitted, their covariance against many recordings, commands against truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration.test_effects import EFFECTS, started
+from cells import NOISE_M, NOISE_RAD, samples_of, slider_arm, ur10
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.circumstances import Arm
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.gauge import least_change, passing_directions
+from modcal_core.calibration.identify import identify
+from modcal_core.calibration.linearise import Deviations, apply_deviations
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.errors import BadTable, MissingDriver, NotReachable
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import ship
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.compensation import compensate
+from modcal_core.online.conditions import Approach, Conditions
+from modcal_core.online.correction import Correction
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf_inertias import Inertias
+
+T0 = 1.7e9
+STEEP = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 160.0}))
+HEAT = SignalTrack("temperature:arm", T0 + np.arange(0.0, 600.0, 10.0), 20.0 + np.linspace(0, 9, 60)[:, None])
+HOSE = SignalTrack("signal:/hose", T0 + np.arange(0.0, 600.0, 10.0), np.linspace(-0.5, 0.5, 60)[:, None])
+
+
+def inertias() -> Inertias:
+    rng = np.random.default_rng(1)
+    return Inertias(np.array([8.0, 12.0, 5.0, 2.0, 2.0, 0.5]), rng.uniform(-0.2, 0.2, (6, 3)), np.zeros((6, 3, 3)))
+
+
+def true_model(*effects: Effect, chain: Chain | None = None, seed: int = 0) -> Model:
+    """An arm displaced in all directions, watched from somewhere, with a tool and these effects."""
+    rng = np.random.default_rng(seed)
+    chain = ur10() if chain is None else chain
+    off = np.r_[[5e-4] * 3, [1e-3] * 3] * rng.standard_normal((chain.n + 1, 6))
+    tool = se3.transform(so3.exp([0.3, 0.1, -0.2]), [0.05, 0.03, 0.12])
+    weighed = Arm(chain, inertias() if chain.n == 6 else None)
+    return Model(
+        chain.with_origins(chain.origins @ se3.exp(off)), ("tracker",), se3.exp(rng.normal(size=(1, 6))), tool,
+        tuple(effects), weighed,
+    )  # fmt: skip
+
+
+def calibration_of(model: Model, chain: Chain | None = None) -> Calibration:
+    chain = ur10() if chain is None else chain
+    seen = np.array([[-3.0] * chain.n, [3.0] * chain.n])
+    nominal = replace(model, chain=chain, effects=())
+    return Calibration(nominal, model, model.with_effects(()), seen, watched=(T0, T0 + 300.0))
+
+
+def moment(q: Array, rng: np.random.Generator) -> Conditions:
+    """Conditions under which every effect has something to act on."""
+    return Conditions(
+        T0 + 170.0,
+        q,
+        rng.uniform(-1, 1, len(q)),
+        rng.choice([-1.0, 1.0], len(q)),
+        np.full(len(q), np.nan),
+        (HEAT, HOSE),
+    )
+
+
+def as_samples(q: Array, at: Conditions) -> Samples:
+    samples = samples_of(ur10(), q[None], np.eye(4)[None])
+    return replace(
+        samples, stamps=np.array([at.stamp]), velocity=at.velocity[None], approach=at.approach[None], signals=at.signals
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "latency"])
+def test_what_a_tracker_would_show_is_what_the_fitted_model_says(name: str, rng: np.random.Generator) -> None:
+    model = true_model(started(name))
+    correction = Correction(calibration_of(model))
+    q = rng.uniform(-2, 2, 6)
+    at = moment(q, rng)
+    T = correction.pose(q, at, "tool", "tracker")
+    assert np.abs(T - model.predict_samples(as_samples(q, at))[0]).max() < 1e-12
+    assert np.abs(T - model.with_effects(()).predict(q[None])[0]).max() > 1e-6, "the effect did nothing"
+
+
+def test_a_late_tracker_moves_no_true_pose(rng: np.random.Generator) -> None:
+    model = true_model(started("latency"))
+    q = rng.uniform(-2, 2, 6)
+    T = Correction(calibration_of(model)).pose(q, moment(q, rng), "tool", "tracker")
+    assert np.abs(T - model.with_effects(()).predict(q[None])[0]).max() < 1e-14
+
+
+def test_base_and_tool_stay_out_of_the_tip_in_the_base_link(rng: np.random.Generator) -> None:
+    """A base that drifts moves neither; a bumped tool moves the tool; an elbow that gives way moves both."""
+    q = rng.uniform(-2, 2, 6)
+    at = moment(q, rng)
+    plain = true_model()
+    T = forward(plain.chain, q)
+    for name, moves_tip, moves_tool in (("settling", 0, 0), ("bump", 0, 1), ("scale", 0, 0), ("gear", 1, 1)):
+        correction = Correction(calibration_of(true_model(started(name))))
+        moved = [
+            np.abs(correction.pose(q, at, "tip") - T).max() > 1e-9,
+            np.abs(correction.pose(q, at, "tool") - T @ plain.T_tip_tool).max() > 1e-9,
+        ]
+        assert moved == [moves_tip, moves_tool], name
+
+
+def test_effective_joints_on_the_corrected_arm_give_the_corrected_tip(rng: np.random.Generator) -> None:
+    effects = [started(name) for name in ("gear", "backlash", "compliance", "coupling", "ratio")]
+    model = true_model(*effects)
+    correction = Correction(calibration_of(model))
+    for q in rng.uniform(-2, 2, (10, 6)):
+        at = moment(q, rng)
+        assert np.abs(correction.joints(q, at) - q).max() > 1e-5
+        assert np.abs(forward(model.chain, correction.joints(q, at)) - correction.pose(q, at)).max() < 1e-12
+
+
+@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
+def test_passing_directions_change_nothing(chain: Chain, rng: np.random.Generator) -> None:
+    model = true_model(chain=chain)
+    G = passing_directions(model.chain, model.T_tip_tool)
+    q = rng.uniform(-1, 1, (5, chain.n))
+    T, size, n = model.predict(q), 1e-5, chain.n
+    column = 0
+    for k in range(n):
+        for d in (2, 5) if chain.revolute[k] else (0, 1, 2, 5):
+            base = np.zeros((1, 6))
+            base[0, d] = size if k == 0 else 0.0
+            moved = apply_deviations(model, Deviations(base, size * G[:, column].reshape(n, 6))).predict(q)
+            assert np.abs(moved - T).max() < 20 * size**2
+            column += 1
+    assert column == G.shape[1]
+
+
+@pytest.mark.slow
+def test_covariance_is_right_over_many_recordings() -> None:
+    """Each recording gives another calibration; its errors, weighed by what it says of itself, follow a χ² law."""
+    rng = np.random.default_rng(11)
+    chain, effects = ur10(), (started("gear"), started("backlash"))
+    truth = true_model(*effects, seed=2)
+    q = rng.uniform(-2.5, 2.5, (100, 6))
+    blank = replace(samples_of(chain, q, np.tile(np.eye(4), (100, 1, 1))), approach=rng.choice([-1.0, 1.0], q.shape))
+    blank = replace(blank, stamps=T0 + np.arange(100.0))
+    T = truth.predict_samples(blank)
+    choice = choose_parameters(truth, views_of(blank))
+    exact = Correction(calibration_of(least_change(truth, chain)))
+    here = rng.uniform(-2, 2, (3, 6))
+    scores: dict[str, list[float]] = {"tip": [], "tool": []}
+    for _ in range(12):
+        samples = replace(
+            blank,
+            position=T[:, :3, 3] + NOISE_M * rng.standard_normal((100, 3)),
+            R=T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((100, 3))),
+        )
+        scored = identify(replace(truth, chain=chain), samples, choice.parameters)
+        made = ship(samples, chain, choice, Cell(), inertias(), scored)
+        correction = Correction(made)
+        noise = np.diag([made.spread.position**2] * 3 + [made.spread.rotation**2] * 3)
+        assert made.spread.position == pytest.approx(NOISE_M, rel=0.3)
+        for target in ("tip", "tool"):
+            for posture in here:
+                at = Conditions.at_rest(posture, T0 + 50.0, np.ones(6))
+                A, B = exact.pose(posture, at, target), correction.pose(posture, at, target)  # type: ignore[arg-type]
+                e = np.r_[A[:3, 3] - B[:3, 3], so3.log(A[:3, :3] @ B[:3, :3].T)]
+                known = correction.covariance(posture, at, target) - noise  # type: ignore[arg-type]
+                scores[target].append(float(e @ np.linalg.solve(known, e)))
+    # a mean of 12 independent χ²(6) is 6 ± 1; over 100 recordings it was MEASURED
+    for target, values in scores.items():
+        assert 3.5 < np.mean(values) < 8.5, (target, np.mean(values))
+
+
+def test_covariance_without_a_record_of_it_is_the_scatter_alone(rng: np.random.Generator) -> None:
+    made = calibration_of(true_model())
+    q = rng.uniform(-1, 1, 6)
+    C = Correction(made).covariance(q, moment(q, rng))
+    assert np.array_equal(np.diag(C), [made.spread.position**2] * 3 + [made.spread.rotation**2] * 3)
+
+
+@pytest.mark.parametrize(("target", "frame"), [("tip", ""), ("tool", ""), ("tool", "tracker"), ("tip", "tracker")])
+def test_a_command_brings_the_true_pose(target: str, frame: str, rng: np.random.Generator) -> None:
+    """The posture that was asked for is found again, from near it and with gears as steep as they come."""
+    steep = STEEP.started(np.array([2.5e-4, 1.8e-4]))
+    names = ("backlash", "compliance", "bump", "settling", "wobble", "sensor", "scale")
+    correction = Correction(calibration_of(true_model(steep, *(started(name) for name in names))))
+    for _ in range(12):
+        q = rng.uniform(-2.0, 2.0, 6)
+        q[[2, 4]] = rng.choice([-1.0, 1.0], 2) * rng.uniform(0.6, 2.0, 2)  # away from singular postures
+        at = replace(moment(q + 0.03 * rng.choice([-1.0, 1.0], 6), rng), velocity=np.zeros(6))
+        desired = correction.pose(q, at.arriving(q), target, frame)  # type: ignore[arg-type]
+        command = compensate(correction, desired, at.q, at, target, frame)  # type: ignore[arg-type]
+        reached = correction.pose(command.q, at.arriving(command.q), target, frame)  # type: ignore[arg-type]
+        assert np.linalg.norm(reached[:3, 3] - desired[:3, 3]) < 1e-7
+        assert np.linalg.norm(so3.log(reached[:3, :3].T @ desired[:3, :3])) < 1e-7
+        assert np.abs(command.q - q).max() < 1e-6
+        assert command.steps <= 6
+        assert not command.singular
+
+
+def test_what_cannot_be_is_refused(rng: np.random.Generator) -> None:
+    correction = Correction(calibration_of(true_model(started("gear"))))
+    at = Conditions.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
+    with pytest.raises(NotReachable, match="misses it by"):
+        compensate(correction, se3.transform(p=[2.0, 0.0, 0.5]), at.q, at)
+    with pytest.raises(BadTable, match="frame 'elsewhere'"):
+        compensate(correction, se3.transform(p=[0.5, 0.0, 0.5]), at.q, at, frame="elsewhere")
+    hot = Correction(calibration_of(true_model(started("sensor"))))
+    with pytest.raises(MissingDriver, match="temperature:arm"):
+        compensate(hot, se3.transform(p=[0.5, 0.0, 0.5]), at.q, at)
+    effort = Effect("compliance", "elbow_joint", AXIS, "effort:elbow_joint", Shape("linear")).started(np.array([1e-5]))
+    with pytest.raises(MissingDriver, match="effort"):
+        Correction(calibration_of(true_model(effort))).require(at)
+
+
+def test_one_temperature_is_enough(rng: np.random.Generator) -> None:
+    """A value that was heard once holds, whatever the lag."""
+    correction = Correction(calibration_of(true_model(started("late sensor"))))
+    q = rng.uniform(-1, 1, 6)
+    once = SignalTrack("temperature:arm", np.array([T0 + 5.0]), np.array([[30.0]]))
+    ever = SignalTrack("temperature:arm", T0 + np.arange(100.0), np.full((100, 1), 30.0))
+    poses = [correction.pose(q, replace(moment(q, rng), signals=(track,))) for track in (once, ever)]
+    assert np.abs(poses[0] - poses[1]).max() < 1e-12
+    assert np.abs(poses[0] - forward(correction.chain, q)).max() > 1e-4
+
+
+def test_drifts_are_not_continued_for_ever_and_not_before_they_were_seen(rng: np.random.Generator) -> None:
+    q = rng.uniform(-1, 1, 6)
+    for name in ("ramp", "settling"):
+        correction = Correction(calibration_of(true_model(started(name))))
+        at = {
+            t: correction.pose(q, Conditions.at_rest(q, t), "tool", "tracker") for t in (5.0, T0, T0 + 600.0, T0 + 1e6)
+        }
+        assert np.array_equal(at[5.0], at[T0]), "a clock that began at zero"
+        assert np.array_equal(at[T0 + 600.0], at[T0 + 1e6])
+        assert correction.unwatched(5.0)
+        assert not correction.unwatched(T0 + 500.0)
+        assert correction.unwatched(T0 + 1e6)
+    assert not Correction(calibration_of(true_model(started("gear")))).unwatched(5.0)
+
+
+def test_joints_outside_what_was_seen_are_named() -> None:
+    correction = Correction(calibration_of(true_model()))
+    assert correction.unseen(np.array([0.0, 3.05, -3.3, 0.0, 0.0, 6.0])) == ("elbow_joint", "wrist_3_joint")
+
+
+def test_efforts_follow_the_weight_to_where_the_arm_goes(rng: np.random.Generator) -> None:
+    """The actuators hold the arm up: what they exert there is predicted from what they exert here."""
+    by_effort = Effect("compliance", "elbow_joint", AXIS, "effort:elbow_joint", Shape("linear")).started(
+        np.array([1e-5])
+    )
+    by_load = Effect("compliance", "elbow_joint", AXIS, "load:elbow_joint", Shape("linear")).started(np.array([-1e-5]))
+    model = true_model(by_effort)
+    q, there = rng.uniform(-1, 1, (2, 6))
+    load = Correction(calibration_of(true_model(by_load)))
+    assert model.arm is not None
+    weight = Conditions.at_rest(q, T0).samples(ur10(), q[None], model.arm)
+    torque = model.circumstances(weight).gravity[:, 5, 0]
+    at = replace(Conditions.at_rest(q, T0), effort=-torque)
+    T = Correction(calibration_of(model)).pose(there, at)
+    assert np.abs(T - load.pose(there, Conditions.at_rest(there, T0))).max() < 1e-12
+
+
+def test_approach_remembers_the_last_way_of_every_joint() -> None:
+    approach = Approach()
+    assert approach.update(np.zeros(3)).tolist() == [0, 0, 0]
+    for x in np.linspace(0.0, 0.1, 50):
+        came = approach.update(np.array([x, -x, 1e-5 * x]))
+    assert came.tolist() == [1, -1, 0]
+    assert approach.update(np.array([0.0998, -0.1, 0.0])).tolist() == [1, -1, 0], "less than noise"
+    assert approach.update(np.array([0.0990, -0.1, 0.0])).tolist() == [-1, -1, 0]
