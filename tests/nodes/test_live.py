@@ -26,6 +26,7 @@ from modcal_nodes.simulation.world import World
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 SEED = 11
 POSTURES = 36
+TOPICS = ("joint_states", "tracker/pose", "robot_description")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -68,7 +69,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         cell = Process("simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED, start_delay_s=3.0)
         with running(cell):
             wait(lambda: states and drive.get_subscription_count() == 1, 60.0)
-            wait(lambda: recorder.output.count("recording /") == 3, 10.0)
+            wait(lambda: all(f"recording /{t}" in recorder.output for t in TOPICS), 10.0)
             assert len(states[0].name) == 6
             program = tour(list(states[0].name)[::-1])
             drive.publish(program)

@@ -40,10 +40,11 @@ class Ear:
         self.incompatible: str | None = None
         self._last = time.monotonic()
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
-        self.subscription = node.create_subscription(kind, topic, self._hear, qos, event_callbacks=events, raw=raw)
+        self.subscription = node.create_subscription(kind, topic, self.hear, qos, event_callbacks=events, raw=raw)
         self.topic = self.subscription.topic_name
 
-    def _hear(self, message: Any) -> None:
+    def hear(self, message: Any) -> None:
+        """Count a message and hand it on; also for one that came another way."""
         self.count += 1
         self._last = time.monotonic()
         self._callback(message)

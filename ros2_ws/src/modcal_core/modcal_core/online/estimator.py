@@ -23,6 +23,7 @@ from modcal_core.calibration.noise import Spread, robust_weights, standard_score
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.frozen import Frozen
 from modcal_core.online.information import Information
@@ -45,21 +46,24 @@ class Update:
 
 @dataclass(frozen=True)
 class Wander:
-    """Places that may move with time, and how fast. places: of "base", "tool" and joints. views: what the instruments
-    see. metres, radians: standard deviation after one second [m/√s, rad/√s].
+    """Places that may move with time, and how fast. places: of "base", "tool" and joints. metres, radians: standard
+    deviation after one second [m/√s, rad/√s].
     """
 
     places: tuple[str, ...]
-    views: tuple[View, ...]
     metres: float
     radians: float
 
-    def ways(self, model: Model, parameters: Sequence[Parameter], count: int) -> tuple[Array, Array]:
+    def ways(
+        self, model: Model, parameters: Sequence[Parameter], count: int, views: Sequence[View]
+    ) -> tuple[Array, Array]:
         """How the values (count,) change with each motion of the places, (count, 6 m), and how fast, (6 m,).
+
+        views: what the instruments see.
 
         A minimal set of parameters holds only some directions of a place; the others are what they pass through to.
         """
-        samples = general_samples(model, self.views, each=max(12, -(-len(parameters) // len(self.views))))
+        samples = general_samples(model, views, each=max(12, -(-len(parameters) // len(views))))
         bare = model.with_effects(())
         J = linearise(bare, parameters, np.zeros(len(parameters)), samples).J
         seen = Seen.of(bare, samples, bare.circumstances(samples))
@@ -83,14 +87,16 @@ class Estimator:
         spread: Spread,
         covariance: Array | None = None,
         wander: Wander | None = None,
+        kind: str = POSE,
         robust: bool = True,
         kept: int = KEPT,
     ) -> None:
         """Begin at a model.
 
         spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
-        known; None: the priors of a batch fit. wander: what may change with time. robust: mistrust samples that do not
-        fit. kept: samples that are linearised again when the estimate moves; none with ``wander``, which has an order.
+        known; None: the priors of a batch fit. wander: what may change with time. kind: of the readings. robust:
+        mistrust samples that do not fit. kept: samples that are linearised again when the estimate moves; none with
+        ``wander``, which has an order.
         """
         self.start, self.parameters, self.spread = model, tuple(parameters), spread
         self.names = (*(p.name for p in parameters), *_effect_names(model))
@@ -109,7 +115,8 @@ class Estimator:
         self._frozen: Frozen | None = None
         self._kept: list[Samples] = []
         self._weights: list[float] = []
-        self._ways = wander.ways(model, self.parameters, len(begin)) if wander else None
+        views = [View(kind, f) for f in range(len(model.frames))]
+        self._ways = wander.ways(model, self.parameters, len(begin), views) if wander else None
         self._stamp = -np.inf
         self.taken, self.rejected = 0, 0
 

@@ -29,7 +29,7 @@ class Live:
         covariance = known.covariance + _RIDGE * np.diag(np.diag(known.covariance))
         self.calibration = calibration
         model, spread = calibration.calibrated, calibration.spread
-        self.estimator = Estimator(model, known.parameters, spread, covariance, wander)
+        self.estimator = Estimator(model, known.parameters, spread, covariance, wander, calibration.kind)
         self.watch = Watch(model, known.parameters, covariance, spread)
         self.suspicion: Suspicion | None = None
         self.changed: float | None = None

@@ -1,0 +1,85 @@
+"""A calibration beside the node: in a process of its own, so that the callbacks keep up however long it takes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from typing import Any
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.samples import Samples
+from modcal_core.resolve import Comparison, Heard, Job, resolve
+from modcal_core.robots.chain import Chain
+from modcal_nodes.results import calibration_files
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found."""
+
+    calibration: Calibration
+    files: dict[str, str]
+    comparison: Comparison
+    verdict: str
+    story: tuple[str, ...]
+    rms: float | None
+
+
+def solve(job: Job, urdf: str) -> Solved:
+    """Calibrate and write the texts. Raises ModcalError for data that cannot carry a fit."""
+    resolved = resolve(job)
+    report = resolved.report
+    size = report.size_mm("final")
+    return Solved(
+        resolved.result.calibration,
+        calibration_files(resolved.result, report, job.chain, urdf),
+        resolved.comparison,
+        report.verdict,
+        report.story,
+        None if size is None else 1e-3 * size.rms,
+    )
+
+
+def condense(heard: Heard, chain: Chain, clock_limit: float, most: int) -> Samples:
+    """The samples of everything heard, at most so many. Raises ModcalError where there are none."""
+    return heard.prepared(chain, clock_limit, most)[0]
+
+
+class Workshop:
+    """One process that works on one thing after the other. It ends with its parent, however that ends."""
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_settle_in)
+
+    def give(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Have this done; arguments and result travel between processes."""
+        return self._pool.submit(work, *arguments)
+
+    def warm_up(self) -> None:
+        """Start the process now, so that the first piece of work does not wait for it."""
+        self._pool.submit(os.getpid)
+
+    def close(self) -> None:
+        """Drop what is waiting, and end what is being worked on."""
+        for process in list((self._pool._processes or {}).values()):
+            process.terminate()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _settle_in() -> None:
+    # Ctrl-C in a terminal reaches every process of the group; the node decides when this one ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

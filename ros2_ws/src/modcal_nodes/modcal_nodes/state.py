@@ -1,0 +1,86 @@
+"""What the calibrator keeps on disk, to go on where it was after a restart."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadTable, ModcalError
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_nodes.files import read_calibration, write_folder
+
+_SAMPLES = "samples.npz"
+_SHARED = ("names", "frames", "signals")
+
+
+@dataclass(frozen=True)
+class State:
+    """The trusted calibration with its files' texts, and the samples that were remembered; each may be missing."""
+
+    calibration: Calibration | None = None
+    files: Mapping[str, str] | None = None
+    samples: Samples | None = None
+
+
+def read_state(folder: Path) -> State:
+    """What a folder holds; nothing where it does not exist. Raises BadTable for what is damaged."""
+    if not folder.is_dir():
+        return State()
+    calibration, files = None, None
+    if (folder / "calibration.yaml").is_file():
+        calibration = read_calibration(folder)
+        files = {
+            p.name: p.read_text(encoding="utf-8") for p in folder.iterdir() if p.suffix in (".yaml", ".json", ".html")
+        }
+    return State(calibration, files, _read_samples(folder / _SAMPLES))
+
+
+def write_state(folder: Path, state: State) -> None:
+    """Write what there is; each file is replaced as a whole, so that a kill leaves the old or the new one."""
+    if state.files:
+        write_folder(folder, state.files)
+    if state.samples is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write_samples(folder / _SAMPLES, state.samples)
+
+
+def _write_samples(path: Path, samples: Samples) -> None:
+    arrays = {f.name: getattr(samples, f.name) for f in fields(samples) if f.name not in _SHARED}
+    about = {
+        "names": samples.names,
+        "frames": samples.frames,
+        "signals": [[track.name, track.topic] for track in samples.signals],
+    }
+    for i, track in enumerate(samples.signals):
+        arrays[f"signal_{i}_stamps"], arrays[f"signal_{i}_values"] = track.stamps, track.values
+    stage = path.with_name(f".{path.name}")
+    with stage.open("wb") as stream:
+        np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)
+    os.replace(stage, path)
+
+
+def _read_samples(path: Path) -> Samples | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            about = json.loads(str(stored["about"]))
+            signals = tuple(
+                SignalTrack(name, stored[f"signal_{i}_stamps"], stored[f"signal_{i}_values"], topic)
+                for i, (name, topic) in enumerate(about["signals"])
+            )
+            arrays = {f.name: stored[f.name] for f in fields(Samples) if f.name not in _SHARED}
+        return Samples(names=tuple(about["names"]), frames=tuple(about["frames"]), signals=signals, **arrays)
+    except ModcalError:
+        raise
+    except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing
+        raise BadTable(
+            str(path), f"is damaged ({type(error).__name__})", "remove it; stations are heard anew"
+        ) from error
