@@ -52,16 +52,37 @@ SIMULATED_CELL = {
     "angle_std_rad": Parameter(1e-3, "How far the true arm's bodies are turned, per axis [rad].", 0.0, 0.2),
     "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),
     "noise_rad": Parameter(5e-5, "Noise of one tracker orientation, per axis [rad].", 0.0, 0.1),
+    "repeatability_rad": Parameter(
+        0.0, "How far each joint stops from where it says, anew at each arrival [rad; m].", 0.0, 0.01
+    ),
     "gear_joint": Parameter("", "Joint whose gear errs, which no model is told; empty: none."),
     "gear_cycles": Parameter(101.0, "How often that error repeats in a turn of the joint.", 0.0, 1000.0),
     "gear_amplitude_rad": Parameter(2e-4, "How large it is [rad].", 0.0, 0.01),
+    "joint_compliance_rad_per_nm": Parameter(
+        [0.0], "How far joints give way under load [rad/(N m); m/N]: one number for all, or one a joint."
+    ),
     "measurement": Parameter("pose", "What the tracker shows: pose or point."),
     "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
     "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
+    "publish_effort": Parameter(False, "Whether joint states hold the torques that hold the arm up."),
     "start_delay_s": Parameter(0.0, "Silence before the first message, for subscribers to be found [s].", 0.0, 60.0),
     "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
     "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),
+    "repeat": Parameter(False, "Whether to visit as many others after those, for ever."),
+    "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
+    "clock_rate_hz": Parameter(250.0, "How often a simulated second that is done [Hz].", 1.0, 2000.0),
+    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 100.0),
+    "clock_start_s": Parameter(1000.0, "What simulated time begins with [s].", 0.0, 4e9),
+    "temperature_noise_k": Parameter(0.05, "Noise of a temperature [K].", 0.0, 10.0),
+    # from here on: may be changed while the cell runs
+    "payload_kg": Parameter(0.0, "A mass at the tip, which nobody is told of [kg].", 0.0, 100.0),
+    "tool_bump_m": Parameter([0.0, 0.0, 0.0], "How far the tool was knocked off, along its axes [m]."),
+    "tool_turn_rad": Parameter([0.0, 0.0, 0.0], "How far it was turned thereby, as a rotation vector [rad]."),
+    "tracker_move_m": Parameter([0.0, 0.0, 0.0], "How far the tracker was displaced, along its axes [m]."),
+    "warm_up_link": Parameter("", "Link that warms up, and whose temperature is published; empty: none."),
+    "warm_up_m": Parameter(0.0, "How much longer that link gets in the end [m].", -0.01, 0.01),
+    "warm_up_s": Parameter(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
 }
 
 

@@ -2,26 +2,47 @@
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.duration import Duration
+from numpy.typing import ArrayLike
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.time import Time
-from sensor_msgs.msg import JointState
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, ModcalError
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+from modcal_nodes.health import Health
 from modcal_nodes.parameters import SIMULATED_CELL, declare, values
 from modcal_nodes.running import LATCHED, run
+from modcal_nodes.simulation.commands import legs
+from modcal_nodes.simulation.pace import Beat, CellTime, Grid
 from modcal_nodes.simulation.program import Program, tour
+from modcal_nodes.simulation.rates import Rates
+from modcal_nodes.simulation.spoken import TRACKER, Poses, States, stamp
+from modcal_nodes.simulation.switches import SWITCHES, Switches
 from modcal_nodes.simulation.world import World
+
+_LOOK_AFTER = 0.2  # s
+_LEAST_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
+_MOST_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between
+_LOST = 10.0  # s that are not made up for: the node's clock was set
+_DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
+_AWAY = 0.02  # rad or m; a nearer posture is the same arrival
+_TRACKER_PHASE = 2.0**0.5 - 1.0  # of a joint state's period: the same stamp would say that this is a finished station
 
 
 class SimulatedCell(Node):
@@ -31,114 +52,273 @@ class SimulatedCell(Node):
         super().__init__("simulated_cell")
         declare(self, SIMULATED_CELL)
         chosen = values(self, SIMULATED_CELL)
-        if chosen["measurement"] not in ("pose", "point"):
-            raise BadTable(f"measurement '{chosen['measurement']}'", "pose and point are simulated", "set one of them")
-        file = Path(chosen["urdf"])
-        if not file.is_file():
-            raise BadTable(f"urdf '{file}'", "is no file", "set the parameter urdf")
-        text = file.read_text(encoding="utf-8")
-        self._chosen = chosen
-        self._gear = chosen["gear_joint"]
-        self.chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
-        if self._gear and self._gear not in self.chain.names:
-            raise BadTable(
-                f"gear_joint '{self._gear}'", f"joints are {', '.join(self.chain.names)}", "name one of them"
-            )
+        text, self.chain = _arm(chosen)
         rng = np.random.default_rng(chosen["seed"])
-        self.world = make_world(self.chain, rng, chosen["length_std_m"], chosen["angle_std_rad"])
-        self._noise = np.random.default_rng(chosen["seed"] + 1)
+        self.world = make_world(
+            self.chain,
+            rng,
+            chosen["length_std_m"],
+            chosen["angle_std_rad"],
+            read_inertias(text, self.chain),
+            _compliance(chosen["joint_compliance_rad_per_nm"], self.chain),
+        )
+        self._chosen, self._rng = chosen, rng
+        self._noise, self._arrivals = (
+            np.random.default_rng(chosen["seed"] + 1),
+            np.random.default_rng(chosen["seed"] + 2),
+        )
+        self._gear = self.chain.names.index(chosen["gear_joint"]) if chosen["gear_joint"] else None
         self._program = Program(np.clip(np.zeros(self.chain.n), self.chain.lower, self.chain.upper))
-        self._start = self.get_clock().now() + Duration(seconds=chosen["start_delay_s"])
+        self._miss = Program(np.zeros(self.chain.n))
+        self._own: list[tuple[float, Array]] = []
+        self._repeat = False
+        self._switches = Switches(self.world, chosen)
+        self._speak(chosen, text)
+        if chosen["stations"]:
+            self._own = tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], rng)
+            self._begin_own(0.0)
+            self.get_logger().info(f"visiting {chosen['stations']} postures in {self._program.end:.0f} s")
+        self._settle_parameters()
+        self._beat.start()
 
-        self._joints = self.create_publisher(JointState, "joint_states", 10)
-        poses = chosen["measurement"] == "pose"
-        kind, topic = (PoseStamped, "tracker/pose") if poses else (PointStamped, "tracker/point")
-        self._tracker = self.create_publisher(kind, topic, 10)
+    def close(self) -> None:
+        """Fall silent."""
+        self._beat.stop()
+
+    def _speak(self, chosen: dict[str, Any], text: str) -> None:
+        """Open every topic, service and timer."""
+        simulated, factor = chosen["publish_clock"], chosen["time_factor"] if chosen["publish_clock"] else 1.0
+        if simulated and self.get_parameter("use_sim_time").value:
+            raise BadTable("publish_clock with use_sim_time", "the cell would wait for itself", "leave one of them out")
+        self._time = CellTime(self, chosen["start_delay_s"], simulated, chosen["clock_start_s"], factor)
+        self._begun, self._done, self._factor = False, -chosen["start_delay_s"], factor
+        fast, slow = chosen["joint_rate_hz"], chosen["tracker_rate_hz"]
+        self._joint_grid, self._tracker_grid = Grid(fast), Grid(slow, _TRACKER_PHASE * slow / fast)
+        self._clock_grid, self._temperature_grid = Grid(chosen["clock_rate_hz"]), Grid(1.0)
+        self._clock_grid.start(self._done)
+        self._rates = Rates({"joint_states": self._joint_grid, "tracker": self._tracker_grid}, factor)
+
+        points = chosen["measurement"] == "point"
+        kind, topic = (PointStamped, "tracker/point") if points else (PoseStamped, "tracker/pose")
+        self._joints = self.create_publisher(JointState, "joint_states", _DEPTH)
+        self._tracker = self.create_publisher(kind, topic, _DEPTH)
+        self._true = self.create_publisher(PoseStamped, "~/true_tool", _DEPTH)
+        self._true_in_base = self.create_publisher(PoseStamped, "~/true_tool_in_base", _DEPTH)
+        self._temperature = self.create_publisher(Temperature, "temperature", 10)
+        self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if simulated else None
         self._description = self.create_publisher(String, "robot_description", LATCHED)
         self._description.publish(String(data=text))
+        self._states, self._readings = States(self.chain.names), Poses(TRACKER, points)
+        self._truths, self._truths_in_base = Poses(TRACKER), Poses(self.chain.base)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
-        self.create_timer(1.0 / chosen["joint_rate_hz"], self._publish_joints)
-        self.create_timer(1.0 / chosen["tracker_rate_hz"], self._publish_tracker)
-        if chosen["stations"]:
-            legs = tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], rng)
-            self._program.reset(0.0, legs)
-            self.get_logger().info(f"visiting {chosen['stations']} postures in {self._program.end:.0f} s")
+        self.create_service(Trigger, "~/restart", self._restart)
+        Health(self, lambda: [self._rates.status()])
+        period = max(_LEAST_PERIOD, 1.0 / (max(fast, slow) * factor))
+        self._beat = Beat(period, self._send_due)
+        self.create_timer(_LOOK_AFTER, self._look_after_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _seconds(self, now: Time) -> float:
-        """Time since the cell began to speak; below zero it is silent."""
-        return 1e-9 * (now - self._start).nanoseconds
+    # time
 
-    def _publish_joints(self) -> None:
-        now = self.get_clock().now()
-        if self._seconds(now) < 0.0:
-            return
-        message = JointState(name=list(self.chain.names))
-        message.header.stamp = now.to_msg()
-        message.position = [float(x) for x in self._program.at(self._seconds(now))]
-        self._joints.publish(message)
+    def _look_after_beat(self) -> None:
+        if self._beat.failure is not None and self.context.ok():
+            raise self._beat.failure
 
-    def _publish_tracker(self) -> None:
-        now = self.get_clock().now()
-        if self._seconds(now) < 0.0:
-            return
-        T = self.world.tool_in_tracker(self._actual(self._program.at(self._seconds(now))))
-        T[:3, 3] += self._chosen["noise_m"] * self._noise.standard_normal(3)
-        T[:3, :3] = T[:3, :3] @ so3.exp(self._chosen["noise_rad"] * self._noise.standard_normal(3))
-        x, y, z, *q = (float(v) for v in se3.to_pose(T))
-        if self._chosen["measurement"] == "pose":
-            message = PoseStamped()
-            at, turn = message.pose.position, message.pose.orientation
-            turn.x, turn.y, turn.z, turn.w = q
-        else:
-            message = PointStamped()
-            at = message.point
-        at.x, at.y, at.z = x, y, z
-        message.header.stamp = now.to_msg()
-        message.header.frame_id = "tracker"
-        self._tracker.publish(message)
+    def _send_due(self) -> None:
+        """Send what a busy machine held up as well, late and with the stamps that it should have had."""
+        if not self._begun:
+            self._begun = self._time.begin()
+            if not self._begun:
+                return
+        now = self._time.now()
+        behind = now - self._done
+        if behind < 0.0 or behind > _LOST * self._factor:
+            self.get_logger().warning(f"the clock jumped by {behind:.3f} s: going on from there")
+            self._jump(now)
+        self._rates.note(now - self._done)
+        until = min(now, self._done + _MOST_AT_ONCE * self._factor)
+        if self._time_topic is not None:
+            for t in self._clock_grid.take(until):
+                message = ClockMessage()
+                message.clock.sec, message.clock.nanosec = self._time.stamp(t)
+                self._time_topic.publish(message)
+        if self._repeat and until > self._program.end - self._chosen["travel_s"]:
+            self._go_on()
+        for t in self._joint_grid.take(until):
+            self._send_joints(t)
+        for t in self._tracker_grid.take(until):
+            self._send_reading(t)
+        for t in self._temperature_grid.take(until):
+            self._send_temperature(t)
+        self._done = until
 
-    def _actual(self, q: Array) -> Array:
-        """Where the joints stand when they report q (n,)."""
-        out = q.copy()
-        if self._gear:
-            j = self.chain.names.index(self._gear)
-            out[j] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * q[j])
+    def _jump(self, now: float) -> None:
+        """Go on at another time, the arm as it is; postures of its own begin anew when time went back."""
+        back = now < self._done
+        here, missed = self._program.at(self._done), self._miss.at(self._done)
+        if back:
+            self._program, self._miss = Program(here), Program(missed)
+        self._switches.rebase(self._done, now)
+        for grid in (self._joint_grid, self._tracker_grid, self._temperature_grid, self._clock_grid):
+            grid.start(now)
+        self._done = now
+        if back and self._own:
+            self._begin_own(now)
+
+    def _restart(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        if not self._time.simulated:
+            answer.message = "the cell's time is not its own: start it with publish_clock"
+            return answer
+        with self._beat.lock:
+            self._time.begin()
+            self._jump(-self._time.delay)
+        answer.success, answer.message = True, "time began anew"
+        self.get_logger().info(answer.message)
+        return answer
+
+    # the arm
+
+    def _begin_own(self, start: float) -> None:
+        self._repeat = self._chosen["repeat"]
+        self._go([(start + after, q) for after, q in self._own], start)
+
+    def _go(self, legs: list[tuple[float, Array]], start: float) -> None:
+        self._miss.reset(start, self._missed(legs, self._program.at(start), self._miss.at(start)))
+        self._program.reset(start, legs)
+
+    def _go_on(self) -> None:
+        """Append another tour to the one that ends."""
+        end, last = self._program.end, self._miss.at(self._program.end)
+        chosen = self._chosen
+        more = tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], self._rng)
+        legs = [(end + after, q) for after, q in more]
+        self._miss.extend(self._missed(legs, self._program.at(end), last), self._done)
+        self._program.extend(legs, self._done)
+
+    def _missed(self, legs: list[tuple[float, Array]], q: Array, miss: Array) -> list[tuple[float, Array]]:
+        """By how much each posture is missed (n,): anew wherever the arm arrives."""
+        out = []
+        for at, goal in legs:
+            if np.abs(goal - q).max() > _AWAY:
+                q, miss = goal, self._chosen["repeatability_rad"] * self._arrivals.standard_normal(self.chain.n)
+            out.append((at, miss))
         return out
+
+    def _sent_to(self, t: float) -> Array:
+        """Where motors and gears bring the joints (n,) at a time, before springs give way."""
+        q = self._program.at(t)
+        if self._chosen["repeatability_rad"]:
+            q = q + self._miss.at(t)
+        if self._gear is not None:
+            q = q.copy()
+            q[self._gear] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * q[self._gear])
+        return q
 
     def _follow(self, trajectory: JointTrajectory) -> None:
         """Go through the points of a trajectory from where the arm is, or refuse the whole of it."""
-        names = tuple(trajectory.joint_names)
-        if sorted(names) != sorted(self.chain.names):
-            self.get_logger().error(
-                f"joint_trajectory names {', '.join(names)}; this arm has {', '.join(self.chain.names)}"
-            )
+        try:
+            wanted = legs(self.chain, trajectory)
+        except ModcalError as error:
+            self.get_logger().error(f"not followed: {error}")
             return
-        order = [names.index(name) for name in self.chain.names]
-        now = self._seconds(self.get_clock().now())
-        legs, last = [], 0.0
-        for point in trajectory.points:
-            after = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
-            q = np.array(point.positions, dtype=float)
-            if len(q) != len(order) or not np.isfinite(q).all() or after <= last:
-                self.get_logger().error(
-                    "joint_trajectory: a point has wrong positions, or times do not rise: not followed"
-                )
-                return
-            q = q[order]
-            if (q < self.chain.lower).any() or (q > self.chain.upper).any():
-                self.get_logger().error("joint_trajectory: a point lies outside the joint limits: not followed")
-                return
-            legs.append((now + after, q))
-            last = after
-        if legs:
-            self._program.reset(now, legs)
+        if wanted:
+            with self._beat.lock:
+                self._repeat, self._own = False, []
+                self._go([(self._done + after, q) for after, q in wanted], self._done)
+
+    # what it says
+
+    def _send_joints(self, t: float) -> None:
+        q, v = self._program.state(t)
+        effort = None
+        if self._chosen["publish_effort"]:
+            self._switches.pass_to(t)
+            effort = self.world.holding(self._sent_to(t))
+        self._joints.publish(self._states.fill(self._time.stamp(t), q, v, effort))
+
+    def _send_reading(self, t: float) -> None:
+        self._switches.pass_to(t)
+        when, T_base_tool = self._time.stamp(t), self.world.tool_in_base(self._sent_to(t))
+        T = self.world.T_tracker_base @ T_base_tool
+        if self._true.get_subscription_count():
+            self._true.publish(self._truths.fill(when, T))
+        if self._true_in_base.get_subscription_count():
+            self._true_in_base.publish(self._truths_in_base.fill(when, T_base_tool))
+        T[:3, 3] += self._chosen["noise_m"] * self._noise.standard_normal(3)
+        T[:3, :3] = T[:3, :3] @ so3.exp(self._chosen["noise_rad"] * self._noise.standard_normal(3))
+        self._tracker.publish(self._readings.fill(when, T))
+
+    def _send_temperature(self, t: float) -> None:
+        if (felt := self._switches.temperature(t)) is None:
+            return
+        message = Temperature(temperature=felt[1] + self._chosen["temperature_noise_k"] * self._noise.standard_normal())
+        message.header.frame_id = felt[0]
+        stamp(message, self._time.stamp(t))
+        self._temperature.publish(message)
+
+    # parameters
+
+    def _settle_parameters(self) -> None:
+        """From here on only the switches may be changed, and only to values that make sense."""
+        for name in SIMULATED_CELL.keys() - set(SWITCHES):
+            descriptor = copy(self.describe_parameter(name))  # rclpy hands out its own
+            descriptor.read_only = True
+            self.set_descriptor(name, descriptor)
+        self.add_on_set_parameters_callback(self._judge)
+        self.add_post_set_parameters_callback(self._take)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        wanted = {p.name: p.value for p in parameters if p.name in SWITCHES}
+        reason = self._switches.refusal(wanted)
+        if reason is not None:
+            self.get_logger().warning(f"{', '.join(wanted)} refused: {reason}")
+        return SetParametersResult(successful=reason is None, reason=reason or "")
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name in SWITCHES:
+                before = self._switches.value(parameter.name)
+                with self._beat.lock:
+                    self._switches.set(parameter.name, parameter.value, self._done)
+                after = self._switches.value(parameter.name)
+                self.get_logger().info(f"{parameter.name}: {before} -> {after}, {self._done:.3f} s after the start")
 
 
-def make_world(chain: Chain, rng: np.random.Generator, length_std: float, angle_std: float) -> World:
+def _arm(chosen: dict[str, Any]) -> tuple[str, Chain]:
+    """The URDF's text and its chain. Raises ModcalError for choices that cannot be."""
+    if chosen["measurement"] not in ("pose", "point"):
+        raise BadTable(f"measurement '{chosen['measurement']}'", "pose and point are simulated", "set one of them")
+    file = Path(chosen["urdf"])
+    if not file.is_file():
+        raise BadTable(f"urdf '{file}'", "is no file", "set the parameter urdf")
+    text = file.read_text(encoding="utf-8")
+    chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
+    if chosen["gear_joint"] and chosen["gear_joint"] not in chain.names:
+        said = f"joints are {', '.join(chain.names)}"
+        raise BadTable(f"gear_joint '{chosen['gear_joint']}'", said, "name one of them")
+    return text, chain
+
+
+def _compliance(given: ArrayLike, chain: Chain) -> Array:
+    """Compliance of every joint (n,) from one number for all, or one a joint."""
+    compliance = np.asarray(given, dtype=float)
+    if len(compliance) not in (1, chain.n) or not ((compliance >= 0.0) & (compliance <= 1e-3)).all():
+        said = f"1 or {chain.n} numbers from 0 to 0.001 are understood"
+        raise BadTable(f"joint_compliance_rad_per_nm {compliance.tolist()}", said, "set as many")
+    return np.broadcast_to(compliance, (chain.n,))
+
+
+def make_world(
+    chain: Chain,
+    rng: np.random.Generator,
+    length_std: float,
+    angle_std: float,
+    inertias: Inertias | None = None,
+    compliance: ArrayLike = 0.0,
+) -> World:
     """The true cell of a seed: tracker a few metres away, tool a hand's length from the tip, bodies displaced."""
     T_tracker_base = se3.transform(so3.exp(rng.normal(size=3)), rng.uniform(-3.0, 3.0, 3))
     T_tip_tool = se3.transform(so3.exp(0.5 * rng.normal(size=3)), [0.06, -0.04, 0.15])
-    return World(chain, rng, length_std, angle_std, T_tracker_base, T_tip_tool)
+    return World(chain, rng, length_std, angle_std, T_tracker_base, T_tip_tool, inertias, compliance)
 
 
 def main() -> None:

@@ -1,0 +1,59 @@
+"""MJCF text of a chain: what MuJoCo is told of the true arm."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.robots.urdf_inertias import Inertias
+
+PAYLOAD = "payload"
+NO_MASS = 1e-9  # kg and kg m²; MuJoCo moves no body without either
+
+
+def body_name(joint: str) -> str:
+    """The MuJoCo body that moves with a joint."""
+    return f"body_{joint}"
+
+
+def mjcf(chain: Chain, origins: Array, T_tip_tool: Array, inertias: Inertias | None = None) -> str:
+    """MJCF text of a chain with these constants: one body a joint, a payload at the tip, a site at the tool.
+
+    Gravity is along −z of the base. inertias: masses of the bodies; a ball of 2 kg at every joint where none are known.
+    """
+    opening = [
+        '<mujoco model="arm"><compiler angle="radian" autolimits="true" balanceinertia="true"/>'
+        f'<option timestep="0.001" gravity="0 0 {-STANDARD_GRAVITY}"><flag contact="disable"/></option><worldbody>'
+    ]
+    for k, name in enumerate(chain.names):
+        kind = "hinge" if chain.revolute[k] else "slide"
+        opening.append(
+            f"<body name={quoteattr(body_name(name))} {_placed(origins[k])}>"
+            f"<joint name={quoteattr(name)} type={quoteattr(kind)} axis={quoteattr(_text(chain.axes[k]))}/>"
+            + ('<geom type="sphere" size="0.03" mass="2"/>' if inertias is None else _inertial(inertias, k))
+        )
+    mass = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
+    payload = f"<body name={quoteattr(PAYLOAD)} {_placed(origins[-1])}>{mass}</body>"
+    site = f'<site name="tool" {_placed(origins[-1] @ T_tip_tool)}/>'
+    return "".join(opening) + payload + site + "</body>" * chain.n + "</worldbody></mujoco>"
+
+
+def _inertial(inertias: Inertias, k: int) -> str:
+    tensor = inertias.inertia[k] + NO_MASS * np.eye(3)
+    full = _text(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    mass = max(float(inertias.mass[k]), NO_MASS)
+    return f'<inertial pos="{_text(inertias.com[k])}" mass="{mass:.17g}" fullinertia="{full}"/>'
+
+
+def _placed(T: Array) -> str:
+    x, y, z, w = so3.to_quaternion(T[:3, :3])
+    return f'pos="{_text(T[:3, 3])}" quat="{_text(np.array([w, x, y, z]))}"'
+
+
+def _text(values: Array) -> str:
+    return " ".join(f"{v:.17g}" for v in values)
