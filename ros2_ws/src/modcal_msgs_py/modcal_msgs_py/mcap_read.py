@@ -14,11 +14,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import lz4.frame
 import yaml
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
@@ -39,27 +41,37 @@ _SIGNAL_TYPES_LEFT_OUT = (
 )
 
 
-@dataclass(frozen=True)
-class RawMessage:
-    """One message as it lies in the file: CDR bytes, and when it was received [ns]."""
+class RawMessage(NamedTuple):
+    """One message as it lies in the file: CDR bytes, and when it was received and published [ns]."""
 
     topic: str
     type_name: str
     cdr: bytes | memoryview
     received_ns: int
+    published_ns: int
+    sequence: int
+    channel: int
 
 
 @dataclass
 class McapFile:
-    """An MCAP file being walked. After the walk, ``cut`` says why it ended early, if it did."""
+    """An MCAP file being walked. After the walk, ``cut`` says why it ended early, if it did.
+
+    cdr_only: leave out what is not encoded as ROS 2 encodes. extras: whole attachments and metadata records (bytes
+    with opcode and length), as they were met. compression: of the first chunk.
+    """
 
     path: Path
+    cdr_only: bool = True
     schemas: dict[str, str] = field(default_factory=dict)
     topics: dict[str, str] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schema_records: dict[int, Schema] = field(default_factory=dict)
+    extras: list[tuple[int, bytes]] = field(default_factory=list)
+    compression: str | None = None
     count: int = 0
     cut: str | None = None
-    _schema_names: dict[int, str] = field(default_factory=dict)
-    _channels: dict[int, tuple[str, str, str]] = field(default_factory=dict)
+    _known: dict[int, tuple[str, str]] = field(default_factory=dict)
 
     def messages(self) -> Iterator[RawMessage]:
         """Every whole message, in the order of the file. Raises BadRecording for a file that is not MCAP."""
@@ -70,7 +82,7 @@ class McapFile:
             if data[: len(MAGIC)] != MAGIC:
                 raise BadRecording(str(self.path), "is not an MCAP file", _other_format(data[:16]))
             # memoryviews into the map must be gone before it closes, so chunks are copied out of it
-            yield from self._walk(data, size)
+            yield from self._walk(data, min(size, len(data)))
 
     def _walk(self, data: mmap.mmap, size: int) -> Iterator[RawMessage]:
         at = len(MAGIC)
@@ -80,6 +92,9 @@ class McapFile:
                 return
             opcode, length = _RECORD.unpack_from(data, at)
             body = at + _RECORD.size
+            if not 0x01 <= opcode <= 0x0F and opcode < 0x80:
+                self.cut = f"{size - at} bytes from byte {at} are no MCAP records"
+                return
             if body + length > size:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"
                 if opcode == Opcode.CHUNK:
@@ -87,14 +102,13 @@ class McapFile:
                 return
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(data[body : body + length], whole=True)
-                if self.cut:
-                    return
             elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 yield from self._records(data[at : body + length])
+            elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+                self.extras.append((opcode, data[at : body + length]))
             elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            elif not 0x01 <= opcode <= 0x0F and opcode < 0x80:
-                self.cut = f"{size - at} bytes from byte {at} are no MCAP records"
+            if self.cut:
                 return
             at = body + length
         self.cut = "it ends without an index"
@@ -106,12 +120,15 @@ class McapFile:
             start = _CHUNK.size + 4 + name_length + 8
             compression = body[_CHUNK.size + 4 : _CHUNK.size + 4 + name_length].decode()
             content = _unpacked(compression, body[start:], unpacked_size)
-        except (struct.error, UnicodeDecodeError, RuntimeError, zstandard.ZstdError) as error:
-            self.cut = f"a chunk cannot be unpacked ({error})"
+        except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, zstandard.ZstdError) as error:
+            # of a chunk that is cut already, this says nothing new
+            if whole:
+                self.cut = f"a chunk cannot be unpacked ({error})"
             return
-        if whole and crc and zlib.crc32(content) != crc:
+        if whole and (len(content) != unpacked_size or (crc and zlib.crc32(content) != crc)):
             self.cut = "a chunk's checksum is wrong"
             return
+        self.compression = self.compression or compression
         yield from self._records(content)
 
     def _records(self, content: bytes) -> Iterator[RawMessage]:
@@ -121,25 +138,40 @@ class McapFile:
             opcode, length = _RECORD.unpack_from(content, at)
             body = at + _RECORD.size
             if body + length > size:
+                self.cut = self.cut or "a chunk ends in the middle of a record"
                 return
             if opcode == Opcode.MESSAGE:
-                channel, _, received, _ = _MESSAGE.unpack_from(content, body)
-                if channel in self._channels:
-                    topic, type_name, encoding = self._channels[channel]
-                    if encoding == "cdr":
-                        self.count += 1
-                        yield RawMessage(topic, type_name, view[body + _MESSAGE.size : body + length], received)
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(ReadDataStream(BytesIO(content[body : body + length])))
-                self._schema_names[schema.id] = schema.name
-                if schema.encoding == "ros2msg":
-                    self.schemas[schema.name] = schema.data.decode(errors="replace")
-            elif opcode == Opcode.CHANNEL:
-                channel_record = Channel.read(ReadDataStream(BytesIO(content[body : body + length])))
-                type_name = self._schema_names.get(channel_record.schema_id, "")
-                self._channels[channel_record.id] = (channel_record.topic, type_name, channel_record.message_encoding)
-                self.topics[channel_record.topic] = type_name
+                if length < _MESSAGE.size:
+                    self.cut = self.cut or "a message is shorter than its head"
+                    return
+                channel, sequence, received, published = _MESSAGE.unpack_from(content, body)
+                known = self._known.get(channel)
+                if known is not None:
+                    self.count += 1
+                    cdr = view[body + _MESSAGE.size : body + length]
+                    yield RawMessage(*known, cdr, received, published, sequence, channel)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                try:
+                    self._learn(opcode, content[body : body + length])
+                except (struct.error, UnicodeDecodeError, McapError, ValueError) as error:
+                    self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
+                    return
             at = body + length
+
+    def _learn(self, opcode: int, record: bytes) -> None:
+        stream = ReadDataStream(BytesIO(record))
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schema_records[schema.id] = schema
+            if schema.encoding == "ros2msg":
+                self.schemas[schema.name] = schema.data.decode(errors="replace")
+            return
+        channel = Channel.read(stream)
+        schema_name = self.schema_records[channel.schema_id].name if channel.schema_id in self.schema_records else ""
+        self.channels[channel.id] = channel
+        self.topics[channel.topic] = schema_name
+        if channel.message_encoding == "cdr" or not self.cdr_only:
+            self._known[channel.id] = (channel.topic, schema_name)
 
 
 def read_bag(path: Path) -> Recording:
@@ -155,7 +187,13 @@ def read_bag(path: Path) -> Recording:
     total = 0
     for name in files:
         file = McapFile(name)
-        _read_file(file, builder)
+        try:
+            _read_file(file, builder)
+        except BadRecording as error:
+            # the last of several files may have been begun and no more
+            if len(files) == 1 or file.count:
+                raise
+            file.cut = f"it {error.limit}"
         total += file.count
         if file.cut:
             warnings.append(f"{name.name} was read up to its message {file.count}: {file.cut}.")

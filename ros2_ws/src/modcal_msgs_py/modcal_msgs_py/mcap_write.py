@@ -1,99 +1,72 @@
 """Writing a bag as ``ros2 bag record -s mcap`` lays it out: a folder with NAME_0.mcap and metadata.yaml.
 
-Messages come as CDR bytes and go to disk in whole chunks at least once a second, so that a recorder that is killed
-loses no more than that: every finished chunk can be read without the index at the end of the file.
+Messages come as CDR bytes and go to the system in whole chunks several times a second, so that a recorder that is
+killed loses no more than that: every finished chunk can be read without the index at the end of the file.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import yaml
 from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
+from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, qos_profile, to_yaml
+from modcal_msgs_py.disk import DiskFile
 from modcal_msgs_py.topics import LATCHED
 from modcal_msgs_py.types import definition, serialise
 
 CHUNK_BYTES = 768 * 1024
-FLUSH_SECONDS = 0.5
-_LIBRARY = "modcal"
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
-
-
-def qos_profile(latched: bool = False, reliable: bool = True, depth: int = 10) -> dict[str, Any]:
-    """An offered QoS profile as bags hold it."""
-    return {
-        "history": "keep_last",
-        "depth": 1 if latched else depth,
-        "reliability": "reliable" if reliable else "best_effort",
-        "durability": "transient_local" if latched else "volatile",
-        "deadline": _FOREVER,
-        "lifespan": _FOREVER,
-        "liveliness": "automatic",
-        "liveliness_lease_duration": _FOREVER,
-        "avoid_ros_namespace_conventions": False,
-    }
-
-
-class _Plain(yaml.SafeDumper):
-    """Writes what is equal twice: the readers of bags are not all fond of anchors."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _to_yaml(data: Any) -> str:
-    return yaml.dump(data, Dumper=_Plain, sort_keys=False)
-
-
-@dataclass
-class _Topic:
-    channel: int
-    type_name: str
-    type_hash: str
-    qos: list[dict[str, Any]]
-    count: int = 0
-
-
-@dataclass
-class _Span:
-    first: int = field(default=2**63 - 1)
-    last: int = 0
-    count: int = 0
+FLUSH_SECONDS = 0.25
+LIBRARY = "modcal"
 
 
 class BagWriter:
     """Writes one bag; use it as a context manager.
 
-    Raises BadRecording when the folder exists already, or the disk is full (what was written before stays readable).
+    Raises BadRecording when the folder exists already, or the disk refuses to be written (what it has taken stays
+    readable).
     """
 
     def __init__(self, folder: Path) -> None:
         """Make the folder and open the file in it."""
-        if folder.exists():
-            raise BadRecording(str(folder), "exists already", "give another name, or remove it")
-        folder.mkdir(parents=True)
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError as error:
+            raise BadRecording(str(folder), "exists already", "give another name, or remove it") from error
+        except OSError as error:
+            raise BadRecording(
+                str(folder), f"cannot be made ({error.strerror})", "give a folder that can be written"
+            ) from error
         self.folder = folder
         self.file = folder / f"{folder.name}_0.mcap"
-        self._stream = self.file.open("wb")
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
-        self._writer.start(profile="ros2", library=_LIBRARY)
-        self._stream.flush()
+        self._seen = BagFile(self.file.name)
+        self._topics: dict[str, BagTopic] = {}
+        self._channels: dict[str, int] = {}
         self._schemas: dict[str, tuple[int, str]] = {}
-        self._topics: dict[str, _Topic] = {}
-        self._span = _Span()
         self._flushed = time.monotonic()
-        self._closed = False
+        self._open = True
+        try:
+            self._disk = DiskFile(self.file)
+        except OSError as error:
+            folder.rmdir()
+            raise _refused(self.file, error) from error
+        try:
+            self._writer = Writer(self._disk, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+            self._writer.start(profile="ros2", library=LIBRARY)
+        except OSError as error:
+            raise self._failed(error) from error
 
     def add_topic(self, topic: str, type_name: str, qos: list[dict[str, Any]] | None = None) -> None:
-        """Announce a topic and the QoS its publishers offer; harmless when it is known already."""
+        """Announce a topic and the QoS its publishers offer; of a topic that is known, only new QoS is noted."""
         if topic in self._topics:
+            known = self._topics[topic].qos
+            known += [profile for profile in qos or [] if profile not in known]
             return
         if type_name not in self._schemas:
             text, type_hash = definition(type_name)
@@ -101,25 +74,21 @@ class BagWriter:
         schema, type_hash = self._schemas[type_name]
         if qos is None:
             qos = [qos_profile(latched=any(topic.endswith("/" + role) for role in LATCHED))]
-        metadata = {
-            "offered_qos_profiles": _to_yaml(qos),
-            "topic_type_hash": type_hash,
-        }
-        channel = self._writer.register_channel(topic, "cdr", schema, metadata)
-        self._topics[topic] = _Topic(channel, type_name, type_hash, qos)
+        described = {"offered_qos_profiles": to_yaml(qos), "topic_type_hash": type_hash}
+        self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, described)
+        self._topics[topic] = BagTopic(topic, type_name, type_hash, list(qos))
 
     def write_raw(self, topic: str, cdr: bytes, received_ns: int, published_ns: int | None = None) -> None:
         """Write the CDR bytes of one message of an announced topic."""
         known = self._topics[topic]
         known.count += 1
+        published = received_ns if published_ns is None else published_ns
         try:
-            self._writer.add_message(known.channel, received_ns, cdr, published_ns or received_ns, known.count)
-            self._span.first = min(self._span.first, received_ns)
-            self._span.last = max(self._span.last, received_ns)
-            self._span.count += 1
-            self.flush_if_due()
+            self._writer.add_message(self._channels[topic], received_ns, cdr, published, known.count)
         except OSError as error:
             raise self._failed(error) from error
+        self._seen.add(received_ns)
+        self.flush_if_due()
 
     def write(self, topic: str, type_name: str, message: Any, received_ns: int) -> None:
         """Write one message object, announcing its topic if need be."""
@@ -129,82 +98,68 @@ class BagWriter:
     @property
     def count(self) -> int:
         """Messages written so far."""
-        return self._span.count
+        return self._seen.count
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far, without the chunk that is being filled."""
+        return self._disk.tell()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that the disk has not taken yet."""
+        return self._disk.waiting
 
     def flush_if_due(self) -> None:
-        """Flush when the last time was long enough ago; to be called now and then while nothing is written."""
-        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
-            self.flush()
+        """Begin to flush when the last time was long enough ago; to be called also while nothing is written.
 
-    def flush(self) -> None:
-        """Finish the chunk being filled and hand it to the system."""
-        self._flushed = time.monotonic()
-        # the library finishes a chunk by size only; by time is what survives a kill
-        self._writer._Writer__finalize_chunk()
-        self._stream.flush()
+        Does not wait for the disk, and raises BadRecording if the disk has refused what came before.
+        """
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            self._finish_chunk()
+
+    def flush(self, sync: bool = False) -> int:
+        """Messages that the system has taken once this returns, which is all of them; with ``sync``, those on disk."""
+        self._finish_chunk()
+        try:
+            self._disk.drain(sync)
+        except OSError as error:
+            raise self._failed(error) from error
+        return self.count
 
     def close(self) -> None:
-        """Write the index and metadata.yaml; harmless when closed already."""
-        if self._closed:
+        """Write the index and metadata.yaml; harmless when closed already, or when the disk has refused before."""
+        if not self._open:
             return
-        self._closed = True
         try:
-            information = {"rosbag2_bagfile_information": self._information()}
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": _to_yaml(self._information())})
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": to_yaml(self._information())})
             self._writer.finish()
-            self._stream.close()
+            self._disk.close()
+            whole = {"rosbag2_bagfile_information": self._information()}
             temporary = self.folder / ".metadata.yaml"
-            temporary.write_text(_to_yaml(information), encoding="utf-8")
+            temporary.write_text(to_yaml(whole), encoding="utf-8")
             os.replace(temporary, self.folder / "metadata.yaml")
+        except OSError as error:
+            raise self._failed(error) from error
+        self._open = False
+
+    def _finish_chunk(self) -> None:
+        self._flushed = time.monotonic()
+        try:
+            self._disk.check()
+            self._writer.flush()
         except OSError as error:
             raise self._failed(error) from error
 
     def _information(self) -> dict[str, Any]:
-        span = self._span
-        start = span.first if span.count else 0
-        timing = {
-            "duration": {"nanoseconds": span.last - start if span.count else 0},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": span.count,
-        }
-        return {
-            "version": 9,
-            "storage_identifier": "mcap",
-            **timing,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": name,
-                        "type": topic.type_name,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": topic.qos,
-                        "type_description_hash": topic.type_hash,
-                    },
-                    "message_count": topic.count,
-                }
-                for name, topic in self._topics.items()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self.file.name],
-            "files": [
-                {
-                    "path": self.file.name,
-                    "starting_time": timing["starting_time"],
-                    "duration": timing["duration"],
-                    "message_count": span.count,
-                }
-            ],
-            "custom_data": None,
-            "ros_distro": "jazzy",
-        }
+        return information(self._topics.values(), [self._seen])
 
     def _failed(self, error: OSError) -> BadRecording:
-        return BadRecording(
-            str(self.file),
-            f"cannot be written ({error.strerror})",
-            "make room on the disk; what is written stays readable",
-        )
+        # nothing more is written: the last whole message on disk must stay the last
+        self._open = False
+        with contextlib.suppress(OSError):
+            self._disk.close()
+        return _refused(self.file, error)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -213,3 +168,11 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _refused(file: Path, error: OSError) -> BadRecording:
+    return BadRecording(
+        str(file),
+        f"cannot be written ({error.strerror})",
+        "make room on the disk; what it holds can be read, and `modcal repair` makes a whole bag of it",
+    )

@@ -12,7 +12,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from modcal_core.errors import ModcalError
-from modcal_msgs_py.mcap_write import BagWriter, qos_profile
+from modcal_msgs_py.bag_metadata import qos_profile
+from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.types import jazzy
 from modcal_nodes.parameters import RECORDER, declare, values
 from modcal_nodes.running import run

@@ -17,6 +17,7 @@ from modcal_core.errors import ModcalError
 from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
 from modcal_nodes.cli.plan import plan_command
 from modcal_nodes.cli.recordings import import_command, info_command
+from modcal_nodes.cli.repair import repair_command
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -28,7 +29,7 @@ def modcal() -> None:
     """
 
 
-for _command in (calibrate_command, evaluate_command, plan_command, import_command, info_command):
+for _command in (calibrate_command, evaluate_command, plan_command, import_command, info_command, repair_command):
     modcal.add_command(_command)
 
 

@@ -1,0 +1,272 @@
+"""A whole bag from one that was cut: every message that is whole, byte for byte, with index and metadata.yaml.
+
+What can be read of a cut file is what ``mcap_read`` reads of it; here it is copied, with channels, schemas, stamps and
+sequence numbers as they were. The bag that is repaired is only read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import struct
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment, Metadata
+from mcap.writer import CompressionType, Writer
+
+from modcal_core.errors import BadRecording
+from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
+from modcal_msgs_py.mcap_read import McapFile, RawMessage, bag_files
+from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
+
+_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+_RECORD_HEAD = 9
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What a repair did. folder: the new bag; None: the old one is whole, nothing was written.
+
+    saved: messages by topic. reasons: what was wrong, a sentence for each.
+    """
+
+    folder: Path | None
+    saved: Mapping[str, int]
+    reasons: tuple[str, ...]
+
+
+def repair_bag(path: Path, out: Path) -> Repair:
+    """Write what is whole of the bag ``path`` (a folder or a .mcap file) as a whole bag ``out``.
+
+    Nothing is written when the bag is whole already. ``out`` appears at once and complete, or not at all. Raises
+    BadRecording when no message can be saved, ``out`` exists, or the disk is full.
+    """
+    files, stated, reasons = _files(path)
+    counts, more = _examined(files)
+    reasons += more
+    if path.is_dir() and not reasons and _listed(stated) != counts:
+        reasons = ["metadata.yaml counts other messages than the files hold."]
+    if not reasons:
+        return Repair(None, counts, ())
+    if not counts:
+        why = " ".join(reasons).rstrip(".")
+        raise BadRecording(str(path), f"holds no whole message ({why})", "record again")
+    if out.exists():
+        raise BadRecording(str(out), "exists already", "give --out another name, or remove it")
+    if path.is_dir() and out.resolve().is_relative_to(path.resolve()):
+        raise BadRecording(str(out), "lies in the bag that is to be repaired", "give --out a folder beside it")
+    try:
+        return Repair(out, _rewritten(files, stated, out), tuple(reasons))
+    except OSError as error:
+        raise BadRecording(
+            str(out), f"cannot be written ({error.strerror})", "give --out a folder on a disk that has room"
+        ) from error
+
+
+def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
+    """(files in order, what metadata.yaml states, what is wrong with the folder)."""
+    if not path.is_dir():
+        return [path], {}, []
+    metadata = path / "metadata.yaml"
+    stated: Any = None
+    if metadata.is_file():
+        try:
+            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+            names = [path / Path(name).name for name in stated["relative_file_paths"]]
+        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+            stated = None
+    if not isinstance(stated, dict):
+        found = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
+        if not found:
+            bag_files(path)  # refuses, and says what the folder holds instead
+        wrong = "metadata.yaml is damaged" if metadata.is_file() else "metadata.yaml is missing"
+        return found, {}, [f"{wrong}: the recorder did not close the bag."]
+    if any(name.suffix != ".mcap" for name in names):
+        bag_files(path)
+    missing = [name for name in names if not name.is_file()]
+    return (
+        [name for name in names if name not in missing],
+        stated,
+        [f"{name.name} is named by metadata.yaml, but not there." for name in missing],
+    )
+
+
+def _examined(files: list[Path]) -> tuple[dict[str, int], list[str]]:
+    """(whole messages by topic, what is wrong with the files)."""
+    counts: dict[str, int] = {}
+    reasons = []
+    for name in files:
+        file = McapFile(name, cdr_only=False)
+        try:
+            for message in file.messages():
+                counts[message.topic] = counts.get(message.topic, 0) + 1
+        except BadRecording as error:
+            if len(files) == 1:
+                raise
+            reasons.append(f"{name.name} {error.limit}.")
+            continue
+        fault = file.cut or _index_fault(name, file.count)
+        if fault:
+            reasons.append(f"{name.name}: {fault}.")
+    return counts, reasons
+
+
+def _listed(stated: dict[str, Any]) -> dict[str, int]:
+    try:
+        topics = stated["topics_with_message_count"]
+        return {t["topic_metadata"]["name"]: t["message_count"] for t in topics if t["message_count"]}
+    except (KeyError, TypeError):
+        return {}
+
+
+def _index_fault(path: Path, count: int) -> str | None:
+    """What the index at the end of a file lacks, for readers that go by it."""
+    try:
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+            if summary is None or summary.statistics is None:
+                return "it has no index"
+            if summary.statistics.message_count != count:
+                return f"its index counts {summary.statistics.message_count} messages, it holds {count}"
+            with_chunks = summary.statistics.chunk_count
+            if len(summary.chunk_indexes) != with_chunks:
+                return f"its index lists {len(summary.chunk_indexes)} of {with_chunks} chunks"
+    except (McapError, struct.error, UnicodeDecodeError, ValueError, TypeError, OSError) as error:
+        return f"its index is damaged ({type(error).__name__})"
+    return None
+
+
+def _rewritten(files: list[Path], stated: dict[str, Any], out: Path) -> dict[str, int]:
+    """Messages by topic in the bag ``out``, which is written beside its place and then moved there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    stage.chmod(0o755)  # a temporary folder is for its owner alone
+    try:
+        topics: dict[str, BagTopic] = {}
+        written: list[BagFile] = []
+        for name in files:
+            source = McapFile(name, cdr_only=False)
+            copy = _Copy(stage / f"{out.name}_{len(written)}.mcap", source, topics)
+            # a file that is no MCAP at all is among the reasons already
+            with contextlib.suppress(BadRecording):
+                for message in source.messages():
+                    copy.add(message)
+            if copy.finish():
+                written.append(copy.seen)
+        distro = stated.get("ros_distro") or _distro(files)
+        whole = information(topics.values(), written, distro, stated.get("custom_data"))
+        for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
+            whole[key] = stated.get(key, "")
+        _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
+        os.rename(stage, out)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return {topic.name: topic.count for topic in topics.values()}
+
+
+class _Copy:
+    """One file of the new bag, begun with its first message."""
+
+    def __init__(self, path: Path, source: McapFile, topics: dict[str, BagTopic]) -> None:
+        self.seen = BagFile(path.name)
+        self._path, self._source, self._topics = path, source, topics
+        self._stream: Any = None
+        self._writer: Any = None
+        self._channels: dict[int, int] = {}
+        self._schemas: dict[int, int] = {}
+
+    def add(self, message: RawMessage) -> None:
+        if self._writer is None:
+            self._begin()
+        if message.channel not in self._channels:
+            self._add_channel(message.channel)
+        self._topics[message.topic].count += 1
+        self.seen.add(message.received_ns)
+        self._writer.add_message(
+            self._channels[message.channel],
+            message.received_ns,
+            bytes(message.cdr),
+            message.published_ns,
+            message.sequence,
+        )
+
+    def _begin(self) -> None:
+        compression = _COMPRESSION.get(self._source.compression or "", CompressionType.NONE)
+        self._stream = self._path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=compression)
+        self._writer.start(profile="ros2", library=LIBRARY)
+
+    def _add_channel(self, channel_id: int) -> None:
+        channel = self._source.channels[channel_id]
+        schema = self._source.schema_records.get(channel.schema_id)
+        if schema is not None and schema.id not in self._schemas:
+            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        self._channels[channel_id] = self._writer.register_channel(
+            channel.topic, channel.message_encoding, self._schemas.get(channel.schema_id, 0), dict(channel.metadata)
+        )
+        topic = self._topics.setdefault(
+            channel.topic,
+            BagTopic(
+                channel.topic,
+                "" if schema is None else schema.name,
+                channel.metadata.get("topic_type_hash", ""),
+                encoding=channel.message_encoding,
+            ),
+        )
+        offered = named_qos(channel.metadata.get("offered_qos_profiles", ""))
+        topic.qos += [profile for profile in offered if profile not in topic.qos]
+
+    def finish(self) -> bool:
+        """Write the index; whether there was anything to write."""
+        if self._writer is None:
+            return False
+        for channel in self._source.channels:
+            # topics without a message belong to the bag too
+            if channel not in self._channels:
+                self._add_channel(channel)
+        for opcode, record in self._source.extras:
+            self._add_extra(opcode, ReadDataStream(BytesIO(record[_RECORD_HEAD:])))
+        with self._stream:
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        return True
+
+    def _add_extra(self, opcode: int, record: ReadDataStream) -> None:
+        if opcode == Opcode.ATTACHMENT:
+            a = Attachment.read(record)
+            self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+        else:
+            metadata = Metadata.read(record)
+            if metadata.name != "rosbag2":  # which repeats metadata.yaml, of the bag as it was
+                self._writer.add_metadata(metadata.name, metadata.metadata)
+
+
+def _distro(files: list[Path]) -> str:
+    """The distribution that recorded: ours when the recorder was ours, else it is not known."""
+    for name in files:
+        with name.open("rb") as stream:
+            try:
+                header = make_reader(stream).get_header()
+            except (McapError, struct.error, UnicodeDecodeError, ValueError):
+                continue
+        return "jazzy" if header.library == LIBRARY else "unknown"
+    return "unknown"
+
+
+def _write_synced(path: Path, text: str) -> None:
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())

@@ -1,0 +1,39 @@
+"""``modcal repair``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from modcal_msgs_py.mcap_repair import repair_bag
+
+
+@click.command("repair")
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="The new bag. Default: BAG_repaired.")
+def repair_command(bag: Path, out: Path | None) -> None:
+    """Make a whole bag of BAG, which was cut: killed recorder, full disk, lost power.
+
+    Every whole message is kept as it is. BAG itself is not touched; if nothing is wrong with it, nothing is written.
+    """
+    if out is None:
+        place = bag.resolve()
+        out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
+    done = repair_bag(bag, out)
+    console = Console()
+    count = sum(done.saved.values())
+    if done.folder is None:
+        console.print(f"{bag} is whole ({count} messages): nothing to repair", highlight=False)
+        return
+    for reason in done.reasons:
+        console.print(reason, style="yellow", highlight=False)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("topic", overflow="fold")
+    table.add_column("messages saved", justify="right")
+    for topic, saved in done.saved.items():
+        table.add_row(topic, str(saved))
+    console.print(table)
+    console.print(f"{done.folder}: {count} messages saved", style="bold", highlight=False)
