@@ -48,6 +48,18 @@ def desired_pose(message: Any, farthest: float) -> Array:
     return se3.from_pose(numbers)
 
 
+def require_new(message: Any, now: float, stale: float) -> None:
+    """Raises BadCommand for a stamped wish that is too old, or from another clock; one without a stamp is of now."""
+    stamp = seconds(message.header.stamp)
+    if stamp and not abs(now - stamp) <= stale:
+        when = "old" if stamp < now else "ahead"
+        raise BadCommand(
+            "desired_pose",
+            f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit",
+            "stamp it with this clock when it is sent",
+        )
+
+
 class JointsHeard:
     """The newest position, velocity and effort of every joint of an arm, from messages in any order and any parts."""
 

@@ -68,6 +68,15 @@ def read_calibration(path: Path) -> Calibration:
     return from_data(read_yaml(file), str(file))
 
 
+def parse_calibration(text: str, source: str) -> Calibration:
+    """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
+    try:
+        data = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except yaml.YAMLError as error:
+        raise BadTable(source, "is not YAML", "send the text of a calibration.yaml") from error
+    return from_data(data, source)
+
+
 def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:
     """What a cell file says, with these parameters held fixed besides. No path: an empty cell."""
     if path is None:

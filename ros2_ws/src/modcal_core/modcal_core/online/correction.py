@@ -160,10 +160,10 @@ class Correction:
         return float(np.clip(stamp, first, last + (last - first)))
 
     def _around(self, postures: Array, at: Conditions) -> Circumstances:
-        at = replace(at, stamp=self._held(at.stamp))
-        samples = at.samples(self.chain, postures, self._arm)
-        if self.needs:  # what was heard once stays as it was
-            samples = replace(samples, signals=tuple(_lasting(track) for track in samples.signals))
+        held = self._held(at.stamp)
+        # only drifts stand still beyond their time: what was heard goes along
+        signals = tuple(_lasting(track, held - at.stamp) for track in at.signals) if self.needs else ()
+        samples = replace(at, stamp=held, signals=signals).samples(self.chain, postures, self._arm)
         return Circumstances(samples, self._arm)
 
     def _behind(self, T_base_tip: Array, around: Circumstances, target: Target) -> Array:
@@ -177,12 +177,12 @@ class Correction:
         return T
 
 
-def _lasting(track: SignalTrack) -> SignalTrack:
-    """A track of at least two values, for one that was heard once."""
-    if len(track.stamps) != 1:
-        return track
-    stamps = np.r_[track.stamps - 1.0, track.stamps]
-    return replace(track, stamps=stamps, values=np.repeat(track.values, 2, axis=0))
+def _lasting(track: SignalTrack, later: float) -> SignalTrack:
+    """A track with its stamps put later [s], and of at least two values: what was heard once stays as it was."""
+    stamps, values = track.stamps + later, track.values
+    if len(stamps) == 1:
+        stamps, values = np.r_[stamps - 1.0, stamps], np.repeat(values, 2, axis=0)
+    return replace(track, stamps=stamps, values=values)
 
 
 def _unit_motions(f: Frames, place: int, end: Array) -> Array:

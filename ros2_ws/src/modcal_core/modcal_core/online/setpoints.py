@@ -67,19 +67,18 @@ class Bounds:
 class Stream:
     """The setpoints of one stream, kept free of jumps when the calibration behind them changes."""
 
-    def __init__(self, blend: float) -> None:
-        """blend: how long a change of calibration takes to come in [s]."""
-        self._blend = blend
+    def __init__(self) -> None:
         self._last: tuple[float, Array] | None = None
-        self._offset: tuple[float, Array] | None = None
+        self._offset: tuple[float, float, Array] | None = None
 
     def running(self, now: float) -> bool:
         """Whether a setpoint was given lately, at time ``now`` [s]."""
         return self._last is not None and 0.0 <= now - self._last[0] < _STREAM_ENDS
 
-    def take_over(self, q: Array, now: float, most: float) -> None:
-        """From now on come commands that begin at q (n,) instead of the last setpoint; the difference is faded out.
+    def take_over(self, q: Array, now: float, most: float, blend: float) -> None:
+        """From now on come commands that begin at q (n,) instead of the last setpoint.
 
+        The difference is faded out over ``blend`` [s].
         Raises BadCommand, and changes nothing, if any joint would have to make up for more than ``most`` [rad or m].
         """
         if not self.running(now) or self._last is None:
@@ -93,7 +92,7 @@ class Stream:
                 f"it moves a joint by {largest:.4f}, {most:g} is allowed",
                 "it is taken when the stream pauses",
             )
-        self._offset = (now, offset)
+        self._offset = (now, blend, offset)
 
     def setpoint(self, q: Array, now: float) -> Array:
         """The setpoint (n,) for a command q (n,) at time ``now`` [s]; :meth:`given` makes it the last one."""
@@ -101,8 +100,8 @@ class Stream:
             self._offset = None
         if self._offset is None:
             return q
-        since, offset = self._offset
-        share = (now - since) / self._blend if self._blend > 0.0 else 1.0
+        since, blend, offset = self._offset
+        share = (now - since) / blend if blend > 0.0 else 1.0
         if not 0.0 <= share < 1.0:
             self._offset = None
             return q

@@ -1,0 +1,324 @@
+"""``corrector``: where the arm truly is, and what to command so that it truly comes to be where it is wanted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadCommand, BadTable, ModcalError
+from modcal_core.online.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
+from modcal_core.online.conditions import Approach, Conditions
+from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_msgs_py.signals import SignalsHeard
+from modcal_nodes.files import parse_calibration, read_calibration
+from modcal_nodes.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.parameters import CORRECTOR, declare, values
+from modcal_nodes.running import LATCHED, run
+
+# The newest is all that counts: a queue would only make it old.
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+_FEW = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+_SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
+_NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
+_NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
+
+
+class Corrector(Node):
+    """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
+
+    def __init__(self) -> None:
+        super().__init__("corrector")
+        declare(self, CORRECTOR)
+        self._chosen = values(self, CORRECTOR)
+        self._commander = Commander(_settings(self._chosen))
+        self.add_on_set_parameters_callback(self._set)
+        self._calibration: Calibration | None = None
+        self._refusal = _NOTHING_YET
+        self._urdf = self._chosen["robot_description"]
+        self._joints: JointsHeard | None = None
+        self._approach, self._signals = Approach(), SignalsHeard()
+        self._announced: Robot | None = None
+        self._last = -np.inf
+        self._faults: dict[str, tuple[float, str]] = {}
+        self._counts = {"poses": 0, "commands": 0, "refused": 0}
+
+        self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._states = self.create_publisher(JointState, "~/joint_states", 10)
+        self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
+        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+        self._ears = [
+            Ear(self, JointState, "joint_states", self._guarded("joint_states", self._take_joints), _FEW, needed=True),
+            Ear(self, Temperature, "temperature", self._guarded("temperature", self._take_temperature), _FEW),
+            Ear(self, PoseStamped, "desired_pose", self._guarded("desired_pose", self._take_desired), _NEWEST),
+        ]
+        if self._chosen["calibration"]:
+            self._calibration = read_calibration(Path(self._chosen["calibration"]))
+        self._health = Health(self, self._report)
+        self._meet()
+        self.create_subscription(String, "robot_description", self._take_description, LATCHED)
+        self.create_subscription(String, "calibration", self._take_calibration, LATCHED)
+        self.create_service(Trigger, "~/reset", self._reset)
+
+    # calibration and robot
+
+    def _take_description(self, message: String) -> None:
+        if not self._chosen["robot_description"] and message.data != self._urdf:
+            self._urdf = message.data
+            self._meet()
+
+    def _take_calibration(self, message: String) -> None:
+        if self._chosen["calibration"]:
+            return
+        try:
+            self._calibration = parse_calibration(message.data, "topic calibration")
+        except ModcalError as error:
+            # the one in use was made for this robot, and stays
+            self._fault("calibration", str(error))
+            self._refusal = self._refusal if self._commander.robot else str(error)
+            return
+        self._meet()
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget the calibration and the stream; read the file again, if one was named."""
+        self._calibration = None
+        self._drop("reset, and no calibration since")
+        try:
+            if self._chosen["calibration"]:
+                self._calibration = read_calibration(Path(self._chosen["calibration"]))
+                self._meet()
+            response.success, response.message = True, self._refusal or "read again"
+        except ModcalError as error:
+            self._refusal = response.message = str(error)
+            response.success = False
+        self._health.publish()
+        return response
+
+    def _meet(self) -> None:
+        """Put calibration and robot together, if both are there and belong together; else correct nothing."""
+        if self._calibration is None:
+            return
+        if not self._urdf:
+            self._refusal = _NO_ROBOT_YET
+            return
+        try:
+            robot = Robot.of(self._calibration, self._urdf)
+            corrected_urdf(robot, self._urdf)
+        except ModcalError as error:
+            self._drop(str(error))
+            self.get_logger().error(f"refused: {error}")
+        else:
+            bounds = robot.bounds(self._commander.settings)
+            if self._joints is None or self._joints.names != bounds.names:
+                self._joints, self._approach = JointsHeard(bounds.names, bounds.lower, bounds.upper), Approach()
+            self._refusal = ""
+            self._commander.use(robot, self._now())
+            self._announce()
+        self._health.publish()
+
+    def _announce(self) -> None:
+        """Publish the corrected URDF of the calibration in use, once."""
+        robot = self._commander.robot
+        if robot is not None and robot is not self._announced:
+            self._announced = robot
+            self._corrected.publish(String(data=corrected_urdf(robot, self._urdf)))
+            self.get_logger().info(f"corrects robot {robot.correction.calibration.robot}")
+
+    def _drop(self, why: str) -> None:
+        self._refusal = why
+        self._commander.drop()
+        self._announced = None
+        # a late listener must not find the URDF of a calibration that is no longer trusted
+        self.destroy_publisher(self._corrected)
+        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+
+    # what it hears
+
+    def _guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """The callback, with what it refuses said and counted."""
+
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except ModcalError as error:
+                self._fault(part, str(error))
+
+        return guarded
+
+    def _take_temperature(self, message: Temperature) -> None:
+        self._signals.hear_temperature(message, self._now())
+
+    def _take_joints(self, message: JointState) -> None:
+        if self._joints is None:
+            return
+        now = self._now()
+        self._joints.hear(message, now, self._chosen["stale_s"])
+        if self._joints.missing():
+            return
+        self._approach.update(self._joints.position)
+        self._commander.paused(now)
+        self._announce()
+        due = not 0.0 <= now - self._last < 0.999 / self._chosen["rate_hz"]
+        if due and self._commander.robot is not None:
+            self._joints.require_fresh(now, self._chosen["stale_s"])
+            self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
+            self._last = now
+
+    def _correct(self, robot: Robot, joints: JointsHeard, at: Conditions) -> None:
+        """Publish where the arm truly is."""
+        correction, target = robot.correction, self._commander.settings.target
+        correction.require(at)
+        T, C = correction.pose(at.q, at, target), correction.covariance(at.q, at, target)
+        q = correction.joints(at.q, at)
+        finite(T, C, q)
+        stamp = float(joints.stamps.min())
+        pose = PoseWithCovarianceStamped()
+        pose.header.frame_id = correction.chain.base
+        set_seconds(pose.header.stamp, stamp)
+        fill_pose(pose.pose, T, C)
+        states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
+        set_seconds(states.header.stamp, stamp)
+        self._pose.publish(pose)
+        self._states.publish(states)
+        self._counts["poses"] += 1
+
+    def _take_desired(self, message: PoseStamped) -> None:
+        """Command what brings the target to a desired true pose."""
+        robot, joints, chosen = self._commander.robot, self._joints, self._chosen
+        if robot is None or joints is None:
+            raise BadCommand("desired_pose", f"nothing is corrected ({self._refusal})", "see to the calibration first")
+        require_new(message, self._now(), chosen["stale_s" if chosen["stream"] else "goal_stale_s"])
+        pose = desired_pose(message, robot.farthest)
+        joints.require_fresh(self._now(), chosen["stale_s"])
+        at = self._conditions(joints, self._now())
+        try:
+            self._commander.change_over(at, at.stamp)
+            self._announce()
+        except ModcalError as error:
+            self._fault("calibration", str(error))
+        setpoint = self._commander.setpoint(pose, message.header.frame_id, at, at.stamp)
+        now = self._now()
+        joints.require_fresh(now, chosen["stale_s"])  # computing took time too
+        self._send(joints.names, setpoint, now)
+        self._commander.sent(setpoint, now)
+        if unseen := setpoint.command.unseen:
+            self._fault("range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them")
+
+    def _send(self, names: tuple[str, ...], setpoint: Setpoint, now: float) -> None:
+        finite(setpoint.q, np.array(setpoint.seconds))
+        message = JointTrajectory(joint_names=list(names))
+        set_seconds(message.header.stamp, now)
+        point = JointTrajectoryPoint(positions=setpoint.q.tolist())
+        set_seconds(point.time_from_start, setpoint.seconds)
+        message.points = [point]
+        self._trajectory.publish(message)
+        self._counts["commands"] += 1
+
+    def _conditions(self, joints: JointsHeard, now: float) -> Conditions:
+        needs = self._commander.robot.correction.needs if self._commander.robot else ()
+        came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
+        at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
+        return Conditions(now, *at, self._signals.tracks(needs))
+
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    # what it says of itself
+
+    def _fault(self, part: str, said: str) -> None:
+        self._counts["refused"] += part == "desired_pose"
+        self._faults[part] = (time.monotonic(), said)
+        self.get_logger().warning(said, throttle_duration_sec=2.0)
+
+    def _recent(self, *parts: str) -> str:
+        since = time.monotonic() - _SAID_FOR
+        return "; ".join(self._faults[p][1] for p in parts if p in self._faults and self._faults[p][0] >= since)
+
+    def _report(self) -> list[Status]:
+        robot, counts = self._commander.robot, self._counts
+        commands = {"commands": counts["commands"], "refused": counts["refused"]}
+        said = self._recent("desired_pose", "range")
+        return [
+            hearing_status(self._ears),
+            self._calibration_status(robot) if robot else Status("calibration", ERROR, self._refusal),
+            self._correction_status(robot) if robot else Status("correction", ERROR, "nothing is corrected"),
+            Status("commands", WARN if said else OK, said or "nothing was refused of late", commands),
+        ]
+
+    def _calibration_status(self, robot: Robot) -> Status:
+        correction = robot.correction
+        facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
+        said = self._recent("calibration")
+        if self._commander.waiting is not None:
+            said = f"a new one waits for the stream to pause; {said}".rstrip("; ")
+        elif not said and correction.calibration.uncertainty is None:
+            said = "does not say how well it is known, so poses tell of scatter only: calibrate again"
+        elif not said and correction.unwatched(self._now()):
+            said = "was recorded at another time: drifts are held as they were: calibrate again"
+        return Status("calibration", WARN if said else OK, said or "in use", facts)
+
+    def _correction_status(self, robot: Robot) -> Status:
+        now, joints, correction = self._now(), self._joints, robot.correction
+        facts = {"poses": self._counts["poses"]}
+        assert joints is not None
+        try:
+            joints.require_fresh(now, self._chosen["stale_s"])
+            at = self._conditions(joints, now)
+            correction.require(at)
+        except ModcalError as error:
+            return Status("correction", ERROR, str(error), facts)
+        said = self._recent("joint_states", "temperature")
+        if silent := self._signals.silent(correction.needs, now):
+            said = f"{', '.join(silent)}: silent, the last value is used"
+        elif unseen := correction.unseen(at.q):
+            said = f"{', '.join(unseen)}: where the calibration has never seen them; learned curves end before"
+        return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take new values of parameters at once, but for what is read at the start."""
+        new = {**self._chosen, **{p.name: p.value for p in parameters if p.name in CORRECTOR}}
+        try:
+            for name in ("calibration", "robot_description"):
+                if new[name] != self._chosen[name]:
+                    raise BadTable(f"parameter {name}", "is read at the start", "start the node anew")
+            self._commander.settings = _settings(new)
+        except ModcalError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._chosen = new
+        return SetParametersResult(successful=True)
+
+
+def _settings(chosen: dict[str, Any]) -> Settings:
+    """The core's settings; raises BadTable for a target that there is none of."""
+    if chosen["target"] not in ("tip", "tool"):
+        raise BadTable(f"target '{chosen['target']}'", "is neither tip nor tool", "set one of them")
+    return Settings(
+        target=chosen["target"],
+        stream=chosen["stream"],
+        horizon=chosen["horizon_s"],
+        turning=chosen["joint_speed_rad_s"],
+        sliding=chosen["joint_speed_m_s"],
+        tolerance_m=chosen["tolerance_m"],
+        tolerance_rad=chosen["tolerance_rad"],
+        switch_step=chosen["switch_step_rad"],
+        blend=chosen["blend_s"],
+    )
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(Corrector)
