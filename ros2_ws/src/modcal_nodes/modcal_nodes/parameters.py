@@ -41,6 +41,25 @@ CALIBRATOR = {
     ),
 }
 
+CORRECTOR = {
+    "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "target": Parameter("tip", "What poses are of: tip (the tip link) or tool (what the tracker saw)."),
+    "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
+    "horizon_s": Parameter(0.1, "Time that a setpoint of a stream is given [s].", 0.005, 2.0),
+    "stale_s": Parameter(0.1, "Age at which joint states, and desired poses of a stream, are too old [s].", 0.01, 2.0),
+    "goal_stale_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
+    "joint_speed_rad_s": Parameter(0.5, "Speed of turning joints that no command exceeds [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.1, "Speed of sliding joints that no command exceeds [m/s].", 0.0001, 5.0),
+    "tolerance_m": Parameter(1e-6, "Predicted miss above which a pose is refused [m].", 1e-9, 1e-3),
+    "tolerance_rad": Parameter(1e-6, "The same of its orientation [rad].", 1e-9, 1e-2),
+    "switch_step_rad": Parameter(
+        2e-3, "Largest step of a joint that a new calibration may bring into a stream [rad; m].", 0.0, 0.1
+    ),
+    "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
+    "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+}
+
 SIMULATED_CELL = {
     "urdf": Parameter("", "URDF file of the nominal arm."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
