@@ -51,6 +51,7 @@ class BagWriter:
         self._schemas: dict[str, tuple[int, str]] = {}
         self._flushed = time.monotonic()
         self._open = True
+        self.broken = False
         try:
             self._disk = DiskFile(self.file)
         except OSError as error:
@@ -157,6 +158,7 @@ class BagWriter:
     def _failed(self, error: OSError) -> BadRecording:
         # nothing more is written: the last whole message on disk must stay the last
         self._open = False
+        self.broken = True
         with contextlib.suppress(OSError):
             self._disk.close()
         return _refused(self.file, error)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -40,6 +41,11 @@ class Health:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._levels = tuple(status.level for status in statuses)
         self._publisher.publish(message)
+
+    def publish_last(self, seconds: float = 1.0) -> None:
+        """Publish all statuses before the node ends, and give them time to arrive."""
+        self.publish()
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def publish_if_changed(self) -> None:
         """Publish now if the level of any status has changed since the last time."""

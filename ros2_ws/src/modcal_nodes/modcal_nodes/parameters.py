@@ -26,6 +26,14 @@ RECORDER = {
          "temperature", "wrench"],
         "Topics to record, relative to the node's namespace, as soon as someone publishes them.",
     ),
+    "optional": Parameter(
+        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "temperature", "wrench"],
+        "Those of the topics that may be missing without a word.",
+    ),
+    "patience_s": Parameter(5.0, "Seconds after which a topic that is not heard is complained of.", 0.1, 3600.0),
+    "least_free_mb": Parameter(
+        200.0, "Free space on the disk below which the bag is closed and the recorder ends [MB].", 0.0, 1e12
+    ),
 }  # fmt: skip
 
 CALIBRATOR = {

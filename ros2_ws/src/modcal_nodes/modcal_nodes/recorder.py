@@ -2,84 +2,233 @@
 
 from __future__ import annotations
 
+import shutil
 import time
-from functools import partial
-from importlib import import_module
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
-from modcal_core.errors import ModcalError
-from modcal_msgs_py.bag_metadata import qos_profile
-from modcal_msgs_py.mcap_write import BagWriter
-from modcal_msgs_py.types import jazzy
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
+from modcal_msgs_py.topics import READINGS
+from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.parameters import RECORDER, declare, values
 from modcal_nodes.running import run
+from modcal_nodes.taping import Complaint, Taken, Tape
 
-_LOOK_SECONDS = 0.25
+_LOOK_SECONDS = 0.1
+_MEASURE_SECONDS = 1.0
+_FEW_MINUTES = 10.0
+_MB = 1e6
+_ROOM = "make room on the disk, or lower least_free_mb"
 
 
 class Recorder(Node):
-    """Subscribes to topics as they appear, with the QoS that their publishers offer."""
+    """Subscribes to topics as they appear, with every QoS that their publishers offer."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, RECORDER)
         chosen = values(self, RECORDER)
-        folder = Path(chosen["out"] or time.strftime("modcal_%Y_%m_%d-%H_%M_%S"))
-        self._wanted = {self.resolve_topic_name(name) for name in chosen["topics"] if name}
-        self._bag = BagWriter(folder)
-        self._heard: set[str] = set()
-        self._refused: set[str] = set()
-        self.create_timer(_LOOK_SECONDS, self._look)
-        self.create_timer(_LOOK_SECONDS, self._bag.flush_if_due)
-        self.get_logger().info(f"recording into {folder}")
-        self._look()
+        optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
+        self._tapes = [
+            Tape(self, topic, self._take, topic not in optional, chosen["patience_s"])
+            for topic in dict.fromkeys(self.resolve_topic_name(name) for name in chosen["topics"] if name)
+        ]
+        self._early: list[Taken] = []
+        self._early_since = 0.0
+        self._trouble: ModcalError | None = None
+        self._said: dict[str, str] = {}
+        self._measured = (time.monotonic(), 0)
+        self._bytes_per_second = 0.0
+        self._started = time.monotonic()
+        self._base = Path(chosen["out"] or time.strftime("modcal_%Y_%m_%d-%H_%M_%S"))
+        self._free = _free_bytes(self._base)
+        if (shortage := self._shortage()) is not None:
+            raise shortage
+        self._bag = BagWriter(self._base) if chosen["out"] else _next_bag(self._base)
+        self._health = Health(self, self._report)
+        # a simulation that stands still must not keep messages from the disk
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
+        self.create_timer(_MEASURE_SECONDS, self._measure, clock=steady)
+        self.create_service(Trigger, "~/save", self._save)
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.get_logger().info(f"recording into {self._bag.folder}")
 
-    def _look(self) -> None:
-        """Subscribe to what is wanted and now published."""
-        for topic, types in self.get_topic_names_and_types():
-            if topic in self._wanted - self._heard - self._refused:
-                self._subscribe(topic, types)
-
-    def _subscribe(self, topic: str, types: list[str]) -> None:
-        publishers = self.get_publishers_info_by_topic(topic)
-        if not publishers:
-            return
-        if len(types) != 1 or types[0] not in jazzy().types:
-            self.get_logger().error(f"{topic}: type {', '.join(types)} cannot be recorded")
-            self._refused.add(topic)
-            return
-        self._heard.add(topic)
-        reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
-        latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
-        qos = QoSProfile(
-            depth=1000,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        self._bag.add_topic(topic, types[0], [qos_profile(latched, reliable)])
-        self.create_subscription(_message_type(types[0]), topic, partial(self._write, topic), qos, raw=True)
-        self.get_logger().info(f"recording {topic} ({types[0]})")
-
-    def _write(self, topic: str, cdr: bytes) -> None:
+    def _tick(self) -> None:
+        """Subscribe to what is published now, and let no message wait."""
+        if self._trouble is not None:
+            self._end(self._trouble)
+        for tape in self._tapes:
+            if tape.look() and tape.type_name is not None:
+                self._bag.add_topic(tape.topic, tape.type_name, tape.profiles())
+                self.get_logger().info(f"recording {tape.topic} ({tape.type_name})")
         try:
-            self._bag.write_raw(topic, cdr, self.get_clock().now().nanoseconds)
+            if self._early and (self._now() or time.monotonic() - self._early_since > FLUSH_SECONDS):
+                self._write_early()
+            self._bag.flush_if_due()
         except ModcalError as error:
-            self.get_logger().fatal(str(error))
-            raise
+            self._end(error)
+
+    def _take(self, taken: Taken) -> None:
+        if self._trouble is not None:
+            return
+        try:
+            if not self.get_clock().ros_time_is_active:
+                # the middleware stamped it on arrival, which does not depend on how busy this process is
+                received = taken.received_ns or self._now()
+                self._bag.write_raw(taken.topic, taken.cdr, received, taken.published_ns or received)
+                return
+            if self._early or not self._now():
+                self._early_since = self._early_since if self._early else time.monotonic()
+                self._early.append(taken)
+                return
+            self._bag.write_raw(taken.topic, taken.cdr, self._now())
+        except ModcalError as error:
+            self._end(error)
+
+    def _write_early(self) -> None:
+        """Write what came before simulated time began; if that does not begin soon, stamped 0, as that clock reads."""
+        for taken in self._early:
+            self._bag.write_raw(taken.topic, taken.cdr, self._now())
+        self._early = []
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _measure(self) -> None:
+        """Renew rates and free space, say what is newly wrong, and end before the disk is full."""
+        now, (then, size) = time.monotonic(), self._measured
+        self._bytes_per_second = max(self._bag.size - size, 0) / max(now - then, 1e-3)
+        self._measured = (now, self._bag.size)
+        self._free = _free_bytes(self._bag.folder)
+        for tape in self._tapes:
+            tape.measure()
+        for topic, complaint in self._complaints():
+            if self._said.get(topic) != complaint.kind:
+                self._said[topic] = complaint.kind
+                self.get_logger().warn(complaint.text)
+        if (shortage := self._shortage()) is not None:
+            self._end(shortage)
+        self._health.publish_if_changed()
+
+    def _shortage(self) -> BadRecording | None:
+        least = float(self.get_parameter("least_free_mb").value)
+        if self._free >= least * _MB:
+            return None
+        return BadRecording(
+            f"disk of {self._base}", f"{self._free / _MB:.0f} MB free, less than least_free_mb = {least:g}", _ROOM
+        )
+
+    def _end(self, error: ModcalError) -> None:
+        """Say aloud why the recording ends, and end it."""
+        self._trouble = error
+        self.get_logger().fatal(str(error))
+        self._health.publish_last()
+        raise error
+
+    def _complaints(self) -> Iterator[tuple[str, Complaint]]:
+        for tape in self._tapes:
+            if (complaint := tape.complaint()) is not None:
+                yield tape.topic, complaint
+        trackers = [tape for tape in self._tapes if tape.topic.endswith(tuple("/" + role for role in READINGS))]
+        patience = float(self.get_parameter("patience_s").value)
+        if trackers and not any(tape.count for tape in trackers) and time.monotonic() - self._started > patience:
+            names = ", ".join(tape.topic for tape in trackers)
+            yield "tracker", Complaint(WARN, "nobody", f"no tracker is heard ({names}): start it, or remap its topic")
+
+    def _report(self) -> Iterator[Status]:
+        yield self._bag_status()
+        complaints = [complaint for _, complaint in self._complaints()]
+        said = "; ".join(c.text for c in complaints) or "everything that is needed is recorded"
+        facts: dict[str, object] = {}
+        for tape in self._tapes:
+            facts[f"messages of {tape.topic}"] = tape.count
+            facts[f"rate of {tape.topic} [Hz]"] = f"{tape.rate:.1f}"
+            facts[f"bytes of {tape.topic}"] = tape.bytes
+            facts[f"lost of {tape.topic}"] = tape.lost
+        yield Status("topics", max((c.level for c in complaints), default=OK), said, facts)
+
+    def _bag_status(self) -> Status:
+        minutes = self._free / self._bytes_per_second / 60.0 if self._bytes_per_second else float("inf")
+        facts = {
+            "folder": self._bag.folder,
+            "messages": self._bag.count,
+            "bytes": self._bag.size,
+            "bytes waiting for the disk": self._bag.waiting,
+            "free [MB]": f"{self._free / _MB:.0f}",
+            "minutes until full": f"{minutes:.0f}",
+        }
+        least = float(self.get_parameter("least_free_mb").value)
+        if self._trouble is not None:
+            return Status("bag", ERROR, str(self._trouble), facts)
+        if self._free < 2 * least * _MB or minutes < _FEW_MINUTES:
+            text = f"{self._free / _MB:.0f} MB free, {minutes:.0f} minutes at this rate; ends at {least:g} MB: {_ROOM}"
+            return Status("bag", WARN, text, facts)
+        if self.get_clock().ros_time_is_active and not self._now():
+            return Status("bag", WARN, "simulated time has not begun: nobody publishes /clock; stamps are 0", facts)
+        return Status("bag", OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
+
+    def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self._write_early()
+            count = self._bag.flush(sync=True)
+            response.success, response.message = True, f"{count} messages are on the disk in {self._bag.file}"
+        except ModcalError as error:
+            self._trouble, response.message = error, str(error)  # ends at the next tick, after this answer
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close this bag and begin the next; what is latched is true there too."""
+        try:
+            self.close()
+            closed, count = self._bag.folder, self._bag.count
+            self._bag = _next_bag(self._base)
+            self._measured = (time.monotonic(), 0)
+            for tape in self._tapes:
+                if tape.type_name is not None:
+                    self._bag.add_topic(tape.topic, tape.type_name, tape.profiles())
+                for taken in tape.kept:
+                    self._take(taken)
+            response.success = True
+            response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
+            self.get_logger().info(f"recording into {self._bag.folder}")
+        except ModcalError as error:
+            self._trouble, response.message = error, str(error)
+        return response
 
     def close(self) -> None:
-        """Write the bag's index and metadata."""
+        """Write the bag's index and metadata; nothing, when the disk has refused before."""
+        if self._bag.broken:
+            return
+        self._write_early()
         self._bag.close()
         self.get_logger().info(f"closed {self._bag.folder} with {self._bag.count} messages")
 
 
-def _message_type(name: str) -> Any:
-    package, _, message = name.partition("/msg/")
-    return getattr(import_module(f"{package}.msg"), message)
+def _next_bag(base: Path) -> BagWriter:
+    """A bag named ``base``, or with the first number behind it that is free; two recorders may begin in one second."""
+    number = 1
+    while True:
+        folder = base if number == 1 else base.with_name(f"{base.name}_{number}")
+        if not folder.exists():
+            try:
+                return BagWriter(folder)
+            except BadRecording:
+                if not folder.exists():
+                    raise
+        number += 1
+
+
+def _free_bytes(place: Path) -> int:
+    place = place.absolute()
+    while not place.exists():
+        place = place.parent
+    return shutil.disk_usage(place).free
 
 
 def main() -> None:

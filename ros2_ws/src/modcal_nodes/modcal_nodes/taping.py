@@ -1,0 +1,209 @@
+"""One topic on its way into a bag: every publisher is heard, whatever its QoS, and every message is kept once.
+
+A subscription hears a publisher only if it asks for no more than that offers. One that asks for little hears everybody,
+but then a reliable publisher does not repeat what got lost, and a latched one does not tell what it said before. So
+there is one subscription for each kind of QoS that is offered; what comes twice is known by the stamp that its
+publisher gave it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from modcal_msgs_py.bag_metadata import qos_profile
+from modcal_msgs_py.topics import TYPES
+from modcal_msgs_py.types import jazzy
+from modcal_nodes.health import ERROR, WARN
+
+# Five seconds of a fast driver may wait while this process gets no time.
+_DEPTH = 5000
+
+
+class Offer(NamedTuple):
+    """The kind of QoS that a publisher offers, as far as it decides who hears it."""
+
+    reliable: bool
+    latched: bool
+
+
+class Taken(NamedTuple):
+    """A message as it came: CDR bytes, and when it was published and received by the system's clock [ns]."""
+
+    topic: str
+    cdr: bytes
+    published_ns: int
+    received_ns: int
+
+
+class Complaint(NamedTuple):
+    """What is wrong with a topic. kind: stays the same while the text counts on."""
+
+    level: bytes
+    kind: str
+    text: str
+
+
+class Tape:
+    """One wanted topic. ``needed``: whether it is a fault when nobody publishes it."""
+
+    def __init__(self, node: Node, topic: str, take: Callable[[Taken], None], needed: bool, patience: float) -> None:
+        """Begin to wait for publishers. take: gets every message. patience: seconds of silence that are accepted."""
+        self.topic, self.needed = topic, needed
+        self.type_name: str | None = None
+        self.count = self.bytes = self.publishers = 0
+        self.rate = 0.0
+        self.kept: deque[Taken] = deque()
+        self._node, self._take, self._patience = node, take, patience
+        self._ears: dict[Offer, Subscription] = {}
+        self._types: set[str] = set()
+        self._seen: set[tuple[int, int]] = set()
+        self._order: deque[tuple[int, int]] = deque()
+        self._number: int | None = None
+        self._gaps = self._told_lost = 0
+        self._last = time.monotonic()
+        self._rated = (self._last, 0)
+
+    def look(self) -> bool:
+        """Subscribe to what is offered now; whether that was something new."""
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        if len(publishers) != self.publishers:
+            self.publishers, self._number = len(publishers), None
+        self._types = {publisher.topic_type for publisher in publishers}
+        if self.type_name is None:
+            self.type_name = self._recordable()
+        if self.type_name is None:
+            return False
+        offers = {
+            Offer(
+                publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
+                publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            )
+            for publisher in publishers
+            if publisher.topic_type == self.type_name
+        }
+        new = offers - set(self._ears)
+        for offer in new:
+            self._ears[offer] = self._subscribe(offer)
+        return bool(new)
+
+    def profiles(self) -> list[dict[str, Any]]:
+        """The QoS that was offered so far, as a bag holds it."""
+        return [qos_profile(offer.latched, offer.reliable) for offer in sorted(self._ears)]
+
+    @property
+    def lost(self) -> int:
+        """Messages that the middleware says, or the publisher's numbering shows, to have been lost."""
+        return max(self._gaps, self._told_lost)
+
+    def measure(self) -> None:
+        """Renew ``rate`` [Hz]; to be called about once a second."""
+        now, (then, count) = time.monotonic(), self._rated
+        self.rate = (self.count - count) / max(now - then, 1e-3)
+        self._rated = (now, self.count)
+
+    def complaint(self) -> Complaint | None:
+        """What is wrong, or None."""
+        others = self._types - {self.type_name}
+        if self.type_name is None and self._types:
+            text = (
+                f"{self.topic}: {', '.join(sorted(self._types))} cannot be recorded: its definition is not known here"
+            )
+            return Complaint(ERROR, "type", text)
+        if others:
+            text = (
+                f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one of them"
+            )
+            return Complaint(ERROR, "types", text)
+        silence = time.monotonic() - self._last
+        if silence > self._patience and self.publishers == 0 and self.needed:
+            text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
+            return Complaint(WARN, "nobody", text)
+        if silence > self._patience and self.publishers and not any(offer.latched for offer in self._ears):
+            text = f"{self.topic}: silent for {silence:.0f} s: see that its publisher is alive"
+            return Complaint(WARN, "silent", text)
+        if self.lost:
+            text = f"{self.topic}: {self.lost} messages lost: this machine or the network is too busy"
+            return Complaint(WARN, "lost", text)
+        return None
+
+    def _recordable(self) -> str | None:
+        """The type to record: the one that the contract knows for such a topic, else the first that is known here."""
+        expected = {type_name for role, type_name in TYPES.items() if self.topic.endswith("/" + role)}
+        known = [name for name in sorted(self._types) if name in jazzy().types and _message_class(name) is not None]
+        return next((name for name in known if name in expected), known[0] if known else None)
+
+    def _subscribe(self, offer: Offer) -> Subscription:
+        qos = QoSProfile(
+            depth=_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if offer.reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if offer.latched else DurabilityPolicy.VOLATILE,
+        )
+        assert self.type_name is not None
+        make = partial(
+            self._node.create_subscription,
+            _message_class(self.type_name),
+            self.topic,
+            partial(self._hear, offer),
+            qos,
+            raw=True,
+        )
+        try:
+            return make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
+        except UnsupportedEventTypeError:
+            return make()
+
+    def _hear(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+        published = info["source_timestamp"]
+        self._last = time.monotonic()
+        if published and self._known(published, cdr):
+            return
+        self._count_gaps(info.get("publication_sequence_number"))
+        self.count += 1
+        self.bytes += len(cdr)
+        taken = Taken(self.topic, cdr, published, info["received_timestamp"])
+        if offer.latched:
+            self.kept.append(taken)
+            while len(self.kept) > max(self.publishers, 1):
+                self.kept.popleft()
+        self._take(taken)
+
+    def _known(self, published: int, cdr: bytes) -> bool:
+        """Whether this message came before; it is remembered."""
+        key = (published, hash(cdr))
+        if key in self._seen:
+            return True
+        self._seen.add(key)
+        self._order.append(key)
+        if len(self._order) > 2 * _DEPTH:
+            self._seen.discard(self._order.popleft())
+        return False
+
+    def _count_gaps(self, number: int | None) -> None:
+        # several publishers number their messages alike, and nothing tells them apart
+        if number is None or self.publishers != 1 or len(self._ears) != 1:
+            return
+        if self._number is not None and number > self._number + 1:
+            self._gaps += number - self._number - 1
+        self._number = number
+
+    def _count_lost(self, event: QoSMessageLostInfo) -> None:
+        self._told_lost += event.total_count_change
+
+
+def _message_class(name: str) -> Any:
+    """The class of a message type; None when it is not installed."""
+    package, _, message = name.partition("/msg/")
+    try:
+        return getattr(import_module(f"{package}.msg"), message, None)
+    except ImportError:
+        return None
