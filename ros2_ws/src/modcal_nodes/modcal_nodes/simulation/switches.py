@@ -39,9 +39,8 @@ class Switches:
         self._world = world
         self._values = {name: chosen[name] for name in SWITCHES}
         self._growth: dict[str, Growth] = {}
-        for name, value in self._values.items():
-            if (reason := self.refusal({name: value})) is not None:
-                raise BadTable(f"{name} {value}", reason, "set another value")
+        if (reason := self.refusal(self._values)) is not None:
+            raise BadTable("simulated cell", reason, "set another value")
         for name, value in self._values.items():
             self.set(name, value, 0.0)
 
@@ -63,7 +62,7 @@ class Switches:
             try:
                 self._world.length(both["warm_up_link"])
             except ModcalError as error:
-                return str(error)
+                return f"warm_up_link: {error}"
         return None
 
     def value(self, name: str) -> Any:

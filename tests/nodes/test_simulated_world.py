@@ -1,0 +1,287 @@
+"""The physics of the simulated cell against formulas and an engine that are not its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from cells import slider_arm
+from robots.test_inertias import reduced
+from robots.test_kinematics import chain_of, urdf
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.errors import BadCommand, BadRobot, BadTable
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.parameters import SIMULATED_CELL
+from modcal_nodes.simulated_cell import make_world
+from modcal_nodes.simulation.commands import legs
+from modcal_nodes.simulation.pace import Grid
+from modcal_nodes.simulation.program import Program, tour
+from modcal_nodes.simulation.switches import SWITCHES, Growth, Switches
+from modcal_nodes.simulation.world import World
+
+CHAIN = chain_of("ur10")
+COMPLIANCE = np.array([1e-5, 2e-5, 3e-5, 0.0, 5e-5, 6e-5])
+PAYLOAD = 4.0
+
+
+def postures(count: int = 30, seed: int = 4) -> Array:
+    return np.random.default_rng(seed).uniform(-2.0, 2.0, (count, CHAIN.n))
+
+
+def perfect(compliance: Array | float = 0.0, T_tip_tool: Array | None = None) -> World:
+    """The UR10 as drawn, its masses as stated."""
+    inertias = read_inertias(urdf("ur10"), CHAIN)
+    return World(CHAIN, np.random.default_rng(0), 0.0, 0.0, None, T_tip_tool, inertias, compliance)
+
+
+def gravity(q: Array, payload: float = 0.0) -> Array:
+    """Pinocchio's torques (N, n) that hold the arm up."""
+    model = reduced(urdf("ur10"), CHAIN)
+    model.gravity.linear = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    tip = pin.SE3(CHAIN.origins[-1])
+    model.appendBodyToJoint(model.njoints - 1, pin.Inertia(payload, np.zeros(3), np.zeros((3, 3))), tip)
+    data = model.createData()
+    assert list(model.names)[1:] == list(CHAIN.names)
+    return np.array([pin.computeGeneralizedGravity(model, data, row) for row in q])
+
+
+@pytest.mark.parametrize("payload", [0.0, PAYLOAD])
+def test_torques_that_hold_the_arm(payload: float) -> None:
+    world, q = perfect(), postures()
+    world.carry(payload)
+    assert np.abs(world.holding(q) - gravity(q, payload)).max() < 1e-6
+    assert np.abs(gravity(q, payload)).max() > 50.0
+
+
+@pytest.mark.parametrize("payload", [0.0, PAYLOAD])
+def test_joints_give_way_by_compliance_times_torque(payload: float) -> None:
+    """The torque is that of the posture which is reached."""
+    world, q = perfect(COMPLIANCE), postures()
+    world.carry(payload)
+    reached = world.settle(q)
+    assert np.abs(reached - q + COMPLIANCE * gravity(reached, payload)).max() < 1e-11
+    assert np.abs(reached - q).max() > 1e-3
+    assert np.array_equal(reached[:, 3], q[:, 3])
+    assert np.abs(world.tool_in_base(q) - perfect().tool_in_base(reached)).max() < 1e-12
+
+
+def test_a_payload_adds_its_weight_times_its_lever() -> None:
+    """And it can be put down again."""
+    world, q = perfect(), postures()
+    before = world.holding(q)
+    world.carry(PAYLOAD)
+    added = world.holding(q) - before
+    for j in range(CHAIN.n):
+        d = np.zeros(CHAIN.n)
+        d[j] = 1e-5
+        rise = (world.tool_in_base(q + d) - world.tool_in_base(q - d))[:, 2, 3] / 2e-5
+        assert np.abs(added[:, j] - PAYLOAD * STANDARD_GRAVITY * rise).max() < 1e-6
+    world.carry(0.0)
+    assert np.array_equal(world.holding(q), before)
+
+
+def test_joints_that_are_too_soft_are_refused() -> None:
+    with pytest.raises(BadRobot, match="joint elbow_joint: is too soft"):
+        perfect(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])).settle(postures())
+
+
+def test_masses_that_nobody_stated() -> None:
+    """Balls of 2 kg: a sliding joint that points up carries all that is beyond it."""
+    chain = slider_arm()
+    world = World(chain, np.random.default_rng(0), 0.0, 0.0)
+    q = np.zeros(chain.n)
+    axis = world.tool_in_base(q + np.eye(chain.n)[1])[2, 3] - world.tool_in_base(q)[2, 3]
+    assert world.holding(q)[1] == pytest.approx(4 * 2.0 * STANDARD_GRAVITY * axis, rel=1e-6)
+
+
+def test_a_bump_displaces_the_tool_by_exactly_so_much() -> None:
+    world, q = perfect(T_tip_tool=se3.exp([0.1, 0.0, 0.2, 0.3, -0.2, 0.1])), postures()
+    before = world.tool_in_tracker(q)
+    move, turn = np.array([1e-3, -2e-3, 5e-4]), np.array([0.01, 0.02, -0.03])
+    world.bump(move, turn)
+    by = se3.inverse(before) @ world.tool_in_tracker(q)
+    assert np.abs(by - se3.transform(so3.exp(turn), move)).max() < 1e-12
+    world.bump(np.zeros(3))
+    assert np.array_equal(world.tool_in_tracker(q), before)
+
+
+def test_a_tracker_that_moves_sees_all_move_the_other_way() -> None:
+    world = make_world(CHAIN, np.random.default_rng(2), 5e-4, 1e-3)
+    q = postures()
+    before, in_base = world.tool_in_tracker(q), world.tool_in_base(q)
+    world.move_tracker([0.01, 0.02, -0.03])
+    after = world.tool_in_tracker(q)
+    assert np.abs(after[:, :3, 3] - before[:, :3, 3] + [0.01, 0.02, -0.03]).max() < 1e-14
+    assert np.array_equal(after[:, :3, :3], before[:, :3, :3])
+    assert np.array_equal(world.tool_in_base(q), in_base)
+
+
+def test_a_link_grows_along_itself() -> None:
+    world, q = perfect(), postures()
+    before = world.tool_in_base(q)
+    world.grow("upper_arm_link", 3e-4)
+    moved = (world.tool_in_base(q) - before)[:, :3, 3]
+    model = reduced(urdf("ur10"), CHAIN)
+    data = model.createData()
+    for row, by in zip(q, moved, strict=True):
+        pin.forwardKinematics(model, data, row)
+        along = data.oMi[3].translation - data.oMi[2].translation
+        assert np.abs(by - 3e-4 * along / np.linalg.norm(along)).max() < 1e-12
+    world.grow("upper_arm_link", 0.0)
+    assert np.array_equal(world.tool_in_base(q), before)
+
+
+@pytest.mark.parametrize(
+    ("link", "said"), [("tool0", "does not lead to a joint"), ("shoulder_link", "has no length that could grow")]
+)
+def test_links_that_cannot_grow(link: str, said: str) -> None:
+    with pytest.raises(BadRobot, match=said):
+        perfect().length(link)
+
+
+def test_the_truth_of_a_seed_stays_what_it_was() -> None:
+    """Recordings and figures were made with it."""
+    world = make_world(CHAIN, np.random.default_rng(11), 5e-4, 1e-3)
+    total = world.tool_in_tracker(np.random.default_rng(5).uniform(-2, 2, (5, 6))).sum()
+    assert total == pytest.approx(-4.167326896173078, abs=1e-12)
+
+
+def switches(world: World | None = None, **values: object) -> Switches:
+    chosen = {name: SIMULATED_CELL[name].default for name in SWITCHES}
+    return Switches(world or perfect(), {**chosen, **values})
+
+
+def test_warming_up_is_exponential_and_so_is_cooling() -> None:
+    world = perfect()
+    before = world.tool_in_base(np.zeros(6))[:3, 3]
+    s = switches(world, warm_up_link="forearm_link", warm_up_s=20.0)
+    s.set("warm_up_m", 4e-4, 100.0)
+
+    def grown(t: float) -> float:
+        s.pass_to(t)
+        return float(np.linalg.norm(world.tool_in_base(np.zeros(6))[:3, 3] - before))
+
+    for t in (100.0, 105.0, 120.0, 300.0):
+        assert grown(t) == pytest.approx(4e-4 * (1 - np.exp(-(t - 100.0) / 20.0)), abs=1e-13)
+    link, kelvin = s.temperature(120.0) or ("", 0.0)
+    assert link == "forearm_link"
+    assert kelvin == pytest.approx(20.0 + 4e-4 * (1 - np.exp(-1)) / (23e-6 * world.length("forearm_link")))
+    s.set("warm_up_m", 0.0, 120.0)
+    for t in (120.0, 130.0, 170.0):
+        assert grown(t) == pytest.approx(4e-4 * (1 - np.exp(-1)) * np.exp(-(t - 120.0) / 20.0), abs=1e-13)
+    s.rebase(130.0, 0.0)
+    assert grown(10.0) == pytest.approx(4e-4 * (1 - np.exp(-1)) * np.exp(-1.0), abs=1e-13)
+
+
+def test_another_link_warms_while_the_first_one_cools() -> None:
+    world = perfect()
+    s = switches(world, warm_up_link="forearm_link", warm_up_m=2e-4, warm_up_s=10.0)
+    s.set("warm_up_link", "upper_arm_link", 10.0)
+    first = 2e-4 * (1 - np.exp(-1))
+    assert (s.temperature(10.0) or ("", 0.0))[1] == 20.0
+    s.pass_to(20.0)
+    rest = perfect()
+    rest.grow("forearm_link", first * np.exp(-1))
+    rest.grow("upper_arm_link", first)
+    assert np.abs(world.tool_in_base(postures()) - rest.tool_in_base(postures())).max() < 1e-13
+
+
+def test_growth_does_not_begin_before_its_time() -> None:
+    assert Growth(since=5.0, first=1e-4, target=2e-4, tau=1.0).at(3.0) == 1e-4
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ({"tool_bump_m": [0.0, 0.1]}, "three finite numbers"),
+        ({"tool_bump_m": [0.0, 0.1, np.nan]}, "three finite numbers"),
+        ({"tool_bump_m": [0.9, 0.9, 0.0]}, "longer than 1"),
+        ({"tool_turn_rad": [4.0, 0.0, 0.0]}, "longer than 3.142"),
+        ({"tracker_move_m": [11.0, 0.0, 0.0]}, "longer than 10"),
+        ({"payload_kg": np.nan}, "finite number"),
+        ({"warm_up_m": 1e-4}, "warm_up_link must name"),
+        ({"warm_up_link": "wing"}, "link 'wing'"),
+        ({"warm_up_link": "shoulder_link"}, "no length"),
+    ],
+)
+def test_values_that_make_no_sense(wanted: dict[str, object], said: str) -> None:
+    assert said in (switches().refusal(wanted) or "")
+    with pytest.raises(BadTable, match=next(iter(wanted))):
+        switches(**wanted)
+
+
+def test_velocity_is_the_derivative_of_position() -> None:
+    """On the way, at rest, and when one program replaces another in the middle, where neither of the two jumps."""
+    program = Program(np.zeros(6))
+    program.reset(0.0, tour(CHAIN, 5, 0.6, 0.3, np.random.default_rng(1)))
+    for now in (1.2, 1.9):
+        q, v = program.state(now)
+        assert np.abs(v).max() > 0.1
+        program.reset(now, [(now + 0.1, np.full(6, 0.2)), (now + 1.0, np.full(6, -0.4))])
+        q_after, v_after = program.state(now)
+        assert np.array_equal(q_after, q)
+        assert np.abs(v_after - v).max() < 1e-12
+        for t in np.arange(now + 1e-3, now + 1.5, 7.3e-3):
+            slope = (program.at(t + 1e-6) - program.at(t - 1e-6)) / 2e-6
+            assert np.abs(program.state(t)[1] - slope).max() < 1e-4
+        assert np.array_equal(program.at(now + 1.1), np.full(6, -0.4))
+
+
+def test_a_program_that_goes_on_forgets_only_the_past() -> None:
+    rng = np.random.default_rng(2)
+    first, second = tour(CHAIN, 4, 0.5, 0.2, rng), tour(CHAIN, 4, 0.5, 0.2, rng)
+    short, whole = Program(np.zeros(6)), Program(np.zeros(6))
+    end = first[-1][0]
+    more = [(end + t, q) for t, q in second]
+    short.reset(0.0, first)
+    whole.reset(0.0, first + more)
+    short.extend(more, 1.6)
+    for t in np.arange(1.6, 2 * end + 1.0, 0.05):
+        assert np.array_equal(short.at(t), whole.at(t))
+
+
+@pytest.mark.parametrize("rates", [(125.0, 50.0), (1000.0, 200.0), (500.0, 100.0), (100.0, 100.0), (200.0, 1000.0)])
+def test_a_reading_never_has_the_stamp_of_a_joint_state(rates: tuple[float, float]) -> None:
+    """It would say that both are of a finished station."""
+    fast, slow = Grid(rates[0]), Grid(rates[1], (2.0**0.5 - 1.0) * rates[1] / rates[0])
+    joints, readings = [round(1e9 * t) for t in fast.take(60.0)], [round(1e9 * t) for t in slow.take(60.0)]
+    assert len(joints) == pytest.approx(60.0 * rates[0], abs=1)
+    assert len(readings) == pytest.approx(60.0 * rates[1], abs=2)
+    assert not set(joints) & set(readings)
+    assert not list(fast.take(60.0))
+
+
+def command(*points: tuple[float, list[float]], names: tuple[str, ...] = CHAIN.names) -> JointTrajectory:
+    message = JointTrajectory(joint_names=list(names))
+    for at, positions in points:
+        point = JointTrajectoryPoint(positions=positions)
+        point.time_from_start.sec, point.time_from_start.nanosec = int(at), round(1e9 * (at % 1.0))
+        message.points.append(point)
+    return message
+
+
+def test_trajectories_go_by_name() -> None:
+    there = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    ((at, q),) = legs(CHAIN, command((1.5, there), names=CHAIN.names[::-1]))
+    assert at == 1.5
+    assert np.array_equal(q, there[::-1])
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (command((1.0, [0.0] * 6), names=("a", *CHAIN.names[1:])), "this arm has"),
+        (command((1.0, [0.0] * 5)), "wrong positions"),
+        (command((1.0, [0.0] * 5 + [np.nan])), "wrong positions"),
+        (command((0.0, [0.0] * 6)), "no later"),
+        (command((1.0, [0.0] * 6), (1.0, [0.1] * 6)), "point 1: comes no later"),
+        (command((1.0, [0.0, 0.0, 4.0, 0.0, 0.0, 0.0])), "outside the joint limits"),
+    ],
+)
+def test_trajectories_that_are_not_followed(message: JointTrajectory, said: str) -> None:
+    with pytest.raises(BadCommand, match=said):
+        legs(CHAIN, message)
