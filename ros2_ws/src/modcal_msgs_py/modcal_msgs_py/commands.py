@@ -13,6 +13,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
 _UNIT = 1e-3  # how far from one the length of a quaternion may be
+_FASTEST = 100.0  # rad/s or m/s
 _BEYOND = 0.1  # rad or m outside the limits that a joint may be reported
 
 
@@ -110,7 +111,8 @@ class JointsHeard:
         ):
             told = np.asarray(values, dtype=float)
             kept[column] = told[at] if len(told) == len(names) else unknown
-        self.velocity[~np.isfinite(self.velocity)] = 0.0
+        # no joint goes this fast: a driver that sends it does not know, and then nothing is made of it
+        self.velocity[~(np.abs(self.velocity) < _FASTEST)] = 0.0
 
     def missing(self) -> tuple[str, ...]:
         """Joints never heard of."""

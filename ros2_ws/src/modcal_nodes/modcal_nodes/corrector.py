@@ -241,8 +241,11 @@ class Corrector(Node):
 
     def _fault(self, part: str, said: str) -> None:
         self._counts["refused"] += part == "desired_pose"
+        news = not self._recent(part)
         self._faults[part] = (time.monotonic(), said)
         self.get_logger().warning(said, throttle_duration_sec=2.0)
+        if news:
+            self._health.publish_if_changed()
 
     def _recent(self, *parts: str) -> str:
         since = time.monotonic() - _SAID_FOR

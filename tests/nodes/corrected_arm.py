@@ -1,0 +1,121 @@
+"""An arm at the other end of the corrector's topics: it says where its joints are and hears what it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nodes.processes import ROOT
+from online.test_compensation import calibration_of, true_model
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.commands import fill_pose, set_seconds
+from modcal_nodes.files import to_yaml
+
+URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
+CHAIN = read_chain(URDF)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+AWAY = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])  # from anything singular
+GEAR = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 101.0}))
+
+
+def calibration(seed: int = 0, *effects: Effect, chain: Chain = CHAIN) -> Calibration:
+    """A calibration of the UR10, or of another arm, as if truth had been found."""
+    shown = effects or (GEAR.started(np.array([2e-4, 1e-4])),)
+    return calibration_of(true_model(*shown, chain=chain, seed=seed), chain)
+
+
+def text(made: Calibration) -> str:
+    return to_yaml(to_data(made))
+
+
+def written(made: Calibration, folder: Path) -> Path:
+    """The path of a calibration's file."""
+    file = folder / "calibration.yaml"
+    file.write_text(text(made))
+    return file
+
+
+class Arm:
+    """Publishes joint states and the description under a namespace, and keeps what the corrector says there."""
+
+    def __init__(self, node: Node, space: str = "", q: Array = AWAY, rate: float = 50.0, urdf: str = URDF) -> None:
+        self.node, self.q, self.names = node, np.array(q), list(CHAIN.names)
+        self.silent = False
+        self.reshape: Callable[[JointState], list[JointState]] = lambda message: [message]
+        self.poses: list[PoseWithCovarianceStamped] = []
+        self.states: list[JointState] = []
+        self.commands: list[JointTrajectory] = []
+        self.urdfs: list[str] = []
+        self.health: dict[str, DiagnosticStatus] = {}
+        self.who = f"{space}/corrector"
+        self.joints = node.create_publisher(JointState, f"{space}/joint_states", 10)
+        self.description = node.create_publisher(String, f"{space}/robot_description", LATCHED)
+        self.desired = node.create_publisher(PoseStamped, f"{space}/desired_pose", 10)
+        self.calibration = node.create_publisher(String, f"{space}/calibration", LATCHED)
+        for kind, topic, kept in (
+            (PoseWithCovarianceStamped, "pose", self.poses),
+            (JointState, "joint_states", self.states),
+            (JointTrajectory, "joint_trajectory", self.commands),
+        ):
+            node.create_subscription(kind, f"{self.who}/{topic}", kept.append, 1000)
+        node.create_subscription(String, f"{self.who}/robot_description", lambda m: self.urdfs.append(m.data), LATCHED)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
+        self.timer = node.create_timer(1.0 / rate, self.speak)
+        if urdf:
+            self.description.publish(String(data=urdf))
+
+    def _hear_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            who, _, part = status.name.partition(": ")
+            if who == self.who:
+                self.health[part] = status
+
+    def now(self) -> float:
+        return 1e-9 * self.node.get_clock().now().nanoseconds
+
+    def state(self, stamp: float | None = None) -> JointState:
+        message = JointState(name=self.names, position=[float(x) for x in self.q])
+        set_seconds(message.header.stamp, self.now() if stamp is None else stamp)
+        return message
+
+    def speak(self) -> None:
+        if not self.silent:
+            for message in self.reshape(self.state()):
+                self.joints.publish(message)
+
+    def wish(self, T: Array, frame: str = "", stamp: float | None = None) -> PoseStamped:
+        """A desired pose; stamp: now unless given."""
+        message = PoseStamped()
+        fill_pose(message.pose, T)
+        message.header.frame_id = frame
+        set_seconds(message.header.stamp, self.now() if stamp is None else stamp)
+        return message
+
+    def connected(self) -> bool:
+        """Whether corrected poses come and a wish would be heard."""
+        return bool(self.poses) and self.desired.get_subscription_count() == 1 and "commands" in self.health
+
+    def facts(self, part: str) -> dict[str, str]:
+        return {pair.key: pair.value for pair in self.health[part].values} if part in self.health else {}
+
+
+def matrix(message: Any) -> Array:
+    """The pose (4, 4) of a Pose."""
+    p, o = message.position, message.orientation
+    return se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w])

@@ -1,0 +1,523 @@
+"""The corrector as a process: what it publishes is right, and what it must not do it does not."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nodes.corrected_arm import AWAY, CHAIN, GEAR, LATCHED, URDF, Arm, calibration, matrix, text, written
+from nodes.processes import Process, fresh_domain, listener, running
+from online.test_compensation import started
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.online.conditions import Conditions
+from modcal_core.online.correction import Correction
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.commands import seconds, set_seconds
+
+pytestmark = pytest.mark.dds
+ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatus.OK
+
+
+def truth(made: Any, q: Array, target: str = "tip", frame: str = "") -> Array:
+    return Correction(made).pose(np.asarray(q), Conditions.at_rest(q, 1.7e9), target, frame)  # type: ignore[arg-type]
+
+
+def near(T: Array, metres: float, turn: float = 0.0) -> Array:
+    return T @ se3.transform(so3.exp([turn, 0.0, -turn]), [metres, -metres, metres])
+
+
+def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> None:
+    """Whatever order, company and parts the joints come in."""
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+
+        def turned_and_accompanied(message: JointState) -> list[JointState]:
+            message.name = ["gripper", *message.name[::-1]]
+            message.position = [0.7, *list(message.position)[::-1]]
+            return [message]
+
+        def in_two_parts(message: JointState) -> list[JointState]:
+            parts = []
+            for rows in (slice(0, 3), slice(3, 6)):
+                part = JointState(name=message.name[rows], position=list(message.position)[rows])
+                part.header = message.header
+                parts.append(part)
+            return parts
+
+        expected = truth(made, AWAY)
+        for reshape in (lambda m: [m], turned_and_accompanied, in_two_parts):
+            arm.reshape = reshape
+            arm.poses.clear()
+            arm.states.clear()
+            wait(lambda: len(arm.poses) > 3 and len(arm.states) > 3, 60.0)
+            pose = arm.poses[-1]
+            assert pose.header.frame_id == "base_link"
+            assert abs(seconds(pose.header.stamp) - arm.now()) < 2.0
+            assert np.abs(matrix(pose.pose.pose) - expected).max() < 1e-12
+            state = arm.states[-1]
+            assert tuple(state.name) == CHAIN.names
+            assert 1e-5 < np.abs(np.array(state.position) - AWAY).max() < 1e-3
+        covariance = np.array(pose.pose.covariance).reshape(6, 6)
+        assert np.allclose(np.diag(covariance), 1e-8)
+        # the corrected description with the effective joints is the corrected pose
+        wait(lambda: arm.urdfs, 10.0)
+        corrected = read_chain(arm.urdfs[-1])
+        assert np.abs(forward(corrected, np.array(arm.states[-1].position)) - expected).max() < 1e-9
+        assert arm.urdfs[-1] != URDF
+        # a joint that is not reported is said; nothing is corrected without it
+        arm.reshape = lambda m: [JointState(header=m.header, name=m.name[:5], position=list(m.position)[:5])]
+        wait(lambda: "correction" in arm.health and arm.health["correction"].level == ERROR, 20.0)
+        assert "wrist_3_joint" in arm.health["correction"].message
+        assert process.stop() == 0
+
+
+def test_goals_are_commanded_and_hostile_ones_refused(tmp_path: Path) -> None:
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path), joint_speed_rad_s=0.25)
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+        wait(arm.connected, 60.0)
+
+        def answered(wish: PoseStamped) -> Any:
+            arm.commands.clear()
+            arm.desired.publish(wish)
+            wait(lambda: arm.commands, 20.0)
+            return arm.commands[-1]
+
+        goal = AWAY + 0.1
+        for frame in ("", "base_link", "tracker"):
+            command = answered(arm.wish(truth(made, goal, "tip", frame if frame == "tracker" else ""), frame))
+            assert tuple(command.joint_names) == CHAIN.names
+            (point,) = command.points
+            q = np.array(point.positions)
+            assert np.abs(q - goal).max() < 1e-6
+            assert seconds(point.time_from_start) == pytest.approx(np.abs(q - AWAY).max() / 0.25, abs=1e-6)
+
+        good = truth(made, goal)
+        far_away = near(good, 0.0)
+        far_away[:3, 3] *= 1000.0
+        unreachable = near(good, 0.0)
+        unreachable[:3, 3] = [1.0, 0.9, 0.9]
+        hostile: dict[str, PoseStamped] = {
+            "looks like millimetres": arm.wish(far_away),
+            "frame 'camera'": arm.wish(good, "camera"),
+            "misses it by": arm.wish(unreachable),
+            "is not finite": arm.wish(good),
+            "quaternion has length": arm.wish(good),
+        }
+        hostile["is not finite"].pose.position.y = math.nan
+        hostile["quaternion has length"].pose.orientation.w += 0.2
+        for said, wish in hostile.items():
+            set_seconds(wish.header.stamp, arm.now())
+            refuse(arm, wait, wish, said)
+        refuse(arm, wait, arm.wish(good, stamp=arm.now() - 5.0), "s old")
+        refuse(arm, wait, arm.wish(good, stamp=arm.now() + 5.0), "s ahead")
+        # an arm that falls silent is not commanded, and where it truly is is no longer said
+        arm.silent = True
+        wait(lambda: arm.health["correction"].level == ERROR, 20.0)
+        refuse(arm, wait, arm.wish(good), "s off, 0.1 s is the limit")
+        arm.silent = False
+        wait(lambda: arm.health["correction"].level == OK, 20.0)
+        assert answered(arm.wish(good, stamp=0.0)).points
+
+
+def refuse(arm: Arm, wait: Callable[[Callable[[], Any], float], Any], wish: PoseStamped, said: str) -> None:
+    """The wish is counted and explained, and no command comes of it."""
+    before, commands = int(arm.facts("commands").get("refused", 0)), len(arm.commands)
+    arm.desired.publish(wish)
+    wait(lambda: int(arm.facts("commands")["refused"]) == before + 1, 20.0)
+    assert said in arm.health["commands"].message
+    assert arm.health["commands"].level == WARN
+    assert len(arm.commands) == commands
+
+
+def test_a_calibration_of_another_robot_corrects_nothing(tmp_path: Path) -> None:
+    """Joints of other names, or the same names on another arm; the right description then is taken."""
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node, urdf="")
+        wait(lambda: "calibration" in arm.health, 60.0)
+        assert arm.health["calibration"].level == ERROR
+        assert "robot_description: not heard yet" in arm.health["calibration"].message
+        for other, said in (
+            (URDF.replace("elbow_joint", "knee_joint"), "this robot has"),
+            (URDF.replace('"-0.612', '"-0.613').replace('"0.612', '"0.613'), "other nominal kinematics"),
+            ("<robot", "robot description"),
+        ):
+            assert other != URDF
+            arm.description.publish(String(data=other))
+            wait(lambda said=said: said in arm.health["calibration"].message, 20.0)
+            assert arm.health["calibration"].level == ERROR
+            refuse(arm, wait, arm.wish(truth(made, AWAY)), "nothing is corrected")
+        assert not arm.poses
+        assert not arm.urdfs
+        arm.description.publish(String(data=URDF))
+        wait(lambda: arm.poses and arm.urdfs, 20.0)
+        wait(lambda: arm.health["calibration"].level != ERROR, 20.0)
+        # and lost again
+        arm.description.publish(String(data=URDF.replace("elbow_joint", "knee_joint")))
+        wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
+        late: list[str] = []
+        node.create_subscription(String, "corrector/robot_description", lambda m: late.append(m.data), LATCHED)
+        refuse(arm, wait, arm.wish(truth(made, AWAY)), "nothing is corrected")
+        assert not late, "a late listener must not find the URDF of a calibration that is not in use"
+
+
+def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path) -> None:
+    """A calibration that differs by little comes in without a jump, one that differs by much when the stream pauses."""
+    first = calibration()
+    slightly = calibration(0, GEAR.started(np.array([-1e-4, 3e-4])))
+    much = calibration(0, started("ratio").with_values(np.array([8e-3])))
+    domain = fresh_domain()
+    # time enough for a machine that does other things as well
+    process = Process("corrector", domain, tmp_path, stream=True, stale_s=1.0, horizon_s=0.5, blend_s=0.5)
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+        arm.calibration.publish(String(data=text(first)))
+        wait(arm.connected, 60.0)
+
+        def one(made: Any, k: int) -> Array:
+            """The setpoint for the k-th pose of a slow course; the arm follows."""
+            count = len(arm.commands)
+            arm.desired.publish(arm.wish(truth(made, AWAY + 1e-3 * math.sin(0.05 * k))))
+            wait(lambda: len(arm.commands) > count, 20.0)
+            (point,) = arm.commands[-1].points
+            assert seconds(point.time_from_start) == pytest.approx(0.5)
+            arm.q = np.array(point.positions)
+            return arm.q.copy()
+
+        course = [one(first, k) for k in range(20)]
+        assert np.abs(course[-1] - AWAY - 1e-3 * math.sin(0.05 * 19)).max() < 1e-6
+
+        arm.calibration.publish(String(data=text(slightly)))
+        expected = Correction(slightly)
+        settled = None
+        for k in range(20, 400):
+            course.append(one(first, k))
+            T = expected.pose(course[-1], Conditions.at_rest(course[-1], 1.7e9))
+            wanted = truth(first, AWAY + 1e-3 * math.sin(0.05 * k))
+            settled = k if settled is None and np.abs(T - wanted).max() < 1e-9 else settled
+            if settled is not None and k > settled + 5:
+                break
+        assert settled is not None, "the new calibration never came in"
+        plain = np.abs(np.diff(course[:20], axis=0)).max()
+        assert np.abs(np.diff(course, axis=0)).max() < plain + 1.2e-4, "it came in with a jump"
+
+        arm.calibration.publish(String(data=text(much)))
+
+        def waits() -> bool:
+            one(first, 0)
+            said = arm.health["calibration"].message
+            return "waits for the stream to pause" in said and "moves a joint by" in said
+
+        wait(waits, 30.0)
+        before = arm.q.copy()
+        assert np.abs(one(first, 0) - before).max() < 1e-4, "the old one is still in use"
+        wait(lambda: arm.health["calibration"].message == "in use" or "tells" in arm.health["calibration"].message
+             or "how well" in arm.health["calibration"].message, 20.0)  # fmt: skip
+        assert np.abs(one(much, 0) - AWAY).max() < 1e-5
+
+        # too far for the time, and out of the question
+        refuse(arm, wait, arm.wish(truth(much, arm.q + np.eye(6)[0] * 0.6)), "is faster than")
+        refuse(arm, wait, arm.wish(truth(much, arm.q), stamp=arm.now() - 3.0), "s old")
+        straight = np.array([0.3, -1.2, 0.0, -0.8, 1.1, 0.2])
+        arm.q = straight
+        wait(lambda: np.abs(np.array(arm.states[-1].position) - straight).max() < 0.02, 20.0)
+        refuse(arm, wait, arm.wish(truth(much, straight)), "singular")
+
+
+def test_two_arms_in_one_domain(tmp_path: Path) -> None:
+    """Each hears and answers its own, in its namespace."""
+    domain = fresh_domain()
+    made = {"/left": calibration(1), "/right": calibration(2)}
+    processes, postures = [], {"/left": AWAY, "/right": -AWAY}
+    for space, its in made.items():
+        folder = tmp_path / space[1:]
+        folder.mkdir()
+        processes.append(Process("corrector", domain, folder, "-r", f"__ns:={space}", calibration=written(its, folder)))
+    with running(*processes), listener(domain) as (node, wait):
+        arms = {space: Arm(node, space, q) for space, q in postures.items()}
+        for arm in arms.values():
+            wait(arm.connected, 60.0)
+        for space, arm in arms.items():
+            assert np.abs(matrix(arm.poses[-1].pose.pose) - truth(made[space], postures[space])).max() < 1e-12
+        goal = postures["/right"] + 0.05
+        arms["/right"].desired.publish(arms["/right"].wish(truth(made["/right"], goal)))
+        wait(lambda: arms["/right"].commands, 20.0)
+        assert np.abs(np.array(arms["/right"].commands[0].points[0].positions) - goal).max() < 1e-6
+        assert not arms["/left"].commands
+
+
+def test_simulated_time_that_stands_still_goes_on_and_jumps_back(tmp_path: Path) -> None:
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path), use_sim_time="true")
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+        clock = node.create_publisher(Clock, "/clock", 10)
+        time_now = {"t": 100.0}
+        arm.now = lambda: time_now["t"]  # type: ignore[method-assign]
+
+        def tick(step: float = 0.01) -> None:
+            time_now["t"] += step
+            message = Clock()
+            set_seconds(message.clock, time_now["t"])
+            clock.publish(message)
+
+        ticking = node.create_timer(0.01, tick)
+        wait(arm.connected, 60.0)
+        assert seconds(arm.poses[-1].header.stamp) < 1000.0
+        goal = truth(made, AWAY + 0.05)
+        arm.desired.publish(arm.wish(goal))
+        wait(lambda: arm.commands, 20.0)
+        # back to the start: what was said before lies ahead, and is not taken for news
+        time_now["t"] = 10.0
+        arm.poses.clear()
+        arm.commands.clear()
+        wait(lambda: any(seconds(p.header.stamp) < 90.0 for p in arm.poses), 20.0)
+        refuse(arm, wait, arm.wish(goal, stamp=100.0), "s ahead")
+        arm.desired.publish(arm.wish(goal))
+        wait(lambda: arm.commands, 20.0)
+        # a clock that stands still: the last posture is still of now
+        ticking.cancel()
+        arm.commands.clear()
+        arm.desired.publish(arm.wish(goal))
+        wait(lambda: arm.commands, 20.0)
+
+
+def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
+    """A temperature that nobody publishes: said, and nothing is corrected until it comes."""
+    made = calibration(0, started("sensor"))
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+        heat = node.create_publisher(Temperature, "temperature", 10)
+        wait(lambda: "correction" in arm.health and "temperature:arm" in arm.health["correction"].message, 60.0)
+        refuse(arm, wait, arm.wish(truth(calibration(), AWAY)), "temperature:arm")
+        assert not arm.poses
+        for value in (math.nan, 5000.0, 30.0):
+            message = Temperature(temperature=value)
+            message.header.frame_id = "arm"
+            set_seconds(message.header.stamp, arm.now())
+            heat.publish(message)
+        wait(lambda: arm.poses, 20.0)
+        expected = Correction(made).model
+        longer = forward(expected.chain, AWAY)
+        gap = np.linalg.norm(matrix(arm.poses[-1].pose.pose)[:3, 3] - longer[:3, 3])
+        assert gap == pytest.approx(30.0 * 2e-5, rel=0.02)
+
+
+def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path)
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node)
+        arm.calibration.publish(String(data="nonsense: ["))
+        wait(lambda: "calibration" in arm.health and "is not YAML" in arm.health["calibration"].message, 60.0)
+        arm.calibration.publish(String(data=text(made)))
+        wait(arm.connected, 20.0)
+        arm.calibration.publish(String(data="nonsense: ["))
+        wait(lambda: "is not YAML" in arm.health["calibration"].message, 20.0)
+        assert arm.health["calibration"].level == WARN, "the one in use stays in use"
+
+        def set_parameter(name: str, value: ParameterValue) -> Any:
+            client = node.create_client(SetParameters, "corrector/set_parameters")
+            wait(client.service_is_ready, 20.0)
+            answer = client.call_async(SetParameters.Request(parameters=[ParameterMessage(name=name, value=value)]))
+            wait(answer.done, 20.0)
+            return answer.result().results[0]
+
+        assert set_parameter("target", ParameterValue(type=4, string_value="tool")).successful
+        arm.poses.clear()
+        wait(lambda: len(arm.poses) > 2, 20.0)
+        assert np.abs(matrix(arm.poses[-1].pose.pose) - truth(made, AWAY, "tool")).max() < 1e-12
+        assert "neither tip nor tool" in set_parameter("target", ParameterValue(type=4, string_value="elbow")).reason
+        assert not set_parameter("horizon_s", ParameterValue(type=3, double_value=1e9)).successful
+        assert "read at the start" in set_parameter("calibration", ParameterValue(type=4, string_value="x")).reason
+
+        reset = node.create_client(Trigger, "corrector/reset")
+        wait(reset.service_is_ready, 20.0)
+        answer = reset.call_async(Trigger.Request())
+        wait(answer.done, 20.0)
+        assert answer.result().success
+        wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
+        refuse(arm, wait, arm.wish(truth(made, AWAY)), "nothing is corrected")
+        arm.calibration.publish(String(data=text(made)))
+        arm.poses.clear()
+        wait(lambda: arm.poses, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"calibration": "nowhere"}, "nowhere: does not exist"),
+        ({"target": "elbow"}, "target 'elbow'"),
+        ({"joint_speed_rad_s": "-1.0"}, "joint_speed_rad_s"),
+    ],
+)
+def test_wrong_parameters_end_it_with_one_line(parameters: dict[str, str], said: str, tmp_path: Path) -> None:
+    process = Process("corrector", fresh_domain(), tmp_path, **parameters)
+    with running(process):
+        assert process.popen.wait(60.0) == 2
+    (line,) = [line for line in process.output.splitlines() if line.startswith("modcal: ")]
+    assert said in line
+    assert "Traceback" not in process.output
+
+
+def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> None:
+    """Whatever is sent, what comes out is finite, of now, within the limits and no farther than the speed allows."""
+    rng = np.random.default_rng(5)
+    made = calibration()
+    domain = fresh_domain()
+    stale, horizon, speed = 0.5, 0.25, 0.4
+    process = Process(
+        "corrector", domain, tmp_path,
+        stream=True, stale_s=stale, horizon_s=horizon, joint_speed_rad_s=speed, calibration=written(made, tmp_path),
+    )  # fmt: skip
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node, rate=20.0)
+        heat = node.create_publisher(Temperature, "temperature", 10)
+        arrived: list[tuple[float, Any]] = []
+        node.create_subscription(
+            JointTrajectory, "corrector/joint_trajectory", lambda m: arrived.append((arm.now(), m)), 1000
+        )
+        wait(arm.connected, 60.0)
+        bad = [math.nan, math.inf, -math.inf, 1e300, -1e300, 0.0, 1e-300]
+        sent = dict.fromkeys(("wish", "joints", "heat", "calibration", "robot"), 0)
+        good = truth(made, AWAY)
+
+        def wish() -> PoseStamped:
+            how = rng.integers(8)
+            step = 10.0 ** rng.uniform(-4, 0.5)
+            message = arm.wish(near(good, step * rng.normal(), step * rng.normal()))
+            if how == 0:
+                setattr(message.pose.position, rng.choice(["x", "y", "z"]), float(rng.choice(bad)))
+            elif how == 1:
+                setattr(message.pose.orientation, rng.choice(["x", "y", "z", "w"]), float(rng.choice(bad)))
+            elif how == 2:
+                for axis in "xyz":
+                    setattr(message.pose.position, axis, 1000.0 * getattr(message.pose.position, axis))
+            elif how == 3:
+                message.header.frame_id = str(rng.choice(["tracker", "map", "", "base_link", "\n", "tool0"]))
+            elif how == 4:
+                moment = arm.now() + rng.normal() * 10.0 ** rng.uniform(-2, 9)
+                set_seconds(message.header.stamp, float(np.clip(moment, -2e9, 2e9)))
+            elif how == 5:
+                message.header.stamp.nanosec = 2**32 - 1
+            return message
+
+        def joints() -> JointState:
+            message = arm.state()
+            how = rng.integers(7)
+            if how == 0:
+                message.position[rng.integers(6)] = float(rng.choice([math.nan, math.inf, -math.inf, 1e300]))
+            elif how == 1:
+                message.position = [float(x) for x in np.degrees(arm.q)]
+            elif how == 2:
+                message.name = [f"other_{name}" for name in message.name]
+            elif how == 3:
+                message.position = list(message.position)[: rng.integers(6)]
+            elif how == 4:
+                message.name = [*message.name[:5], message.name[0]]
+            elif how == 5:
+                set_seconds(message.header.stamp, max(1.0, arm.now() + rng.choice([-1, 1]) * rng.uniform(1.0, 1e6)))
+                message.position = [float(x) for x in rng.uniform(-3, 3, 6)]
+            else:
+                message.velocity = [float(x) for x in rng.choice(bad, 6)]
+                message.effort = [float(x) for x in rng.choice(bad, 6)]
+            return message
+
+        def answer() -> None:
+            """Wish for what can be until it is done, in spite of all that was sent before."""
+            count = len(arrived)
+            for _ in range(200):
+                arm.desired.publish(arm.wish(good))
+                with contextlib.suppress(AssertionError):
+                    return wait(lambda: len(arrived) > count, 0.25)
+            raise AssertionError("no answer any more")
+
+        for k in range(3000):
+            kind = rng.random()
+            if kind < 0.6:
+                sent["wish"] += 1
+                arm.desired.publish(wish())
+            elif kind < 0.9:
+                sent["joints"] += 1
+                arm.joints.publish(joints())
+            elif kind < 0.99:
+                sent["heat"] += 1
+                message = Temperature(temperature=float(rng.choice(bad)))
+                message.header.frame_id = str(rng.integers(1000))
+                heat.publish(message)
+            elif kind < 0.995:
+                sent["calibration"] += 1
+                arm.calibration.publish(String(data=str(rng.choice(["", "{", "modcal_calibration: 1", "- " * 999]))))
+            else:
+                sent["robot"] += 1
+                arm.description.publish(String(data=str(rng.choice(["", "<robot>", "<robot name='x'/>", URDF[:3000]]))))
+                wait(lambda: True, 1.0)
+                wait(lambda: True, 1.0)
+                arm.description.publish(String(data=URDF))
+            time.sleep(0.002)
+            if k % 5 == 4:
+                wait(lambda: True, 1.0)
+            if k % 25 == 24:  # let it catch up, for what is overtaken in the queue was not tried; and it still lives
+                answer()
+        assert process.stop() == 0
+    assert "Traceback" not in process.output
+    print(process.output[-2000:])
+    assert min(sent.values()) > 0
+    facts = arm.facts("commands")
+    tried = int(facts["refused"]) + int(facts["commands"])
+    print(f"sent {sent}, of the wishes tried {tried}, refused {facts['refused']}; commands {len(arrived)}")
+    assert tried > 300
+    assert int(facts["refused"]) > 100
+    assert len(arrived) > 20
+    for received, message in arrived:
+        assert tuple(message.joint_names) == CHAIN.names
+        (point,) = message.points
+        q = np.array(point.positions)
+        assert np.isfinite(q).all()
+        assert ((q >= CHAIN.lower) & (q <= CHAIN.upper)).all()
+        assert np.abs(q - arm.q).max() <= speed * horizon + 1e-9
+        assert seconds(point.time_from_start) == pytest.approx(horizon)
+        assert -0.1 < received - seconds(message.header.stamp) < 2.0
+    for pose in arm.poses:
+        assert np.isfinite(matrix(pose.pose.pose)).all()
+        assert np.abs(matrix(pose.pose.pose) - good).max() < 1e-9
+        assert np.isfinite(pose.pose.covariance).all()
+
+
+def test_the_calibration_of_the_tests_is_another_than_the_drawing() -> None:
+    """Else all of the above would pass without any correction."""
+    made = calibration()
+    assert np.linalg.norm(truth(made, AWAY)[:3, 3] - forward(CHAIN, AWAY)[:3, 3]) > 5e-4
+    assert replace(made.calibrated, effects=()).chain.names == CHAIN.names
