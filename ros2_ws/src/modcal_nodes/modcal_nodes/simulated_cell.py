@@ -63,10 +63,8 @@ class SimulatedCell(Node):
             _compliance(chosen["joint_compliance_rad_per_nm"], self.chain),
         )
         self._chosen, self._rng = chosen, rng
-        self._noise, self._arrivals = (
-            np.random.default_rng(chosen["seed"] + 1),
-            np.random.default_rng(chosen["seed"] + 2),
-        )
+        self._noise = np.random.default_rng(chosen["seed"] + 1)
+        self._arrivals = np.random.default_rng(chosen["seed"] + 2)
         self._gear = self.chain.names.index(chosen["gear_joint"]) if chosen["gear_joint"] else None
         self._program = Program(np.clip(np.zeros(self.chain.n), self.chain.lower, self.chain.upper))
         self._miss = Program(np.zeros(self.chain.n))
@@ -105,7 +103,7 @@ class SimulatedCell(Node):
         self._true = self.create_publisher(PoseStamped, "~/true_tool", _DEPTH)
         self._true_in_base = self.create_publisher(PoseStamped, "~/true_tool_in_base", _DEPTH)
         self._temperature = self.create_publisher(Temperature, "temperature", 10)
-        self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if simulated else None
+        self._time_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
         self._description = self.create_publisher(String, "robot_description", LATCHED)
         self._description.publish(String(data=text))
         self._states, self._readings = States(self.chain.names), Poses(TRACKER, points)
@@ -141,7 +139,7 @@ class SimulatedCell(Node):
                 message = ClockMessage()
                 message.clock.sec, message.clock.nanosec = self._time.stamp(t)
                 self._time_topic.publish(message)
-        if self._repeat and until > self._program.end - self._chosen["travel_s"]:
+        while self._repeat and until > self._program.end - self._chosen["travel_s"]:
             self._go_on()
         for t in self._joint_grid.take(until):
             self._send_joints(t)
@@ -205,12 +203,10 @@ class SimulatedCell(Node):
 
     def _sent_to(self, t: float) -> Array:
         """Where motors and gears bring the joints (n,) at a time, before springs give way."""
-        q = self._program.at(t)
-        if self._chosen["repeatability_rad"]:
-            q = q + self._miss.at(t)
-        if self._gear is not None:
-            q = q.copy()
-            q[self._gear] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * q[self._gear])
+        reported = self._program.at(t)
+        q = reported + self._miss.at(t)
+        if (j := self._gear) is not None:
+            q[j] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * reported[j])
         return q
 
     def _follow(self, trajectory: JointTrajectory) -> None:
