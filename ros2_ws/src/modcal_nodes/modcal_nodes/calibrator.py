@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import concurrent.futures.process
 import time
-from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,8 @@ from modcal_core.errors import BadRobot, BadTable, ModcalError
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.online.estimator import Wander
 from modcal_core.online.stream import Stream
-from modcal_core.online.supervisor import ASKED, BETTER, SUSPECTED, Policy, Supervisor
+from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
+from modcal_core.online.suspicion import Suspicion
 from modcal_core.resolve import Job
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
@@ -32,18 +32,18 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_msgs_py.messages import READING
 from modcal_msgs_py.topics import TYPES
-from modcal_nodes.announcing import Announcer
+from modcal_nodes.calibrating.announcing import Announcer
+from modcal_nodes.calibrating.memory import Memory
+from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
+from modcal_nodes.calibrating.state import State, read_state, write_state
+from modcal_nodes.calibrating.telling import Times, model_status, sample_status, tracker_status
 from modcal_nodes.files import read_cell, write_folder
-from modcal_nodes.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.health import Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
-from modcal_nodes.memory import Memory
 from modcal_nodes.parameters import CALIBRATOR, declare, values
-from modcal_nodes.running import ANY_RELIABILITY, LATCHED, LATE, run
-from modcal_nodes.solving import Solved, Workshop, condense, solve
-from modcal_nodes.state import State, read_state, write_state
+from modcal_nodes.running import LATCHED, SENSOR, run
 
 _POLL = 0.1  # s
-_TIMED = 20_000  # updates whose times are remembered
 
 
 class Calibrator(Node):
@@ -74,9 +74,8 @@ class Calibrator(Node):
         self._trouble = ""  # why the arm is not known, or the saved model not used
         self._verdict = "nothing solved yet"
         self._refused = 0
-        self._said: object = None
-        self._took: deque[float] = deque(maxlen=_TIMED)
-        self._late: deque[float] = deque(maxlen=_TIMED)
+        self._said: Suspicion | None = None
+        self._times = Times()
 
         self._announcer = Announcer(self)
         self._ears = self._listen(chosen["silent_s"])
@@ -85,6 +84,7 @@ class Calibrator(Node):
         self._workshop.warm_up()
         self._work: tuple[concurrent.futures.Future[Any], Any] | None = None
         self._waiting: Future | None = None
+        self._solve_next = False
         # a group of its own: while a solve is awaited, its group takes no other callback
         self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, "~/accept", self._on_accept)
@@ -100,13 +100,11 @@ class Calibrator(Node):
     def _listen(self, patience: float) -> list[Ear]:
         hear = partial(Ear, self, patience=patience, single=True)
         readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
-        ears = [hear(JointState, "joint_states", self._joint_state, ANY_RELIABILITY, needed=True)]
+        ears = [hear(JointState, "joint_states", self._joint_state, SENSOR, needed=True)]
         for topic, (message, kind) in readings.items():
-            ears.append(hear(message, topic, partial(self._reading, topic, kind), ANY_RELIABILITY, single=False))
-        ears.append(hear(Temperature, "temperature", self._temperature, ANY_RELIABILITY, single=False))
+            ears.append(hear(message, topic, partial(self._reading, topic, kind), SENSOR, single=False))
+        ears.append(hear(Temperature, "temperature", self._temperature, SENSOR, single=False))
         description = hear(String, "robot_description", self._take_description, LATCHED, needed=not self._description)
-        # a publisher that does not latch is heard as well, if it speaks while we listen
-        self.create_subscription(String, "robot_description", description.hear, LATE)
         return [*ears, description]
 
     def _take_description(self, message: String) -> None:
@@ -167,7 +165,7 @@ class Calibrator(Node):
                 position = np.frombuffer(message.position)[order]
                 effort = np.frombuffer(message.effort)[order] if len(message.effort) == len(names) else None
                 self._feed(partial(self._stream.joint_state, _seconds(message.header.stamp), position, effort))
-        self._took.append(time.perf_counter() - began)
+        self._times.took.append(time.perf_counter() - began)
 
     def _reading(self, topic: str, kind: str, message: Any) -> None:
         began = time.perf_counter()
@@ -176,8 +174,8 @@ class Calibrator(Node):
         stamp = _seconds(message.header.stamp)
         numbers = np.array(READING[kind](message))
         self._feed(partial(self._stream.reading, kind, message.header.frame_id, stamp, numbers))
-        self._took.append(time.perf_counter() - began)
-        self._late.append(1e-9 * self.get_clock().now().nanoseconds - stamp)
+        self._times.took.append(time.perf_counter() - began)
+        self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - stamp)
 
     def _temperature(self, message: Temperature) -> None:
         self._remember("temperature", message)
@@ -227,12 +225,15 @@ class Calibrator(Node):
 
     def _begin_solve(self) -> str:
         """Have a solve done in the workshop; returns why not, or nothing."""
-        if self._work is not None:
+        if self._solve_next or (self._work is not None and self._work[1] == self._solved):
             return "a solve is running already"
         self._know_arm()
         if self._chain is None:
             said = self._trouble or "publish it (latched), or set the parameter"
             return said if self._description and self._trouble else f"robot_description: not heard yet: {said}"
+        if self._work is not None:  # something else is in the workshop, which takes a moment
+            self._solve_next = True
+            return ""
         job = Job(
             self._memory.heard(),
             self._chain,
@@ -257,10 +258,17 @@ class Calibrator(Node):
                 finish(future.result())
             except ModcalError as error:
                 self._answer(False, str(error))
+            except OSError as error:
+                where = error.filename or "file system"
+                self._answer(False, f"{where}: {error.strerror}: make room, or check its permissions")
             except Exception as error:  # a fault of ours must not leave the caller waiting
                 self.get_logger().error(f"solve failed: {error!r}")
                 self._answer(False, f"internal error: {error!r}")
                 self._replace_broken_workshop(error)
+        elif self._solve_next:
+            self._solve_next = False
+            if refusal := self._begin_solve():
+                self._answer(False, refusal)
         elif self._chain is not None and self._memory.full:
             pieces = self._memory.pieces
             heard, limit = self._memory.finished(), self._chosen["clock_limit_s"]
@@ -288,7 +296,7 @@ class Calibrator(Node):
             self._trusted(solved)
         self._verdict = solved.verdict
         if suspected is not None:
-            found = "; ".join(solved.story) or "nothing that explains it"
+            found = "; ".join(sentence.rstrip(".") for sentence in solved.story) or "nothing that explains it"
             self._verdict = f"Since something changed: {found}. {solved.verdict}"
         self.get_logger().info(self._verdict)
         self._answer(True, self._verdict)
@@ -375,52 +383,18 @@ class Calibrator(Node):
             return
         self._announcer.estimate(live.estimator)
         if live.suspicion is not None and live.suspicion is not self._said:
-            self._said = live.suspicion
             self._announcer.change(live.suspicion)
-            self.get_logger().warning(f"{live.suspicion.sentence}; the last trusted model is still published")
+            if self._said is None or self._said.label != live.suspicion.label:
+                self.get_logger().warning(f"{live.suspicion.sentence}; the last trusted model is still published")
+            self._said = live.suspicion
             self._health.publish()
 
     def _statuses(self) -> Iterable[Status]:
-        hearing = hearing_status(self._ears)
-        if hearing.level == OK and not any(e.count for e in self._ears if "tracker/" in e.topic):
-            silent = " and ".join(e.topic for e in self._ears if "tracker/" in e.topic)
-            hearing = Status(hearing.part, WARN, f"nothing heard of the tracker on {silent}", hearing.values)
-        yield hearing
-        yield self._model_status()
-        yield Status("samples", WARN if self._refused else OK, self._sample_sentence(), self._sample_values())
-
-    def _model_status(self) -> Status:
-        supervisor, live = self._supervisor, self._supervisor.live
-        facts: dict[str, object] = {"state": supervisor.state, "last result": self._verdict}
-        if supervisor.trusted is not None and live is not None:
-            facts["largest sign of change"] = f"{live.watch.largest:.1f}"
-            facts["samples rejected"] = live.estimator.rejected
-        facts["solving"] = self._work is not None
-        if self._candidate is not None:
-            c = self._candidate.comparison
-            facts["error before [mm]"], facts["error after [mm]"] = f"{1e3 * c.before:.4f}", f"{1e3 * c.after:.4f}"
-        if self._trouble:
-            return Status("model", ERROR, self._trouble, facts)
-        if supervisor.state == SUSPECTED and supervisor.suspicion is not None:
-            text = f"{supervisor.suspicion.sentence}; the last trusted model is still published"
-            return Status("model", WARN, text, facts)
-        return Status("model", OK, self._verdict, facts)
-
-    def _sample_sentence(self) -> str:
-        text = f"{self._supervisor.stations} stations"
-        return text + (f", {self._refused} messages refused" if self._refused else "")
-
-    def _sample_values(self) -> dict[str, object]:
-        out: dict[str, object] = {"clock set back": self._memory.jumps}
-        if self._stream is not None:
-            out["messages out of order"] = self._stream.counts.late
-            out["readings without joint states"] = self._stream.counts.unpaired
-        if self._took:
-            out["update, p99 [ms]"] = f"{1e3 * np.percentile(self._took, 99):.3f}"
-        if self._late:
-            out["from stamp to update, median [ms]"] = f"{1e3 * np.median(self._late):.2f}"
-            out["from stamp to update, p99 [ms]"] = f"{1e3 * np.percentile(self._late, 99):.2f}"
-        return out
+        yield tracker_status(hearing_status(self._ears), self._ears)
+        candidate = self._candidate.comparison if self._candidate else None
+        yield model_status(self._supervisor, self._verdict, self._trouble, self._work is not None, candidate)
+        counts = self._stream.counts if self._stream else None
+        yield sample_status(self._supervisor.stations, self._refused, self._memory.jumps, counts, self._times)
 
 
 def _seconds(stamp: Any) -> float:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from modcal_nodes.health import ERROR, OK, WARN, Status
 
-_REMEDY = {
-    QoSPolicyKind.RELIABILITY: "let the publisher be reliable",
-    QoSPolicyKind.DURABILITY: "let the publisher be transient local (latched)",
+_LESS = {
+    QoSPolicyKind.RELIABILITY: "heard with best effort; on a busy network some messages will be lost",
+    QoSPolicyKind.DURABILITY: "heard all the same; what it published before was missed, it should latch",
 }
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class Ear:
@@ -38,13 +43,17 @@ class Ear:
         self.needed, self._patience, self._single = needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
+        self._less: Timer | None = None
         self._last = time.monotonic()
-        events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
-        self.subscription = node.create_subscription(kind, topic, self.hear, qos, event_callbacks=events, raw=raw)
-        self.topic = self.subscription.topic_name
+        self._kind, self._raw, self._qos = kind, raw, qos
+        self._subscriptions = [self._subscribe(topic, qos)]
+        self.topic = self._subscriptions[0].topic_name
 
-    def hear(self, message: Any) -> None:
-        """Count a message and hand it on; also for one that came another way."""
+    def _subscribe(self, topic: str, qos: QoSProfile) -> Subscription:
+        events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
+        return self._node.create_subscription(self._kind, topic, self._hear, qos, event_callbacks=events, raw=self._raw)
+
+    def _hear(self, message: Any) -> None:
         self.count += 1
         self._last = time.monotonic()
         self._callback(message)
@@ -54,23 +63,49 @@ class Ear:
             kind = QoSPolicyKind(event.last_policy_kind)
         except ValueError:
             kind = QoSPolicyKind.INVALID
-        remedy = _REMEDY.get(kind, "let both ask for the same")
-        self.incompatible = f"a publisher's {kind.name.lower()} does not match, its messages do not arrive: {remedy}"
-        self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
+        name = kind.name.lower()
+        if self._less is None and kind in _LESS:
+            self._node.get_logger().warning(f"{self.topic}: a publisher's {name} does not match: {_LESS[kind]}")
+            # not from within its own event: a subscription cannot be taken away while it is being served
+            self._less = self._node.create_timer(0.0, partial(self._settle_for_less, kind), clock=_STEADY)
+        elif kind not in _LESS:
+            self.incompatible = (
+                f"a publisher's {name} does not match, its messages do not arrive: let both ask for the same"
+            )
+            self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
+
+    def _settle_for_less(self, kind: QoSPolicyKind) -> None:
+        """Subscribe so that this publisher is heard as well."""
+        assert self._less is not None
+        self._less.cancel()
+        qos = QoSProfile(
+            depth=self._qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+        )
+        if kind == QoSPolicyKind.RELIABILITY:  # hears every publisher, so the other must go, or some are heard twice
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions.clear()
+        self._subscriptions.append(self._subscribe(self.topic, qos))
 
     @property
     def silence(self) -> float:
         """Seconds since the last message, or since the beginning."""
         return time.monotonic() - self._last
 
+    @property
+    def publishers(self) -> int:
+        """How many publishers there are."""
+        return self._node.count_publishers(self.topic)
+
     def complaint(self) -> tuple[bytes, str] | None:
         """(level, what is wrong), or None."""
-        publishers = self._node.count_publishers(self.topic)
+        publishers = self.publishers
         if self.incompatible is not None and self.count == 0:
             return ERROR, f"{self.topic}: {self.incompatible}"
         if self._single and publishers > 1:
             return WARN, f"{self.topic}: {publishers} publishers at once: give each robot a namespace, or remap"
-        if self.needed and self.silence > self._patience:
+        latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if self.needed and self.silence > self._patience and not (latched and self.count):
             level = ERROR if self.count == 0 else WARN
             if publishers == 0:
                 return level, f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
@@ -84,4 +119,7 @@ def hearing_status(ears: Iterable[Ear]) -> Status:
     complaints = [complaint for ear in ears if (complaint := ear.complaint()) is not None]
     level = max((level for level, _ in complaints), default=OK)
     message = "; ".join(text for _, text in complaints) or "everything that is needed is heard"
-    return Status("hearing", level, message, {f"messages of {ear.topic}": ear.count for ear in ears})
+    counts = {f"messages of {ear.topic}": ear.count for ear in ears}
+    return Status(
+        "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in ears}}
+    )

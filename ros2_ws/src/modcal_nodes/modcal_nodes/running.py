@@ -14,12 +14,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from modcal_core.errors import ModcalError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# for latched topics whose publisher forgot to latch
-LATE = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-# A subscriber that asks for less hears every publisher, whether it offers reliable or best effort.
-ANY_RELIABILITY = QoSProfile(
-    depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
-)
+# nothing is lost where the publisher can repeat it; one that cannot is heard as it is, see hearing.py
+SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 
 
 def run(make: Callable[[], Node]) -> None:
@@ -40,6 +36,11 @@ def run(make: Callable[[], Node]) -> None:
     except (ModcalError, ParameterException) as error:
         print(f"modcal: {' '.join(str(error).split())}", file=sys.stderr)
         code = 2
+    except RuntimeError:
+        # a signal may end the context between two looks at it; the wait for messages then finds it gone and raises
+        # an error of rcl, which has no public name
+        if rclpy.ok():
+            raise
     finally:
         code = max(code, _close(node))
         rclpy.try_shutdown()

@@ -95,7 +95,7 @@ def joint_stamps_and(recording: Recording, names: tuple[str, ...], what: str) ->
     Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them.
     Missing joints are left to the caller's checks: their columns are NaN.
     """
-    tracks = sorted(recording.joints, key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
+    tracks = sorted(_of_one_order(recording.joints), key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
     if not tracks:
         return np.empty(0), np.empty((0, len(names)))
     stamps = tracks[0].stamps
@@ -108,3 +108,26 @@ def joint_stamps_and(recording: Recording, names: tuple[str, ...], what: str) ->
                 position[:, j] = column if same else np.interp(stamps, track.stamps, column)
                 break
     return stamps, position
+
+
+def _of_one_order(tracks: tuple[JointTrack, ...]) -> list[JointTrack]:
+    """The tracks with those put together that carry the same joints of one topic in different orders."""
+    groups: dict[tuple[str, frozenset[str]], list[JointTrack]] = {}
+    for track in tracks:
+        groups.setdefault((track.topic, frozenset(track.names)), []).append(track)
+    return [same[0] if len(same) == 1 else _merged(same) for same in groups.values()]
+
+
+def _merged(tracks: list[JointTrack]) -> JointTrack:
+    names = tracks[0].names
+    stamps = np.concatenate([t.stamps for t in tracks])
+    order = np.argsort(stamps, kind="stable")
+
+    def column(what: str) -> Array:
+        parts = [getattr(t, what)[:, [t.names.index(n) for n in names]] for t in tracks]
+        return np.concatenate(parts)[order]
+
+    received = np.concatenate([t.received for t in tracks])[order]
+    return JointTrack(
+        names, stamps[order], column("position"), column("velocity"), column("effort"), received, tracks[0].topic
+    )

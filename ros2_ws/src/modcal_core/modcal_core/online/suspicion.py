@@ -36,6 +36,11 @@ class Suspicion:
     same_as: tuple[str, ...]
 
     @property
+    def label(self) -> str:
+        """What it is said to be, without its size."""
+        return f"{self.place} {self.direction} by {self.driver}"
+
+    @property
     def sentence(self) -> str:
         """For a person."""
         text = f"{self.place} ({self.direction}, by {self.driver}) has changed by {1e3 * self.size:.2f} mm"

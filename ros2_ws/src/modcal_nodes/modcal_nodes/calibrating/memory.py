@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Heard
@@ -83,8 +81,3 @@ class Memory:
         """Names of all joints in the remembered messages."""
         tracks = [t for piece in self.heard().recordings for t in piece.joints]
         return frozenset(name for track in tracks for name in track.names)
-
-
-def finite(values: np.ndarray) -> bool:
-    """Whether all of them are numbers."""
-    return bool(np.isfinite(values).all())

@@ -1,0 +1,73 @@
+"""The calibrator's health: what it hears, which model stands, and how it keeps up."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.online.stream import Counts
+from modcal_core.online.supervisor import SUSPECTED, Supervisor
+from modcal_core.resolve import Comparison
+from modcal_nodes.health import ERROR, OK, WARN, Status
+from modcal_nodes.hearing import Ear
+
+_TIMED = 20_000  # updates whose times are remembered
+
+
+@dataclass
+class Times:
+    """Seconds that updates took, and that readings were old when they had been taken in."""
+
+    took: deque[float] = field(default_factory=lambda: deque(maxlen=_TIMED))
+    late: deque[float] = field(default_factory=lambda: deque(maxlen=_TIMED))
+
+    def values(self) -> dict[str, object]:
+        """The figures for a status."""
+        out: dict[str, object] = {}
+        if self.took:
+            out["update, p99 [ms]"] = f"{1e3 * np.percentile(self.took, 99):.3f}"
+        if self.late:
+            out["from stamp to update, median [ms]"] = f"{1e3 * np.median(self.late):.2f}"
+            out["from stamp to update, p99 [ms]"] = f"{1e3 * np.percentile(self.late, 99):.2f}"
+        return out
+
+
+def tracker_status(hearing: Status, ears: Sequence[Ear]) -> Status:
+    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
+    instruments = [ear for ear in ears if "tracker/" in ear.topic]
+    if hearing.level != OK or any(ear.count for ear in instruments):
+        return hearing
+    topics = " and ".join(ear.topic for ear in instruments)
+    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)
+
+
+def model_status(
+    supervisor: Supervisor, verdict: str, trouble: str, solving: bool, candidate: Comparison | None
+) -> Status:
+    """Which model stands, and whether it still holds."""
+    facts: dict[str, object] = {"state": supervisor.state, "solving": solving, "last result": verdict}
+    if supervisor.live is not None:
+        facts["largest sign of change"] = f"{supervisor.live.watch.largest:.1f}"
+        facts["samples rejected"] = supervisor.live.estimator.rejected
+    if candidate is not None:
+        facts["candidate, error before [mm]"] = f"{1e3 * candidate.before:.4f}"
+        facts["candidate, error after [mm]"] = f"{1e3 * candidate.after:.4f}"
+    if trouble:
+        return Status("model", ERROR, trouble, facts)
+    if supervisor.state == SUSPECTED and supervisor.suspicion is not None:
+        text = f"{supervisor.suspicion.sentence}; the last trusted model is still published"
+        return Status("model", WARN, text, facts)
+    return Status("model", OK, verdict, facts)
+
+
+def sample_status(stations: int, refused: int, jumps: int, counts: Counts | None, times: Times) -> Status:
+    """How many stations there are, what was left out, and how long updates take."""
+    facts: dict[str, object] = {"messages refused": refused, "clock set back": jumps}
+    if counts is not None:
+        facts["messages out of order"] = counts.late
+        facts["readings without joint states"] = counts.unpaired
+    message = f"{stations} stations" + (f", {refused} messages refused" if refused else "")
+    return Status("samples", WARN if refused else OK, message, {**facts, **times.values()})

@@ -1,0 +1,134 @@
+"""A cell that a test plays: messages of a recording made by MuJoCo, published by the test's own node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from modcal_core.measurements.recording import Recording
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+Wait = Callable[[Callable[[], Any], float], Any]
+
+
+class PlayedCell:
+    """Publishers of one cell, in a namespace of its own if need be."""
+
+    def __init__(
+        self, node: Node, namespace: str = "", description: QoSProfile = LATCHED, tracker: QoSProfile | int = 100
+    ) -> None:
+        prefix = f"{namespace}/" if namespace else ""
+        self._said = Said(node)
+        self._sent = [0, 0]
+        self._description = node.create_publisher(String, f"{prefix}robot_description", description)
+        self.joints = node.create_publisher(JointState, f"{prefix}joint_states", 100)
+        self.tracker = node.create_publisher(PoseStamped, f"{prefix}tracker/pose", tracker)
+
+    def heard(self) -> bool:
+        """Whether someone listens to joints and tracker, and has found who speaks."""
+        topics = (self.joints.topic_name, self.tracker.topic_name)
+        listening = all(p.get_subscription_count() > 0 for p in (self.joints, self.tracker))
+        return listening and all(self._said.found(topic) for topic in topics)
+
+    def taken(self) -> bool:
+        """Whether all that was played has been taken in."""
+        topics = (self.joints.topic_name, self.tracker.topic_name)
+        return all(self._said.counted(topic) >= sent for topic, sent in zip(topics, self._sent, strict=True))
+
+    def describe(self, urdf: str) -> None:
+        """Publish the robot description."""
+        self._description.publish(String(data=urdf))
+
+    def play(self, recording: Recording, spoil: Callable[[int, Any], Any] = lambda _, message: message) -> None:
+        """Publish all messages in the order of their stamps; ``spoil`` may change one, or return None for none."""
+        track, reading = recording.joints[0], recording.readings[0]
+        events = [(float(t), 0, i) for i, t in enumerate(track.stamps)]
+        events += [(float(t), 1, i) for i, t in enumerate(reading.stamps)]
+        for k, (_, which, i) in enumerate(sorted(events)):
+            made = joint_state(recording, i) if which == 0 else pose_stamped(recording, i)
+            message = spoil(i, made)
+            if message is not None:
+                (self.joints if which == 0 else self.tracker).publish(message)
+                self._sent[which] += 1
+            if k % 4 == 3:
+                time.sleep(0.004)  # best effort has no second chance
+
+
+def joint_state(recording: Recording, i: int) -> JointState:
+    """One joint state of a recording as a message."""
+    track = recording.joints[0]
+    message = JointState(name=list(track.names), position=[float(x) for x in track.position[i]])
+    _stamp(message, float(track.stamps[i]))
+    return message
+
+
+def pose_stamped(recording: Recording, i: int) -> PoseStamped:
+    """One pose of a recording as a message."""
+    reading = recording.readings[0]
+    message = PoseStamped()
+    _stamp(message, float(reading.stamps[i]))
+    message.header.frame_id = reading.frame
+    x, y, z, qx, qy, qz, qw = (float(v) for v in reading.values[i])
+    at, turn = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z = x, y, z
+    turn.x, turn.y, turn.z, turn.w = qx, qy, qz, qw
+    return message
+
+
+def _stamp(message: Any, stamp: float) -> None:
+    ns = round(stamp * 1e6) * 1000
+    message.header.stamp.sec, message.header.stamp.nanosec = ns // 10**9, ns % 10**9
+
+
+class Said:
+    """The last status of every part of every node."""
+
+    def __init__(self, node: Node) -> None:
+        self.last: dict[str, DiagnosticStatus] = {}
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 50)
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        self.last.update({status.name: status for status in message.status})
+
+    def found(self, topic: str) -> bool:
+        """Whether some node says that it has found a publisher of this topic."""
+        key = f"publishers of {topic}"
+        return any(v.key == key and int(v.value) > 0 for status in self.last.values() for v in status.values)
+
+    def counted(self, topic: str) -> int:
+        """How many messages of this topic some node says it has heard."""
+        key = f"messages of {topic}"
+        return max((int(v.value) for s in self.last.values() for v in s.values if v.key == key), default=0)
+
+    def level(self, name: str) -> int:
+        """0 ok, 1 warning, 2 error; −1 while nothing was said."""
+        return int.from_bytes(self.last[name].level, "little") if name in self.last else -1
+
+    def text(self, name: str) -> str:
+        """What it says."""
+        return self.last[name].message if name in self.last else ""
+
+    def value(self, name: str, key: str) -> str:
+        """One of its facts."""
+        values = self.last[name].values if name in self.last else []
+        return next((v.value for v in values if v.key == key), "")
+
+
+def call(node: Node, wait: Wait, name: str, seconds: float = 60.0) -> Trigger.Response:
+    """The answer of a Trigger service."""
+    client = node.create_client(Trigger, name)
+    wait(client.service_is_ready, 60.0)
+    answer = client.call_async(Trigger.Request())
+    wait(answer.done, seconds)
+    node.destroy_client(client)
+    return answer.result()
