@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -207,7 +208,8 @@ class Recorder(Node):
             return
         self._write_early()
         self._bag.close()
-        self.get_logger().info(f"closed {self._bag.folder} with {self._bag.count} messages")
+        # not by the node's own logger, which is published, and by now there may be nothing left to publish with
+        get_logger("modcal.recorder").info(f"closed {self._bag.folder} with {self._bag.count} messages")
 
 
 def _next_bag(base: Path) -> BagWriter:

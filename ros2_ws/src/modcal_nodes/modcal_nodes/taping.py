@@ -94,6 +94,7 @@ class Tape:
         new = offers - set(self._ears)
         for offer in new:
             self._ears[offer] = self._subscribe(offer)
+            self._last = time.monotonic()
         return bool(new)
 
     def profiles(self) -> list[dict[str, Any]]:

@@ -1,0 +1,359 @@
+"""The recorder on a real cell: killed, without room, among publishers of all kinds, in simulated time."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Goals
+from nodes.processes import Process, fresh_domain, listener, running
+from nodes.talking import (
+    BEST_EFFORT,
+    LATCHED,
+    RELIABLE,
+    Diagnostics,
+    Talker,
+    numbered,
+    numbers_on_disk,
+    strings_on_disk,
+)
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from modcal_msgs_py.mcap_read import McapFile
+from modcal_msgs_py.mcap_repair import repair_bag
+from modcal_msgs_py.types import jazzy
+from modcal_nodes.cli.main import run
+from modcal_nodes.taping import Taken, Tape
+
+pytestmark = pytest.mark.dds
+BAG, TOPICS = "/recorder: bag", "/recorder: topics"
+
+
+def contiguous(numbers: list[int]) -> bool:
+    return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def refusals(process: Process) -> list[str]:
+    return [line for line in process.output.splitlines() if line.startswith("modcal: ")]
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_it_loses_at_most_the_last_second(
+    tmp_path: Path, rng: np.random.Generator, capfd: pytest.CaptureFixture[str]
+) -> None:
+    domain = fresh_domain()
+    with listener(domain) as (node, wait), Talker(node) as talker:
+        for round_ in range(2):
+            bags = [tmp_path / f"bag_{round_}{k}" for k in range(2)]
+            recorders = [Process("recorder", domain, tmp_path, "-r", f"__node:={bag.name}", out=bag) for bag in bags]
+            with running(*recorders):
+                for bag in bags:
+                    wait(lambda bag=bag: len(numbers_on_disk(bag)) > 0, 60.0)
+                begun = time.monotonic()
+                known = talker.before(begun)
+                for bag, recorder in zip(bags, recorders, strict=True):
+                    end = max(begun + 1.2, time.monotonic()) + rng.uniform(0.0, 0.6)
+                    wait(lambda end=end: time.monotonic() > end, 10.0)
+                    killed = time.monotonic()
+                    assert recorder.stop(signal.SIGKILL) == -signal.SIGKILL
+                    numbers = numbers_on_disk(bag)
+                    assert contiguous(numbers)
+                    assert numbers[0] < known
+                    assert numbers[-1] + 1 >= talker.before(killed - 1.0) > known
+                    # read as it is, and as a whole bag once repaired
+                    assert run(["info", str(bag)]) == 0
+                    assert "no metadata.yaml" in capfd.readouterr().out
+                    repair_bag(bag, tmp_path / f"{bag.name}_new")
+                    with Reader(tmp_path / f"{bag.name}_new") as reader:
+                        assert reader.message_count == len(numbers)
+                    assert numbers_on_disk(tmp_path / f"{bag.name}_new") == numbers
+
+
+def test_a_full_disk_ends_it_and_what_is_written_can_be_read(tmp_path: Path) -> None:
+    """No file may grow beyond a limit, which the system answers as it answers a full disk: with an error of write."""
+    domain = fresh_domain()
+    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag", topics="[joint_states]")
+    with running(recorder), listener(domain) as (node, wait), Talker(node):
+        diagnostics = Diagnostics(node)
+        wait(lambda: len(numbers_on_disk(tmp_path / "bag")) > 0 and BAG in diagnostics.last, 60.0)
+        file = tmp_path / "bag" / "bag_0.mcap"
+        limit = file.stat().st_size + 50_000
+        resource.prlimit(recorder.popen.pid, resource.RLIMIT_FSIZE, (limit, limit))
+        wait(lambda: recorder.popen.poll() is not None, 60.0)
+        wait(lambda: diagnostics.worst[BAG] == DiagnosticStatus.ERROR, 10.0)
+        assert recorder.popen.returncode == 2
+        assert diagnostics.said(BAG, "cannot be written (File too large)")
+    (line,) = refusals(recorder)
+    assert f"{file}: cannot be written (File too large): make room" in line
+    assert "[FATAL]" in recorder.output
+    assert "Traceback" not in recorder.output
+    assert file.stat().st_size == limit
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
+    numbers = numbers_on_disk(tmp_path / "bag")
+    assert contiguous(numbers)
+    # to the last whole message: the next one is not whole in the file
+    data, size = file.read_bytes(), len(serialize_message(numbered(0)))
+    assert _begins_with(numbers[-1]) in data
+    assert _begins_with(numbers[-1] + 1) not in data[:-size]
+    repair_bag(tmp_path / "bag", tmp_path / "new")
+    assert numbers_on_disk(tmp_path / "new") == numbers
+
+
+def _begins_with(number: int) -> bytes:
+    """Head and stamp of that joint state, in CDR."""
+    return serialize_message(numbered(number))[:12]
+
+
+def test_too_little_room_at_the_start_is_refused(tmp_path: Path) -> None:
+    recorder = Process("recorder", fresh_domain(), tmp_path, out=tmp_path / "bag", least_free_mb=1e11)
+    with running(recorder):
+        assert recorder.popen.wait(60.0) == 2
+    (line,) = refusals(recorder)
+    assert "less than least_free_mb = 1e+11: make room" in line
+    assert not (tmp_path / "bag").exists()
+
+
+def test_when_room_gets_short_the_bag_is_closed_in_time(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag")
+    with running(recorder), listener(domain) as (node, wait), Talker(node):
+        diagnostics = Diagnostics(node)
+        change = node.create_client(SetParameters, "recorder/set_parameters")
+        wait(lambda: change.service_is_ready() and BAG in diagnostics.last, 60.0)
+        wait(lambda: len(numbers_on_disk(tmp_path / "bag")) > 100, 60.0)
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1e11)
+        change.call_async(SetParameters.Request(parameters=[Parameter(name="least_free_mb", value=value)]))
+        wait(lambda: recorder.popen.poll() is not None, 60.0)
+        wait(lambda: diagnostics.worst[BAG] == DiagnosticStatus.ERROR, 10.0)
+        assert recorder.popen.returncode == 2
+    assert len(refusals(recorder)) == 1
+    assert "MB free, less than least_free_mb = 1e+11" in refusals(recorder)[0]
+    assert repair_bag(tmp_path / "bag", tmp_path / "new").folder is None
+    assert contiguous(numbers_on_disk(tmp_path / "bag"))
+
+
+def test_publishers_of_every_qos_are_heard_and_kept_once(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    bag = tmp_path / "bag"
+    recorder = Process("recorder", domain, tmp_path, out=bag)
+    with running(recorder), listener(domain) as (node, wait):
+        reliable = node.create_publisher(JointState, "joint_states", RELIABLE)
+        first = node.create_publisher(String, "robot_description", RELIABLE)
+        wait(lambda: reliable.get_subscription_count() == 1 and first.get_subscription_count() == 1, 60.0)
+        first.publish(String(data="not latched"))
+        for k in range(100):
+            reliable.publish(numbered(k))
+        # others, later, of which a reliable subscription would hear one not at all, and the other not from its beginning
+        late = node.create_publisher(String, "robot_description", LATCHED)
+        late.publish(String(data="latched"))
+        careless = node.create_publisher(JointState, "joint_states", BEST_EFFORT)
+        wait(lambda: reliable.get_subscription_count() == 2 and careless.get_subscription_count() == 1, 30.0)
+        for k in range(100, 400):
+            (careless if k % 3 == 0 else reliable).publish(numbered(k))
+            time.sleep(0.003)
+        wait(lambda: set(strings_on_disk(bag, "/robot_description")) == {"latched", "not latched"}, 30.0)
+        wait(lambda: {k for k in range(400) if k < 100 or k % 3} <= set(numbers_on_disk(bag)), 30.0)
+        assert recorder.stop() == 0
+    numbers = numbers_on_disk(bag)
+    assert len(numbers) == len(set(numbers))
+    # best effort promises nothing, but on a machine by itself little is lost
+    assert sum(k % 3 == 0 for k in numbers if k >= 100) > 50
+    assert sorted(strings_on_disk(bag, "/robot_description")) == ["latched", "not latched"]
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    offered = {
+        t["topic_metadata"]["name"]: [
+            (q["reliability"], q["durability"]) for q in t["topic_metadata"]["offered_qos_profiles"]
+        ]
+        for t in information["topics_with_message_count"]
+    }
+    assert offered["/joint_states"] == [("reliable", "volatile"), ("best_effort", "volatile")]
+    assert offered["/robot_description"] == [("reliable", "volatile"), ("reliable", "transient_local")]
+
+
+def test_what_is_missing_or_cannot_be_recorded_is_said(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    topics = "[joint_states, never, silent, goals, tracker/pose]"
+    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag", topics=topics, patience_s=1.0)
+    # within one participant a topic has one type
+    with running(recorder), listener(domain) as (node, wait), listener(domain) as (other, _):
+        diagnostics = Diagnostics(node)
+        node.create_publisher(String, "silent", RELIABLE)
+        node.create_publisher(Goals, "goals", RELIABLE)
+        right = node.create_publisher(JointState, "joint_states", RELIABLE)
+        other.create_publisher(String, "joint_states", RELIABLE)
+        expected = [
+            "/never: nobody publishes it: start the driver, or remap the topic",
+            "/silent: silent for ",
+            "/goals: nav_msgs/msg/Goals cannot be recorded",
+            "/joint_states: only sensor_msgs/msg/JointState is recorded, not std_msgs/msg/String",
+            "no tracker is heard (/tracker/pose)",
+        ]
+        wait(lambda: all(diagnostics.said(TOPICS, words) for words in expected), 60.0)
+        assert diagnostics.last[TOPICS].level == DiagnosticStatus.ERROR
+        wait(lambda: all(words in recorder.output for words in expected), 30.0)
+        # said, and the rest is recorded all the same
+        wait(lambda: right.get_subscription_count() == 1, 30.0)
+        right.publish(numbered(7))
+        wait(lambda: numbers_on_disk(tmp_path / "bag") == [7], 30.0)
+        wait(lambda: diagnostics.value(TOPICS, "messages of /joint_states") == "1", 30.0)
+        assert recorder.output.count("/never: nobody publishes it") == 1
+        assert recorder.stop() == 0
+
+
+def test_two_robots_in_one_domain_and_a_restart(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    sides = ("left", "right")
+    with listener(domain) as (node, wait), contextlib.ExitStack() as talking:
+        for side in sides:
+            node.create_publisher(String, f"/{side}/robot_description", LATCHED).publish(String(data=f"the {side} arm"))
+            talking.enter_context(Talker(node, f"/{side}/joint_states"))
+        for start in range(2):
+            recorders = [
+                Process("recorder", domain, tmp_path, "-r", f"__ns:=/{side}", least_free_mb=1.0) for side in sides
+            ]
+            with running(*recorders):
+                wait(lambda: sum(bool(_heard(bag)) for bag in tmp_path.glob("modcal_*")) == 2 * start + 2, 60.0)  # noqa: B023
+                assert [recorder.stop() for recorder in recorders] == [0, 0]
+    bags = sorted(p for p in tmp_path.iterdir() if p.is_dir())
+    assert len(bags) == 4
+    assert sorted(_heard(bag) for bag in bags) == ["left", "left", "right", "right"]
+    for bag in bags:
+        side = _heard(bag)
+        with Reader(bag) as reader:
+            assert {c.topic for c in reader.connections} == {f"/{side}/robot_description", f"/{side}/joint_states"}
+        assert strings_on_disk(bag, f"/{side}/robot_description") == [f"the {side} arm"]
+        assert contiguous(numbers_on_disk(bag, f"/{side}/joint_states"))
+
+
+def _heard(bag: Path) -> str:
+    """The side whose description and joint states are in a bag, once both are."""
+    for side in ("left", "right"):
+        if strings_on_disk(bag, f"/{side}/robot_description") and numbers_on_disk(bag, f"/{side}/joint_states"):
+            return side
+    return ""
+
+
+def test_simulated_time_that_begins_late_and_jumps_back(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    bag = tmp_path / "bag"
+    recorder = Process("recorder", domain, tmp_path, out=bag, use_sim_time="true", topics="[joint_states]")
+    with running(recorder), listener(domain) as (node, wait):
+        diagnostics = Diagnostics(node)
+        clock = node.create_publisher(Clock, "/clock", RELIABLE)
+        joints = node.create_publisher(JointState, "joint_states", RELIABLE)
+        wait(lambda: joints.get_subscription_count() == 1 and clock.get_subscription_count() == 1, 60.0)
+        joints.publish(numbered(0))
+        # written although time has not begun
+        wait(lambda: numbers_on_disk(bag) == [0], 30.0)
+        wait(lambda: diagnostics.said(BAG, "nobody publishes /clock"), 30.0)
+        number = 0
+        for second in (100, 101, 50):
+            now = Clock()
+            now.clock.sec = second
+            clock.publish(now)
+            # clock and joints come by different ways: keep talking until one is stamped with the new time
+            while not any(stamp == second * 10**9 for _, stamp in _stamps(bag)):
+                number += 1
+                assert number < 1000
+                joints.publish(numbered(number))
+                wait(lambda: [n for n, _ in _stamps(bag)][-1] == number, 30.0)  # noqa: B023
+        assert recorder.stop() == 0
+    numbers, stamps = zip(*_stamps(bag), strict=True)
+    assert numbers == tuple(range(number + 1))
+    # as they come, although time jumps back
+    assert [round(1e-9 * t) for k, t in enumerate(stamps) if k == 0 or t != stamps[k - 1]] == [0, 100, 101, 50]
+    assert repair_bag(bag, tmp_path / "new").folder is None
+
+
+def _stamps(bag: Path) -> list[tuple[int, int]]:
+    numbers = numbers_on_disk(bag)
+    received = [raw.received_ns for path in bag.glob("*.mcap") for raw in McapFile(path).messages()]
+    return list(zip(numbers, received, strict=True))
+
+
+def test_save_says_what_is_safe_and_reset_begins_another_bag(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag")
+    with running(recorder), listener(domain) as (node, wait), Talker(node) as talker:
+        description = node.create_publisher(String, "robot_description", LATCHED)
+        description.publish(String(data="the arm"))
+        diagnostics = Diagnostics(node)
+        save = node.create_client(Trigger, "recorder/save")
+        reset = node.create_client(Trigger, "recorder/reset")
+        wait(lambda: save.service_is_ready() and reset.service_is_ready(), 60.0)
+        wait(
+            lambda: (
+                len(numbers_on_disk(tmp_path / "bag")) > 0 and strings_on_disk(tmp_path / "bag", "/robot_description")
+            ),
+            60.0,
+        )
+
+        answer = save.call_async(Trigger.Request())
+        wait(answer.done, 30.0)
+        on_disk = len(numbers_on_disk(tmp_path / "bag")) + 1
+        assert answer.result().success
+        assert answer.result().message.endswith(f"messages are on the disk in {tmp_path / 'bag' / 'bag_0.mcap'}")
+        assert 1 < int(answer.result().message.split()[0]) <= on_disk
+
+        answer = reset.call_async(Trigger.Request())
+        wait(answer.done, 30.0)
+        assert answer.result().success, answer.result().message
+        assert f"recording into {tmp_path / 'bag_2'}" in answer.result().message
+        assert repair_bag(tmp_path / "bag", tmp_path / "new").folder is None
+        wait(lambda: len(numbers_on_disk(tmp_path / "bag_2")) > 100, 30.0)
+        count = talker.stop()
+        wait(lambda: numbers_on_disk(tmp_path / "bag_2")[-1] == count - 1, 30.0)
+        # it came in the middle, which is not a loss
+        wait(lambda: diagnostics.value(TOPICS, "lost of /joint_states") == "0", 30.0)
+        assert not diagnostics.said(TOPICS, "messages lost")
+        assert recorder.stop() == 0
+    # nothing is lost between the two, and the second is whole without the first
+    first, second = numbers_on_disk(tmp_path / "bag"), numbers_on_disk(tmp_path / "bag_2")
+    assert contiguous(first + second)
+    assert strings_on_disk(tmp_path / "bag", "/robot_description") == ["the arm"]
+    assert strings_on_disk(tmp_path / "bag_2", "/robot_description") == ["the arm"]
+    assert repair_bag(tmp_path / "bag_2", tmp_path / "new").folder is None
+
+
+def test_what_overflows_is_counted_as_lost(tmp_path: Path) -> None:
+    """A subscription that nobody serves keeps the last 5000 messages; the publisher's numbers show the others."""
+    domain = fresh_domain()
+    with listener(domain) as (speaker, _), listener(domain) as (node, wait):
+        taken: list[Taken] = []
+        tape = Tape(node, "/joint_states", taken.append, True, 60.0)
+        publisher = speaker.create_publisher(JointState, "joint_states", RELIABLE)
+        wait(tape.look, 30.0)
+        wait(lambda: publisher.get_subscription_count() == 1, 30.0)
+        publisher.publish(numbered(0))
+        wait(lambda: len(taken) == 1, 30.0)
+        assert tape.lost == 0
+        assert tape.complaint() is None
+        for k in range(1, 6000):
+            publisher.publish(numbered(k))
+        assert publisher.wait_for_all_acked()
+        publisher.publish(numbered(6000))
+
+        def last() -> int:
+            stamp = jazzy().deserialize_cdr(taken[-1].cdr, "sensor_msgs/msg/JointState").header.stamp
+            return (stamp.sec - 1) * 1000 + stamp.nanosec
+
+        wait(lambda: last() == 6000, 60.0)
+        assert 5000 <= tape.count == len(taken) < 6001
+        assert tape.lost == 6001 - tape.count
+        complaint = tape.complaint()
+        assert complaint is not None
+        assert f"{tape.lost} messages lost" in complaint.text
