@@ -43,10 +43,22 @@ CALIBRATOR = {
     "fixed": Parameter([""], "Parameters that must stay as they are, by name, place or pattern."),
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
     "out": Parameter("", "Folder that a solve writes its files to; empty: it writes none."),
+    "state": Parameter("", "Folder that the trusted model and the stations are kept in over restarts; empty: nowhere."),
     "seed": Parameter(0, "Of the split into train, explain and held-out.", 0, 2**31 - 1),
     "clock_limit_s": Parameter(
         0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
     ),
+    "accept": Parameter("better", "When a result is trusted: better (than what is trusted, surely), or asked."),
+    "first_solve": Parameter(0, "Stations after which the first solve begins by itself; 0: when asked.", 0, 100_000),
+    "after_change": Parameter(
+        20, "Stations since a change after which the diagnosis is opened again; 0: when asked.", 0, 100_000
+    ),
+    "wandering": Parameter([""], "Places that may creep with time: base, tool or joints; empty: none."),
+    "wander_m": Parameter(1e-6, "How far they creep in a second, a standard deviation [m].", 0.0, 1e-2),
+    "wander_rad": Parameter(1e-6, "How far they turn in a second, a standard deviation [rad].", 0.0, 1e-2),
+    "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
+    "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
+    "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
 }
 
 CORRECTOR = {
