@@ -246,6 +246,18 @@ def test_a_bag_that_lost_its_index_or_a_file(tmp_path: Path) -> None:
     repaired("metadata.yaml is damaged")
 
 
+def test_of_a_chunk_with_a_wrong_bit_nothing_is_believed(tmp_path: Path, rng: np.random.Generator) -> None:
+    told = record(tmp_path / "bad.mcap", rng, 100)
+    data = bytearray((tmp_path / "bad.mcap").read_bytes())
+    with (tmp_path / "bad.mcap").open("rb") as stream:
+        chunks = [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, Chunk)]
+    held = [sum(isinstance(r, Message) for r in breakup_chunk(chunk)) for chunk in chunks]
+    data[bytes(data).index(told[sum(held[:2]) + 1].cdr) + 12] ^= 1  # in the third chunk
+    (tmp_path / "bad.mcap").write_bytes(data)
+    assert repair_bag(tmp_path / "bad.mcap", tmp_path / "new").reasons == ("bad.mcap: a chunk's checksum is wrong.",)
+    check_whole(tmp_path / "new", told[: sum(held[:2])])
+
+
 def test_what_cannot_be_repaired_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     cut = tmp_path / "cut.mcap"
     record(cut, rng, 20)
