@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modcal_nodes.parameters import CALIBRATOR, RECORDER, SIMULATED_CELL
+from modcal_nodes.parameters import CALIBRATOR, CORRECTOR, RECORDER, SIMULATED_CELL
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
-KNOWN = {"recorder": RECORDER, "calibrator": CALIBRATOR, "simulated_cell": SIMULATED_CELL}
+KNOWN = {"recorder": RECORDER, "calibrator": CALIBRATOR, "corrector": CORRECTOR, "simulated_cell": SIMULATED_CELL}
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -32,16 +32,33 @@ def test_defaults_lie_within_their_bounds() -> None:
                 assert parameter.low <= parameter.default <= parameter.high, name
 
 
-def test_launch_file_starts_executables_that_exist() -> None:
+LAUNCHED = {"calibrate": {"recorder", "calibrator"}, "correct": {"corrector"}}
+
+
+@pytest.mark.parametrize("file", LAUNCHED)
+def test_launch_file_starts_executables_that_exist(file: str) -> None:
     """It can only be run where launch is installed, so it is read."""
-    tree = ast.parse((PACKAGE / "launch" / "calibrate.launch.py").read_text())
-    named = {
-        keyword.value.value
-        for call in ast.walk(tree)
-        if isinstance(call, ast.Call)
-        for keyword in call.keywords
-        if keyword.arg == "executable" and isinstance(keyword.value, ast.Constant)
-    }
-    assert named == {"recorder", "calibrator"}
+    tree = ast.parse((PACKAGE / "launch" / f"{file}.launch.py").read_text())
+    keywords = [keyword for call in ast.walk(tree) if isinstance(call, ast.Call) for keyword in call.keywords]
+    named = {k.value.value for k in keywords if k.arg == "executable" and isinstance(k.value, ast.Constant)}
+    assert named == LAUNCHED[file]
     assert all(f"{name} = " in (PACKAGE / "setup.py").read_text() for name in named)
     assert any(isinstance(f, ast.FunctionDef) and f.name == "generate_launch_description" for f in tree.body)
+
+
+@pytest.mark.parametrize("file", LAUNCHED)
+def test_launch_file_sets_declared_parameters_and_config_files_that_exist(file: str) -> None:
+    tree = ast.parse((PACKAGE / "launch" / f"{file}.launch.py").read_text())
+    declared = {name for node in LAUNCHED[file] for name in KNOWN[node]}
+    set_here = {
+        key.value
+        for table in ast.walk(tree)
+        if isinstance(table, ast.Dict)
+        for key in table.keys
+        if isinstance(key, ast.Constant)
+    }
+    assert set_here <= declared
+    texts = [c.value for c in ast.walk(tree) if isinstance(c, ast.Constant) and isinstance(c.value, str)]
+    configs = [text for text in texts if text.endswith(".yaml")]
+    assert len(configs) == len(LAUNCHED[file])
+    assert all((PACKAGE / config.removeprefix("/")).is_file() for config in configs)

@@ -1,0 +1,21 @@
+"""The whole way round: record, calibrate, correct, command; the true tool comes as near as the arm repeats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from nodes.closed_loop import close_the_loop
+
+
+@pytest.mark.dds
+@pytest.mark.slow
+def test_the_true_tool_comes_as_near_as_the_arm_repeats(tmp_path: Path) -> None:
+    """Of bench/closed_loop.py a part: each RMS is of 60 numbers at most, so it is known to a tenth."""
+    outcome = close_the_loop(tmp_path, stations=110, wishes=20)
+    print(outcome.table())
+    assert outcome.refused == 0
+    assert {"compliance shoulder_lift_joint", "gear_harmonic elbow_joint"} <= set(outcome.effects)
+    assert outcome.nominal.rms_mm > 20.0 * outcome.floor.rms_mm, "there was nothing to correct"
+    assert outcome.corrected.rms_mm <= 1.3 * outcome.floor.rms_mm
+    assert outcome.corrected.rms_mrad <= 1.3 * outcome.floor.rms_mrad
