@@ -138,7 +138,7 @@ class Tape:
         return None
 
     def _recordable(self) -> str | None:
-        """The type to record: the one that the contract knows for such a topic, else the first that is known here."""
+        """The type to record, of those that are published now: the contract's, else the first that is known here."""
         expected = {type_name for role, type_name in TYPES.items() if self.topic.endswith("/" + role)}
         known = [name for name in sorted(self._types) if name in jazzy().types and _message_class(name) is not None]
         return next((name for name in known if name in expected), known[0] if known else None)
