@@ -1,0 +1,144 @@
+"""What is trusted, and when it is time to calibrate again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from cells import record, samples_of
+from numpy.random import Generator
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.supervisor import ASKED, LEARNING, SUSPECTED, TRUSTED, Policy, Supervisor
+from modcal_core.resolve import Heard, compared, thinned
+
+BUMP = se3.exp(np.array([6e-4, 0.0, -3e-4, 0.0, 0.0, 0.0]))
+
+
+@cache
+def calibrated(seed: int = 3) -> Calibration:
+    cell = record(seed, 60)
+    return calibrate(cell.samples, cell.world.nominal, np.random.default_rng(0), look_for_effects=False).calibration
+
+
+def later(count: int, seed: int = 3, bump: Array | None = None) -> Samples:
+    """Samples of the same cell at other postures, after those it was calibrated from."""
+    cell = record(seed, 60)
+    rng = np.random.default_rng(77)
+    q = rng.uniform(-1.5, 1.5, (count, 6))
+    T = cell.world.tool_in_tracker(q)
+    T[:, :3, 3] += 5e-5 * rng.standard_normal((count, 3))
+    made = samples_of(cell.world.nominal, q, T if bump is None else T @ bump)
+    return replace(made, stamps=made.stamps + 5000.0, station=made.station + 1000)
+
+
+def feed(supervisor: Supervisor, samples: Samples) -> None:
+    for i in range(len(samples)):
+        supervisor.add(samples.select(np.array([i])))
+
+
+def test_nothing_is_asked_for_while_the_model_holds() -> None:
+    supervisor = Supervisor(Policy(after_change=10))
+    assert supervisor.state == LEARNING
+    supervisor.trust(calibrated())
+    feed(supervisor, later(200))
+    assert supervisor.state == TRUSTED
+    assert not supervisor.wants_solve()
+    assert supervisor.stations == 200
+
+
+def test_a_change_asks_for_a_solve_after_so_many_stations_and_again_after_a_failure() -> None:
+    supervisor = Supervisor(Policy(after_change=10))
+    supervisor.trust(calibrated())
+    bumped = later(60, bump=BUMP)
+    asked = []
+    for i in range(60):
+        feed(supervisor, bumped.select(np.array([i])))
+        if supervisor.wants_solve():
+            asked.append(i)
+            supervisor.failed()
+    assert supervisor.state == SUSPECTED
+    assert supervisor.suspicion is not None
+    assert supervisor.suspicion.place == "tool"
+    gaps = np.diff(asked)
+    assert 9 <= asked[0] <= 15
+    assert (gaps >= 10).all()
+    assert len(asked) >= 4
+
+
+def test_only_a_better_result_is_trusted_unless_somebody_says_so() -> None:
+    supervisor = Supervisor(Policy())
+    old, new = calibrated(), calibrated(4)
+    supervisor.trust(old)
+    assert not supervisor.solved(new, better=False)
+    assert supervisor.trusted is old
+    assert supervisor.accept()
+    assert supervisor.trusted is new
+    assert not supervisor.accept()
+    assert supervisor.solved(old, better=True)
+    assert supervisor.trusted is old
+
+
+def test_by_asking_nothing_is_trusted_by_itself() -> None:
+    supervisor = Supervisor(Policy(accept=ASKED))
+    assert not supervisor.solved(calibrated(), better=True)
+    assert supervisor.state == LEARNING
+    assert supervisor.accept()
+    assert supervisor.state == TRUSTED
+
+
+def test_the_first_solve_by_itself_is_tried_again_later() -> None:
+    supervisor = Supervisor(Policy(first_solve=30))
+    feed(supervisor, later(29))
+    assert not supervisor.wants_solve()
+    feed(supervisor, replace(later(1), station=np.array([5])))
+    assert supervisor.wants_solve()
+    supervisor.failed()
+    assert not supervisor.wants_solve()
+
+
+def test_to_forget_leaves_what_is_trusted() -> None:
+    supervisor = Supervisor(Policy())
+    supervisor.trust(calibrated())
+    feed(supervisor, later(30, bump=BUMP))
+    assert supervisor.state == SUSPECTED
+    supervisor.forget()
+    assert supervisor.state == TRUSTED
+    assert supervisor.trusted is calibrated()
+
+
+def test_a_reading_in_a_frame_that_is_not_known_is_counted() -> None:
+    supervisor = Supervisor(Policy())
+    supervisor.trust(calibrated())
+    other = later(5)
+    feed(supervisor, replace(other, frames=("tracker", "second"), frame=np.ones(5, int)))
+    assert supervisor.live is not None
+    assert supervisor.live.strange == 5
+    assert supervisor.live.estimator.taken == 0
+
+
+@pytest.mark.parametrize(("before", "after", "better"), [(1.0, 0.5, True), (1.0, 1.0, False), (0.5, 1.0, False)])
+def test_better_is_surely_better(before: float, after: float, better: bool, rng: Generator) -> None:
+    errors = [scale * np.abs(rng.standard_normal(40)) for scale in (before, after)]
+    assert compared(*errors).better is better
+
+
+def test_equal_models_are_hardly_ever_called_better(rng: Generator) -> None:
+    wrong = sum(compared(*np.abs(rng.standard_normal((2, 12)))).better for _ in range(500))
+    assert wrong < 25
+
+
+def test_thinning_keeps_the_newest() -> None:
+    samples = later(100)
+    few = thinned(samples, 40)
+    assert len(few) == 40
+    assert (few.stamps[-20:] == samples.stamps[-20:]).all()
+    assert few.stamps[0] == samples.stamps[0]
+    assert thinned(samples, 200) is samples
+    assert Heard((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40
