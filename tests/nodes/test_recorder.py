@@ -327,6 +327,8 @@ def test_save_says_what_is_safe_and_reset_begins_another_bag(tmp_path: Path) -> 
     assert contiguous(first + second)
     assert strings_on_disk(tmp_path / "bag", "/robot_description") == ["the arm"]
     assert strings_on_disk(tmp_path / "bag_2", "/robot_description") == ["the arm"]
+    with Reader(tmp_path / "bag") as before, Reader(tmp_path / "bag_2") as after:
+        assert after.start_time >= before.end_time - 1  # which is 1 ns behind the last message
     assert repair_bag(tmp_path / "bag_2", tmp_path / "new").folder is None
 
 

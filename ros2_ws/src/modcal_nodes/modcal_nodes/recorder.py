@@ -194,7 +194,7 @@ class Recorder(Node):
                 if tape.type_name is not None:
                     self._bag.add_topic(tape.topic, tape.type_name, tape.profiles())
                 for taken in tape.kept:
-                    self._take(taken)
+                    self._take(taken._replace(received_ns=self._now()))
             response.success = True
             response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
             self.get_logger().info(f"recording into {self._bag.folder}")
