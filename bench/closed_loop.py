@@ -1,9 +1,9 @@
 """How near the true tool comes to 50 wishes, before and after calibration, and how near it could come at all.
 
-    python bench/closed_loop.py [--stations 150] [--poses 50] [--seed 21]
+    python bench/closed_loop.py [--stations 150] [--poses 50] [--visits 4] [--seed 21]
 
-A simulated cell, whose arm bends and whose elbow has a gear error, is recorded and calibrated; the corrector commands. See
-tests/nodes/closed_loop.py. Exits with 1 where the tool misses by more than 1.3 times what the arm does not repeat.
+A simulated cell, whose arm bends and whose elbow has a gear error, is recorded and calibrated; the corrector commands.
+See tests/nodes/closed_loop.py. Exits with 1 where the tool misses by more than 1.3 times what the arm does not repeat.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--stations", type=int, default=150)
     parser.add_argument("--poses", type=int, default=50)
+    parser.add_argument("--visits", type=int, default=4)
     parser.add_argument("--seed", type=int, default=21)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        outcome = close_the_loop(Path(folder), chosen.stations, chosen.poses, chosen.seed)
+        outcome = close_the_loop(Path(folder), chosen.stations, chosen.poses, chosen.visits, chosen.seed)
     print(outcome.table())
     return int(outcome.corrected.rms_mm > LIMIT * outcome.floor.rms_mm or outcome.refused > 0)
 

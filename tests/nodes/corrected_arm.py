@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,8 @@ from modcal_nodes.files import to_yaml
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 CHAIN = read_chain(URDF)
+Wait = Callable[[Callable[[], Any], float], Any]
+WARN = DiagnosticStatus.WARN
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 AWAY = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])  # from anything singular
 GEAR = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 101.0}))
@@ -57,6 +61,7 @@ class Arm:
     def __init__(self, node: Node, space: str = "", q: Array = AWAY, rate: float = 50.0, urdf: str = URDF) -> None:
         self.node, self.q, self.names = node, np.array(q), list(CHAIN.names)
         self.silent = False
+        self._tried = -1.0
         self.reshape: Callable[[JointState], list[JointState]] = lambda message: [message]
         self.poses: list[PoseWithCovarianceStamped] = []
         self.states: list[JointState] = []
@@ -108,8 +113,45 @@ class Arm:
         return message
 
     def connected(self) -> bool:
-        """Whether corrected poses come and a wish would be heard."""
-        return bool(self.poses) and self.desired.get_subscription_count() == 1 and "commands" in self.health
+        """Whether corrected poses come and wishes are heard."""
+        return bool(self.poses) and self.heard()
+
+    def heard(self) -> bool:
+        """Whether wishes arrive. One that comes before both sides know of each other is lost, so one is tried."""
+        if int(self.facts("commands").get("refused", 0)) > 0:
+            return True
+        if time.monotonic() - self._tried > 1.0 and self.desired.get_subscription_count():
+            self._tried = time.monotonic()
+            self.desired.publish(self.wish(np.eye(4), "somewhere unknown"))
+        return False
+
+    def ask(self, wait: Wait, wish: Callable[[], PoseStamped]) -> JointTrajectory:
+        """The command for a wish, which is made and sent again where nothing comes of it."""
+        count = len(self.commands)
+        for _ in range(10):
+            self.desired.publish(wish())
+            with contextlib.suppress(AssertionError):
+                wait(lambda: len(self.commands) > count, 3.0)
+                return self.commands[-1]
+        raise AssertionError(f"no command: {self.health.get('commands')}")
+
+    def refuse(self, wait: Wait, wish: Callable[[], PoseStamped], said: str) -> None:
+        """The wish is counted as refused, the reason said, and no command comes of it."""
+        before, commands = int(self.facts("commands").get("refused", 0)), len(self.commands)
+
+        def refused() -> bool:
+            told = self.health["commands"]
+            return int(self.facts("commands")["refused"]) > before and said in told.message and told.level == WARN
+
+        for _ in range(5):
+            self.desired.publish(wish())
+            try:
+                wait(refused, 5.0)
+            except AssertionError:
+                continue
+            assert len(self.commands) == commands
+            return
+        raise AssertionError(f"'{said}' was not said: {self.health['commands'].message}")
 
     def facts(self, part: str) -> dict[str, str]:
         return {pair.key: pair.value for pair in self.health[part].values} if part in self.health else {}

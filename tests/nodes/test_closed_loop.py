@@ -11,8 +11,8 @@ from nodes.closed_loop import close_the_loop
 @pytest.mark.dds
 @pytest.mark.slow
 def test_the_true_tool_comes_as_near_as_the_arm_repeats(tmp_path: Path) -> None:
-    """Of bench/closed_loop.py a part: each RMS is of 60 numbers at most, so it is known to a tenth."""
-    outcome = close_the_loop(tmp_path, stations=110, wishes=20)
+    """Of bench/closed_loop.py a part. The RMS of 80 visits is known to some 6 %, so the limit is far from chance."""
+    outcome = close_the_loop(tmp_path, stations=110, wishes=20, visits=4)
     print(outcome.table())
     assert outcome.refused == 0
     assert {"compliance shoulder_lift_joint", "gear_harmonic elbow_joint"} <= set(outcome.effects)

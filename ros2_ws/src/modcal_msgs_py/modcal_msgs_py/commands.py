@@ -37,10 +37,10 @@ def desired_pose(message: Any, farthest: float) -> Array:
     numbers = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w], dtype=float)
     if not np.isfinite(numbers).all():
         raise BadCommand("desired_pose", "is not finite", "send numbers")
-    length = float(np.linalg.norm(numbers[3:]))
+    length = math.hypot(*numbers[3:])
     if abs(length - 1.0) > _UNIT:
         raise BadCommand("desired_pose", f"its quaternion has length {length:.4g}", "send a unit quaternion x y z w")
-    far = float(np.linalg.norm(numbers[:3]))
+    far = math.hypot(*numbers[:3])
     if far > farthest:
         unit = "; it looks like millimetres" if far > 50.0 * farthest else ""
         raise BadCommand(
