@@ -191,11 +191,14 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         def one(made: Any, k: int) -> Array:
             """The setpoint for the k-th pose of a slow course; the arm follows."""
             wanted = truth(made, AWAY + 1e-3 * math.sin(0.05 * k))
-            (point,) = arm.ask(wait, lambda: arm.wish(wanted)).points
+            message = arm.ask(wait, lambda: arm.wish(wanted))
+            (point,) = message.points
+            stamps.append(seconds(message.header.stamp))
             assert seconds(point.time_from_start) == pytest.approx(0.5)
             arm.q = np.array(point.positions)
             return arm.q.copy()
 
+        stamps: list[float] = []
         course = [one(first, k) for k in range(20)]
         assert np.abs(course[-1] - AWAY - 1e-3 * math.sin(0.05 * 19)).max() < 1e-6
 
@@ -210,8 +213,10 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
             if settled is not None and k > settled + 5:
                 break
         assert settled is not None, "the new calibration never came in"
+        # however long it was between two setpoints: a cubic is at most 1.5 times as steep as straight
         plain = np.abs(np.diff(course[:20], axis=0)).max()
-        assert np.abs(np.diff(course, axis=0)).max() < plain + 1.2e-4, "it came in with a jump"
+        blended = 1.5 * 6e-4 * np.minimum(np.diff(stamps) / 0.5, 1.0)
+        assert (np.abs(np.diff(course, axis=0)).max(axis=1) < 1.2 * plain + blended).all(), "it came in with a jump"
 
         arm.calibration.publish(String(data=text(much)))
 
