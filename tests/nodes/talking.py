@@ -18,7 +18,8 @@ from modcal_core.errors import BadRecording
 from modcal_msgs_py.mcap_read import McapFile
 from modcal_msgs_py.types import jazzy
 
-RELIABLE = QoSProfile(depth=100)
+# deep enough that a machine that is busy with other things makes no publisher forget what was not yet heard
+RELIABLE = QoSProfile(depth=5000)
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -33,7 +34,7 @@ def numbered(number: int) -> JointState:
 class Talker:
     """Publishes numbered joint states from a thread. ``times[k]``: when number k was about to be published."""
 
-    def __init__(self, node: Node, topic: str = "joint_states", rate: float = 250.0) -> None:
+    def __init__(self, node: Node, topic: str = "joint_states", rate: float = 200.0) -> None:
         """Begin to publish."""
         self.publisher = node.create_publisher(JointState, topic, RELIABLE)
         self.times: list[float] = []

@@ -22,7 +22,7 @@ from modcal_msgs_py.topics import LATCHED
 from modcal_msgs_py.types import definition, serialise
 
 CHUNK_BYTES = 768 * 1024
-FLUSH_SECONDS = 0.25
+FLUSH_SECONDS = 0.2
 LIBRARY = "modcal"
 
 
