@@ -320,6 +320,27 @@ def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
         assert gap == pytest.approx(30.0 * 2e-5, rel=0.02)
 
 
+def test_a_description_that_is_not_latched_and_two_that_wish_at_once(tmp_path: Path) -> None:
+    made = calibration()
+    domain = fresh_domain()
+    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
+    with running(process), listener(domain) as (node, wait):
+        arm = Arm(node, urdf="")
+        volatile = node.create_publisher(String, "robot_description", 1)
+
+        def told() -> bool:
+            volatile.publish(String(data=URDF))
+            wait(lambda: True, 1.0)
+            return bool(arm.poses)
+
+        wait(told, 60.0)
+        other = node.create_publisher(PoseStamped, "desired_pose", 10)
+        wait(lambda: "2 publishers at once" in arm.health["hearing"].message, 20.0)
+        assert arm.health["hearing"].level == WARN
+        node.destroy_publisher(other)
+        wait(lambda: arm.health["hearing"].level == OK, 20.0)
+
+
 def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
     made = calibration()
     domain = fresh_domain()

@@ -48,6 +48,7 @@ class Corrector(Node):
         self._commander = Commander(_settings(self._chosen))
         self.add_on_set_parameters_callback(self._set)
         self._calibration: Calibration | None = None
+        self._text = ""
         self._refusal = _NOTHING_YET
         self._urdf = self._chosen["robot_description"]
         self._joints: JointsHeard | None = None
@@ -61,17 +62,19 @@ class Corrector(Node):
         self._states = self.create_publisher(JointState, "~/joint_states", 10)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+        wish = self._guarded("desired_pose", self._take_desired)
         self._ears = [
             Ear(self, JointState, "joint_states", self._guarded("joint_states", self._take_joints), _FEW, needed=True),
             Ear(self, Temperature, "temperature", self._guarded("temperature", self._take_temperature), _FEW),
-            Ear(self, PoseStamped, "desired_pose", self._guarded("desired_pose", self._take_desired), _NEWEST),
+            Ear(self, PoseStamped, "desired_pose", wish, _NEWEST, single=True),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
         self._health = Health(self, self._report)
         self._meet()
-        self.create_subscription(String, "robot_description", self._take_description, LATCHED)
-        self.create_subscription(String, "calibration", self._take_calibration, LATCHED)
+        for qos in (LATCHED, _NEWEST):  # what is not latched is heard too, if it is said while this node listens
+            self.create_subscription(String, "robot_description", self._take_description, qos)
+            self.create_subscription(String, "calibration", self._take_calibration, qos)
         self.create_service(Trigger, "~/reset", self._reset)
 
     # calibration and robot
@@ -82,8 +85,9 @@ class Corrector(Node):
             self._meet()
 
     def _take_calibration(self, message: String) -> None:
-        if self._chosen["calibration"]:
+        if self._chosen["calibration"] or message.data == self._text:
             return
+        self._text = message.data
         try:
             self._calibration = parse_calibration(message.data, "topic calibration")
         except ModcalError as error:
@@ -95,7 +99,7 @@ class Corrector(Node):
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget the calibration and the stream; read the file again, if one was named."""
-        self._calibration = None
+        self._calibration, self._text = None, ""
         self._drop("reset, and no calibration since")
         try:
             if self._chosen["calibration"]:
@@ -212,7 +216,8 @@ class Corrector(Node):
             self._fault("calibration", str(error))
         setpoint = self._commander.setpoint(pose, message.header.frame_id, at, at.stamp)
         now = self._now()
-        joints.require_fresh(now, chosen["stale_s"])  # computing took time too
+        if chosen["stream"]:
+            joints.require_fresh(now, chosen["stale_s"])  # computing took time too; a goal has all the time it needs
         self._send(joints.names, setpoint, now)
         self._commander.sent(setpoint, now)
         if unseen := setpoint.command.unseen:

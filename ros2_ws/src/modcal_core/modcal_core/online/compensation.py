@@ -24,6 +24,7 @@ _DIFFERENCE = 1e-6  # rad or m
 _MOST_STEPS = 12
 _DAMPING = 1e-12
 _EFFECTS_M, _EFFECTS_RAD = 5e-3, 2e-2  # what effects may add to the reach of an arm
+_RESTARTS = 12  # each takes some ten milliseconds where there is nothing to be found
 _SINGULAR = 1e-3  # smallest gain of the joints, m or rad a rad, that still counts as one
 
 
@@ -64,7 +65,7 @@ def compensate(
     chain = correction.chain
     goal = _without_effects(correction, desired, target, frame)
     try:
-        q = inverse(chain, goal, seed, rng=rng, tolerance=1e-7)
+        q = inverse(chain, goal, seed, rng=rng, restarts=_RESTARTS, tolerance=1e-7)
     except NotReachable as plain:  # a stretched arm may be longer, or a joint farther from its limit, than by geometry
         if not (plain.position < _EFFECTS_M and plain.rotation < _EFFECTS_RAD):
             raise
