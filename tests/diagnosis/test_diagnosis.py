@@ -250,3 +250,46 @@ def test_the_report_tells_a_technician() -> None:
     low, high = data["error_mm"]["final"]["rms_ci95"]
     assert low < data["error_mm"]["final"]["rms"] < high
     assert data["unexplained"] is None
+
+
+@pytest.mark.parametrize("seed", [0, 3, 8])
+def test_an_effect_is_not_drowned_by_readings_whose_own_scatter_is_all_there_is(seed: int) -> None:
+    """Averaged readings say how uncertain they are; nothing is left beside that, and a growing link must still show."""
+    chain = ur10()
+    world = World(chain, np.random.default_rng(5), 5e-4, 1e-3, T_tip_tool=se3.exp([0.05, 0.0, 0.1, 0.3, 0.0, 0.0]))
+    rng = np.random.default_rng(seed)
+    before, after = 52 + int(rng.integers(15)), 40 + int(rng.integers(15))
+    t = 1000.0 + 1.2 * np.arange(before + after)
+    growth = 4e-4 * (1.0 - np.exp(-np.maximum(t - t[before], 0.0) / 15.0))
+    q = rng.uniform(-1.2, 1.2, (len(t), 6))
+    # the forearm: from the elbow on, everything is pushed along it
+    T = world.tool_in_tracker(q)
+    forearm = np.linalg.norm(chain.origins[3, :3, 3])
+    along = np.stack([_forearm(world, posture) for posture in q])
+    T[:, :3, 3] += growth[:, None] * along + 5e-6 * rng.standard_normal((len(t), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(1.2e-5 * rng.standard_normal((len(t), 3)))
+    clock = np.arange(t[0], t[-1], 1.0)
+    warm = 20.0 + np.interp(clock, t, growth) / (23e-6 * forearm) + 0.05 * rng.standard_normal(len(clock))
+    samples = replace(
+        samples_of(chain, q, T),
+        stamps=t,
+        sigma_position=np.full(len(t), 5e-6),
+        sigma_rotation=np.full(len(t), 1.2e-5),
+        signals=(SignalTrack("temperature:forearm", clock, warm[:, None], "/temperature"),),
+    )
+    report = calibrate(samples, chain, np.random.default_rng(0)).report
+    assert [(f.family, f.driver) for f in report.effects] == [("thermal", "temperature:forearm")]
+    size = report.size_mm("final")
+    assert size is not None
+    assert size.rms < 0.012
+
+
+def _forearm(world: World, q: Array) -> Array:
+    """Unit vector along the true forearm, as the tracker sees it: how far the tool goes when wrist 1 is pushed out."""
+    step = 1e-4
+    chain = world.nominal
+    origins = chain.origins.copy()
+    origins[3, :3, 3] *= 1.0 + step / np.linalg.norm(origins[3, :3, 3])
+    places = [World(c, np.random.default_rng(0), 0.0, 0.0) for c in (chain, chain.with_origins(origins))]
+    moved = np.subtract(*(place.tool_in_tracker(q)[:3, 3] for place in places[::-1])) / step
+    return np.asarray(world.T_tracker_base[:3, :3] @ moved)

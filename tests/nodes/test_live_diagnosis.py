@@ -44,7 +44,7 @@ CELL: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("what", ["bump", "warm-up", "payload"])
 def test_what_happens_while_running(what: str, tmp_path: Path) -> None:
     domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, after_change=36, use_sim_time="true")
+    calibrator = Process("calibrator", domain, tmp_path, after_change=36, use_sim_time="true", state=tmp_path / "state")
     with running(calibrator), listener(domain) as (node, wait):
         said = Said(node)
         heard: dict[str, list[Any]] = {}

@@ -19,6 +19,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.parameters import View as Seen
+from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
 from modcal_core.geometry.so3 import Array
@@ -115,8 +116,8 @@ def _rows(
     )
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
     N = len(samples)
-    weight = np.full(len(moved), 1.0 / spread.position)
-    weight[3 * N :] = 1.0 / spread.rotation
+    weight = np.full(len(moved), 1.0 / max(spread.position, FINEST))
+    weight[3 * N :] = 1.0 / max(spread.rotation, FINEST)
     return _by_station(moved * weight, N).T, _by_station(J * weight, N).transpose(2, 1, 0), prior
 
 

@@ -15,7 +15,7 @@ from modcal_core.measurements.samples import Samples
 
 _REPEAT_RAD = 2e-4  # postures this close count as the same one, visited again
 _MOST_SEARCHED = 3000  # samples among which repeats are looked for
-_FINEST = 2e-6  # m and rad; no instrument resolves less, so nothing is called wrong by less
+FINEST = 2e-6  # m and rad; no instrument resolves less, so nothing is called wrong by less
 _REPEATS = 10  # pairs of them before a floor is read off
 
 
@@ -84,11 +84,11 @@ def spread_of(model: Model, samples: Samples) -> Spread:
 
 def _scores(e: Errors, samples: Samples, spread: Spread) -> Array:
     known_p = np.nan_to_num(samples.sigma_position)
-    total = e.position_norm**2 / (max(spread.position, _FINEST) ** 2 + known_p**2)
+    total = e.position_norm**2 / (max(spread.position, FINEST) ** 2 + known_p**2)
     pose = samples.is_pose
     if pose.any():
         known_r = np.nan_to_num(samples.sigma_rotation[pose])
-        total[pose] += e.rotation_norm**2 / (max(spread.rotation, _FINEST) ** 2 + known_r**2)
+        total[pose] += e.rotation_norm**2 / (max(spread.rotation, FINEST) ** 2 + known_r**2)
     return standard_score(total, np.where(pose, 6.0, 3.0))
 
 
