@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import concurrent.futures.process
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -22,17 +21,14 @@ from std_srvs.srv import Trigger
 from modcal_core.errors import BadRobot, BadTable, ModcalError
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.online.estimator import Wander
-from modcal_core.online.stream import Stream
 from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
 from modcal_core.online.suspicion import Suspicion
 from modcal_core.resolve import Job
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_msgs_py.messages import READING
 from modcal_msgs_py.topics import TYPES
 from modcal_nodes.calibrating.announcing import Announcer
+from modcal_nodes.calibrating.arm import KnownArm, seconds
 from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.state import State, read_state, write_state
@@ -67,11 +63,8 @@ class Calibrator(Node):
         wander = Wander(creeping, chosen["wander_m"], chosen["wander_rad"]) if creeping else None
         policy = Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
         self._supervisor = Supervisor(policy, wander)
-        self._chain: Chain | None = None
-        self._stream: Stream | None = None
-        self._order: dict[tuple[str, ...], np.ndarray | None] = {}
-        self._description = chosen["robot_description"]
-        self._trouble = ""  # why the arm is not known, or the saved model not used
+        self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
+        self._trouble = ""  # why the saved model is not used
         self._verdict = "nothing solved yet"
         self._refused = 0
         self._said: Suspicion | None = None
@@ -93,7 +86,6 @@ class Calibrator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
         self.create_timer(1.0, self._tell, clock=steady)
-        self._know_arm()
 
     # hearing
 
@@ -104,78 +96,55 @@ class Calibrator(Node):
         for topic, (message, kind) in readings.items():
             ears.append(hear(message, topic, partial(self._reading, topic, kind), SENSOR, single=False))
         ears.append(hear(Temperature, "temperature", self._temperature, SENSOR, single=False))
-        description = hear(String, "robot_description", self._take_description, LATCHED, needed=not self._description)
+        description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
         return [*ears, description]
 
-    def _take_description(self, message: String) -> None:
-        if self._chosen["robot_description"] or message.data == self._description:
-            return
-        if self._chain is not None:
-            self._trouble = "robot_description has changed while running: restart this node to calibrate another robot"
-            self.get_logger().error(self._trouble)
-            return
-        self._description = message.data
-        self._know_arm()
+    def _describe(self, message: String) -> None:
+        self._arm.describe(message.data)
+        self._recognise()
 
-    def _know_arm(self) -> None:
-        """Read the arm off the description, as soon as it and the joints' names are there."""
-        if self._chain is not None or not self._description:
+    def _recognise(self) -> None:
+        """Go on with the model that was saved, once it is known that this is its arm."""
+        if not self._arm.recognise(self._memory.joint_names()) or self._arm.chain is None:
             return
-        names = self._memory.joint_names()
-        if not names:
+        restored, self._restored = self._restored, None
+        if restored is None or restored.calibration is None:
             return
         try:
-            chain = read_chain(self._description, self._chosen["base"] or None, self._chosen["tip"] or None, names)
-        except ModcalError as error:
-            self._trouble = str(error)
+            restored.calibration.require_robot(self._arm.chain)
+        except BadRobot as error:
+            # neither used nor overwritten
+            self._trouble, self._folder, self._memory.samples = f"{self._folder}: {error}", None, None
+            self.get_logger().error(self._trouble)
             return
-        if not set(chain.names) <= names:
-            missing = ", ".join(n for n in chain.names if n not in names)
-            self._trouble = f"joint_states does not name {missing} yet"
+        if restored.calibration.uncertainty is None:
+            self._trouble = f"{self._folder}: written by an older version, without its uncertainty: solve again"
             return
-        self._chain, self._trouble = chain, ""
-        restored, self._restored = self._restored, None
-        if restored is not None and restored.calibration is not None:
-            try:
-                restored.calibration.require_robot(chain)
-            except BadRobot as error:
-                # neither used nor overwritten
-                self._trouble, self._folder = f"{self._folder}: {error}", None
-                self._memory.samples = None
-                self.get_logger().error(self._trouble)
-            else:
-                self._trust(self._files, restored)
-        frames = self._supervisor.trusted.calibrated.frames if self._supervisor.trusted else ()
-        self._stream = Stream(chain.names, frames)
+        self._supervisor.trust(restored.calibration)
+        self._expect_frames()
+        corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.chain)
+        self._announcer.model({**self._files, "calibrated.urdf": corrected})
+        self._verdict = "going on with the model that was saved"
+
+    def _expect_frames(self) -> None:
+        """Number the frames of readings as the trusted model does."""
+        if self._arm.stream is not None and self._supervisor.trusted is not None:
+            self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
 
     def _joint_state(self, message: JointState) -> None:
         began = time.perf_counter()
-        names = tuple(message.name)
-        if not self._remember("joint_states", message):
-            return
-        if self._stream is None:
-            self._know_arm()
-        if self._stream is not None and self._chain is not None:
-            order = self._order.get(names)
-            if order is None and names not in self._order:
-                known = set(self._chain.names) <= set(names)
-                order = np.array([names.index(n) for n in self._chain.names]) if known else None
-                self._order[names] = order
-            if order is not None:
-                position = np.frombuffer(message.position)[order]
-                effort = np.frombuffer(message.effort)[order] if len(message.effort) == len(names) else None
-                self._feed(partial(self._stream.joint_state, _seconds(message.header.stamp), position, effort))
+        if self._remember("joint_states", message):
+            if self._arm.chain is None:
+                self._recognise()
+            self._feed(partial(self._arm.joint_state, message))
         self._times.took.append(time.perf_counter() - began)
 
     def _reading(self, topic: str, kind: str, message: Any) -> None:
         began = time.perf_counter()
-        if not self._remember(topic, message) or self._stream is None:
-            return
-        stamp = _seconds(message.header.stamp)
-        numbers = np.array(READING[kind](message))
-        self._feed(partial(self._stream.reading, kind, message.header.frame_id, stamp, numbers))
+        if self._remember(topic, message):
+            self._feed(partial(self._arm.reading, kind, message))
         self._times.took.append(time.perf_counter() - began)
-        self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - stamp)
+        self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
 
     def _temperature(self, message: Temperature) -> None:
         self._remember("temperature", message)
@@ -189,14 +158,12 @@ class Calibrator(Node):
             return False
         return True
 
-    def _feed(self, take: Any) -> None:
-        assert self._stream is not None
+    def _feed(self, take: Callable[[], None]) -> None:
         try:
             take()
         except ModcalError as error:
             self._refuse(error)
-            return
-        for sample in self._stream.take():
+        for sample in self._arm.stream.take() if self._arm.stream else ():
             self._supervisor.add(sample)
 
     def _refuse(self, error: ModcalError) -> None:
@@ -227,24 +194,25 @@ class Calibrator(Node):
         """Have a solve done in the workshop; returns why not, or nothing."""
         if self._solve_next or (self._work is not None and self._work[1] == self._solved):
             return "a solve is running already"
-        self._know_arm()
-        if self._chain is None:
-            said = self._trouble or "publish it (latched), or set the parameter"
-            return said if self._description and self._trouble else f"robot_description: not heard yet: {said}"
+        self._recognise()
+        if self._arm.chain is None:
+            if not self._arm.description:
+                return "robot_description: not heard yet: publish it (latched), or set the parameter"
+            return self._arm.trouble or "joint_states: not heard yet: start the robot's driver, or remap the topic"
         if self._work is not None:  # something else is in the workshop, which takes a moment
             self._solve_next = True
             return ""
         job = Job(
             self._memory.heard(),
-            self._chain,
-            read_inertias(self._description, self._chain),
+            self._arm.chain,
+            read_inertias(self._arm.description, self._arm.chain),
             self._cell,
             self._chosen["seed"],
             self._chosen["clock_limit_s"],
             self._supervisor.changed,
             self._supervisor.trusted,
         )
-        self._work = self._workshop.give(solve, job, self._description), self._solved
+        self._work = self._workshop.give(solve, job, self._arm.description), self._solved
         return ""
 
     def _poll(self) -> None:
@@ -269,10 +237,10 @@ class Calibrator(Node):
             self._solve_next = False
             if refusal := self._begin_solve():
                 self._answer(False, refusal)
-        elif self._chain is not None and self._memory.full:
+        elif self._arm.chain is not None and self._memory.full:
             pieces = self._memory.pieces
             heard, limit = self._memory.finished(), self._chosen["clock_limit_s"]
-            work = self._workshop.give(condense, heard, self._chain, limit, self._chosen["most_stations"])
+            work = self._workshop.give(condense, heard, self._arm.chain, limit, self._chosen["most_stations"])
             self._work = work, partial(self._condensed, pieces)
         elif self._supervisor.wants_solve() and (refusal := self._begin_solve()):
             self._verdict = refusal
@@ -324,24 +292,11 @@ class Calibrator(Node):
         """Publish and keep a result that is trusted from now on."""
         self._files, self._candidate = solved.files, None
         self._said = None
-        if self._stream is not None:
-            self._stream.frames = list(solved.calibration.calibrated.frames)
+        self._expect_frames()
         self._announcer.model(solved.files)
         self._announcer.no_change()
         if self._folder:
             write_state(self._folder, State(solved.calibration, solved.files))
-
-    def _trust(self, files: dict[str, str], state: State) -> None:
-        """Go on with the model that was saved."""
-        assert state.calibration is not None
-        assert self._chain is not None
-        if state.calibration.uncertainty is None:
-            self._trouble = f"{self._folder}: written by an older version, without its uncertainty: solve again"
-            return
-        self._supervisor.trust(state.calibration)
-        corrected = calibrated_urdf(self._description, self._chain, state.calibration.calibrated.chain)
-        self._announcer.model({**files, "calibrated.urdf": corrected})
-        self._verdict = "going on with the model that was saved"
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = False, "no folder: set the parameter state"
@@ -364,12 +319,12 @@ class Calibrator(Node):
     def close(self) -> None:
         """Keep the stations heard so far, and end the workshop."""
         self._workshop.close()
-        if self._folder and self._chain is not None:
+        if self._folder and self._arm.chain is not None:
             try:
                 heard = self._memory.heard()
                 if heard.recordings:
                     most, limit = self._chosen["most_stations"], self._chosen["clock_limit_s"]
-                    self._memory.samples = condense(heard, self._chain, limit, most)
+                    self._memory.samples = condense(heard, self._arm.chain, limit, most)
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._save_samples()
@@ -392,13 +347,10 @@ class Calibrator(Node):
     def _statuses(self) -> Iterable[Status]:
         yield tracker_status(hearing_status(self._ears), self._ears)
         candidate = self._candidate.comparison if self._candidate else None
-        yield model_status(self._supervisor, self._verdict, self._trouble, self._work is not None, candidate)
-        counts = self._stream.counts if self._stream else None
+        trouble = self._trouble or self._arm.trouble
+        yield model_status(self._supervisor, self._verdict, trouble, self._work is not None, candidate)
+        counts = self._arm.stream.counts if self._arm.stream else None
         yield sample_status(self._supervisor.stations, self._refused, self._memory.jumps, counts, self._times)
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def main() -> None:

@@ -30,6 +30,7 @@ class Memory:
         self._first = self._last = math.nan
         self.samples = None
         self.jumps = 0
+        self._names: frozenset[str] = frozenset()
 
     def add(self, topic: str, type_name: str, message: Any, received: float) -> None:
         """Take one message. Raises BadRecording for one that contradicts itself."""
@@ -41,6 +42,8 @@ class Memory:
                 self._close_piece()
             self._first = stamp if math.isnan(self._first) else self._first
             self._last = stamp
+            if not self._names.issuperset(message.name):
+                self._names |= set(message.name)
         self._builder.add(topic, type_name, message, received)
 
     def _close_piece(self) -> None:
@@ -78,6 +81,5 @@ class Memory:
         return len(self._pieces)
 
     def joint_names(self) -> frozenset[str]:
-        """Names of all joints in the remembered messages."""
-        tracks = [t for piece in self.heard().recordings for t in piece.joints]
-        return frozenset(name for track in tracks for name in track.names)
+        """Names of all joints heard."""
+        return self._names

@@ -1,0 +1,85 @@
+"""The arm whose joints are heard: read off the description as soon as it and the joints' names are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.store import fingerprint
+from modcal_core.errors import ModcalError
+from modcal_core.online.stream import Stream
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.messages import READING
+
+
+class KnownArm:
+    """description: URDF text, empty while unknown. chain, stream: None until the arm is known. trouble: why not."""
+
+    def __init__(self, description: str, base: str, tip: str) -> None:
+        """description: given by a parameter, so that none is taken from the topic; empty: to be heard."""
+        self.description = description
+        self.chain: Chain | None = None
+        self.stream: Stream | None = None
+        self.trouble = ""
+        self._given, self._base, self._tip = bool(description), base, tip
+        self._tried: tuple[str, frozenset[str]] | None = None
+        self._order: dict[tuple[str, ...], np.ndarray | None] = {}
+
+    def describe(self, text: str) -> None:
+        """Take a description that was published. Another one, later, is refused: that is another robot."""
+        if self._given or text == self.description:
+            return
+        if self.chain is None:
+            self.description = text
+        elif not self._is_the_same(text):
+            self.trouble = "robot_description has changed while running: restart this node to calibrate another robot"
+
+    def _is_the_same(self, text: str) -> bool:
+        assert self.chain is not None
+        try:
+            return fingerprint(read_chain(text, self.chain.base, self.chain.tip)) == fingerprint(self.chain)
+        except ModcalError:
+            return False
+
+    def recognise(self, names: frozenset[str]) -> bool:
+        """Read the arm, given the names of all joints heard so far; returns whether it has become known just now."""
+        if self.chain is not None or not self.description or not names or self._tried == (self.description, names):
+            return False
+        self._tried = self.description, names  # reading a description takes as long as a hundred messages
+        try:
+            chain = read_chain(self.description, self._base or None, self._tip or None, names)
+        except ModcalError as error:
+            self.trouble = str(error)
+            return False
+        if not set(chain.names) <= names:
+            self.trouble = f"joint_states does not name {', '.join(n for n in chain.names if n not in names)} yet"
+            return False
+        self.chain, self.trouble = chain, ""
+        self.stream = Stream(chain.names)
+        return True
+
+    def joint_state(self, message: Any) -> None:
+        """Hand a joint state to the stream, if it names the whole arm, in any order and among others."""
+        names = tuple(message.name)
+        if self.stream is None or self.chain is None:
+            return
+        if names not in self._order:
+            whole = set(self.chain.names) <= set(names)
+            self._order[names] = np.array([names.index(n) for n in self.chain.names]) if whole else None
+        order = self._order[names]
+        if order is not None:
+            effort = np.frombuffer(message.effort)[order] if len(message.effort) == len(names) else None
+            self.stream.joint_state(seconds(message.header.stamp), np.frombuffer(message.position)[order], effort)
+
+    def reading(self, kind: str, message: Any) -> None:
+        """Hand a reading to the stream."""
+        if self.stream is not None:
+            values = np.array(READING[kind](message))
+            self.stream.reading(kind, message.header.frame_id, seconds(message.header.stamp), values)
+
+
+def seconds(stamp: Any) -> float:
+    """A stamp in seconds."""
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
