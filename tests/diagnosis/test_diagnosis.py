@@ -252,7 +252,7 @@ def test_the_report_tells_a_technician() -> None:
     assert data["unexplained"] is None
 
 
-@pytest.mark.parametrize("seed", [0, 3, 8])
+@pytest.mark.parametrize("seed", [0, 2])
 def test_an_effect_is_not_drowned_by_readings_whose_own_scatter_is_all_there_is(seed: int) -> None:
     """Averaged readings say how uncertain they are; nothing is left beside that, and a growing link must still show."""
     chain = ur10()
