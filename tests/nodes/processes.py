@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import itertools
 import os
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import rclpy
 from rclpy.context import Context
@@ -20,11 +22,28 @@ from rclpy.node import Node
 ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = ROOT / "ros2_ws" / "install" / "modcal_nodes" / "lib" / "modcal_nodes"
 _domains = itertools.count(1 + os.getpid() % 90)
+_held: list[TextIO] = []
 
 
 def fresh_domain() -> int:
-    """A domain that no other test of this run uses; above 101 ports would collide with those the system hands out."""
-    return 1 + next(_domains) % 100
+    """A domain that no other test uses, of this run or one beside it, as long as this process lives.
+
+    Above 101 ports would collide with those the system hands out. A run that has used them all begins again.
+    """
+    folder = Path(tempfile.gettempdir()) / "modcal_domains"
+    folder.mkdir(exist_ok=True)
+    for _ in range(2):
+        for _ in range(100):
+            domain = 1 + next(_domains) % 100
+            lock = (folder / str(domain)).open("w")
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _held.append(lock)
+                return domain
+            lock.close()
+        while _held:
+            _held.pop().close()
+    raise RuntimeError("all domains are taken by other test runs")
 
 
 def environment(domain: int) -> dict[str, str]:

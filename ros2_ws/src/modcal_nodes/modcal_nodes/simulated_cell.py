@@ -80,8 +80,10 @@ class SimulatedCell(Node):
         self._beat.start()
 
     def close(self) -> None:
-        """Fall silent."""
+        """Fall silent, and say how much was said."""
         self._beat.stop()
+        counts = {self._joints.topic_name: self._joint_grid.count, self._tracker.topic_name: self._tracker_grid.count}
+        self.get_logger().info("published " + ", ".join(f"{count} {topic}" for topic, count in counts.items()))
 
     def _speak(self, chosen: dict[str, Any], text: str) -> None:
         """Open every topic, service and timer."""
