@@ -52,10 +52,14 @@ _TRAVEL = 0.4  # s of simulated time
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one pass: position (N,) [m] and rotation (N,) [rad] between the true tool and the wish."""
+    """Of one pass: position (N,) [m] and rotation (N,) [rad] between the true tool and the wish.
+
+    gap: the positions' errors as vectors, (N, 3) [m], visit by visit: all poses once, then again.
+    """
 
     position: Array
     rotation: Array
+    gap: Array
 
     @property
     def rms_mm(self) -> float:
@@ -77,6 +81,17 @@ class Outcome:
     floor: Errors
     effects: tuple[str, ...]
     refused: int
+
+    def repeatability_mm(self, poses: int) -> float:
+        """RMS [mm] that does not repeat, from both passes: the floor's, and the corrected one's scatter at each pose.
+
+        What the corrected pass happened to draw is then on both sides of a comparison.
+        """
+        by_pose = self.corrected.gap.reshape(-1, poses, 3)
+        visits = len(by_pose)
+        scatter = float(np.sum((by_pose - by_pose.mean(axis=0)) ** 2))
+        total = scatter + float(np.sum(self.floor.gap**2))
+        return 1e3 * float(np.sqrt(total / (poses * (visits - 1) + len(self.floor.gap))))
 
     def table(self) -> str:
         """For people."""
@@ -250,4 +265,4 @@ def _answer(
 def _errors(wanted: Array, reached: Array) -> Errors:
     rotation = so3.log(np.swapaxes(wanted[:, :3, :3], 1, 2) @ reached[:, :3, :3])
     gap = wanted[:, :3, 3] - reached[:, :3, 3]
-    return Errors(np.linalg.norm(gap, axis=1), np.linalg.norm(rotation, axis=1))
+    return Errors(np.linalg.norm(gap, axis=1), np.linalg.norm(rotation, axis=1), gap)

@@ -119,13 +119,13 @@ def test_weights_do_not_change_the_answer(rng: np.random.Generator) -> None:
 
 
 def test_it_is_quick_enough_for_a_stream(rng: np.random.Generator) -> None:
-    """Two milliseconds from a near posture; the best of several, for other programs run too."""
+    """Two milliseconds of a processor from a near posture; the best of many, for other programs run too."""
     chain = ARMS["ur10"]
     q = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
     T, start = forward(chain, q), q + 0.01
     times = []
-    for _ in range(20):
-        begin = time.perf_counter()
+    for _ in range(100):
+        begin = time.thread_time()
         inverse(chain, T, start)
-        times.append(time.perf_counter() - begin)
+        times.append(time.thread_time() - begin)
     assert min(times) < 2e-3, f"{1e3 * min(times):.2f} ms"
