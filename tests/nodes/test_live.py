@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from nodes.cell import call
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.model import Model
@@ -63,8 +63,8 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         node.create_subscription(String, "calibrator/report", lambda m: heard.update(report=m.data), LATCHED)
         node.create_subscription(String, "calibrator/robot_description", lambda m: heard.update(urdf=m.data), LATCHED)
         drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
-        solve = node.create_client(Trigger, "calibrator/solve")
-        wait(solve.service_is_ready, 60.0)
+        # the calibrator's subscription, and our own
+        wait(lambda: node.count_subscribers("joint_states") >= 2 and "recording into" in recorder.output, 60.0)
         # the others are there before the cell speaks, so both hear all of it
         cell = Process("simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED, start_delay_s=3.0)
         with running(cell):
@@ -76,9 +76,8 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
             wait(lambda: _reached(states[-1], program), 1.3 * POSTURES + 20.0)
             assert cell.stop() == 0
 
-        answer = solve.call_async(Trigger.Request())
-        wait(answer.done, 60.0)
-        assert answer.result().success, answer.result().message
+        answer = call(node, wait, "calibrator/solve")
+        assert answer.success, answer.message
         wait(lambda: len(heard) == 3, 10.0)
         assert recorder.stop() == 0
         assert calibrator.stop() == 0

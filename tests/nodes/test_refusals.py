@@ -6,8 +6,8 @@ import signal
 from pathlib import Path
 
 import pytest
+from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
-from std_srvs.srv import Trigger
 
 
 @pytest.mark.dds
@@ -15,13 +15,10 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
     domain = fresh_domain()
     calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
     with running(calibrator), listener(domain) as (node, wait):
-        solve = node.create_client(Trigger, "calibrator/solve")
-        wait(solve.service_is_ready, 60.0)
         for _ in range(2):
-            answer = solve.call_async(Trigger.Request())
-            wait(answer.done, 20.0)
-            assert not answer.result().success
-            assert "robot_description: not heard yet" in answer.result().message
+            answer = call(node, wait, "calibrator/solve")
+            assert not answer.success
+            assert "robot_description: not heard yet" in answer.message
         assert calibrator.stop(signal.SIGINT) == 0
     assert not (tmp_path / "out").exists()
 
