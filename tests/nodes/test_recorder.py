@@ -356,7 +356,18 @@ def test_what_overflows_is_counted_as_lost(tmp_path: Path) -> None:
 
         wait(lambda: last() == 6000, 60.0)
         assert 5000 <= tape.count == len(taken) < 6001
+        assert not tape.look()  # it is still the only publisher, so what is missing was its own
         assert tape.lost == 6001 - tape.count
         complaint = tape.complaint()
         assert complaint is not None
         assert f"{tape.lost} messages lost" in complaint.text
+
+        # another one counts from another number, and nothing is lost by that
+        lost = tape.lost
+        another = speaker.create_publisher(JointState, "joint_states", RELIABLE)
+        wait(lambda: another.get_subscription_count() == 1, 30.0)
+        for source, number in ((another, 7000), (publisher, 7001)):
+            source.publish(numbered(number))
+            wait(lambda number=number: last() == number, 30.0)
+        tape.look()
+        assert tape.lost == lost

@@ -71,7 +71,7 @@ class Tape:
         self._seen: set[tuple[int, int]] = set()
         self._order: deque[tuple[int, int]] = deque()
         self._number: int | None = None
-        self._gaps = self._told_lost = 0
+        self._gaps = self._suspected = self._told_lost = 0
         self._last = time.monotonic()
         self._rated = (self._last, 0)
 
@@ -80,6 +80,9 @@ class Tape:
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         if len(publishers) != self.publishers:
             self.publishers, self._number = len(publishers), None
+        else:
+            self._gaps += self._suspected
+        self._suspected = 0
         self._types = {publisher.topic_type for publisher in publishers}
         if self.type_name is None:
             self.type_name = self._recordable()
@@ -208,7 +211,8 @@ class Tape:
         if number is None or self.publishers != 1 or len(self._ears) != 1:
             return
         if self._number is not None and number > self._number + 1:
-            self._gaps += number - self._number - 1
+            # or another publisher has come, which the next look will show
+            self._suspected += number - self._number - 1
         self._number = number
 
     def _count_lost(self, event: QoSMessageLostInfo) -> None:
