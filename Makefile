@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -51,6 +51,12 @@ bench: setup-test build  ## measure; see bench/
 
 undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
 	@$(PY) bench/undeclared/run.py $(BENCH_ARGS)
+
+closed-loop: setup-test build  ## 50 poses commanded through the corrector in the simulated cell: how near the tool comes
+	@$(PY) bench/closed_loop.py
+
+soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
+	@$(PY) bench/soak.py $(SOAK_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py
