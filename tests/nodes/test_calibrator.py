@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +15,12 @@ import numpy as np
 import pytest
 from cells import record, samples_of
 from cli.recordings import START, URDF
-from nodes.cell import BEST_EFFORT, LATCHED, PlayedCell, Said, call
+from nodes.cell import BEST_EFFORT, LATCHED, PlayedCell, Said, Wait, call
 from nodes.processes import Process, fresh_domain, listener, running
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -50,6 +54,21 @@ def part(recording: Recording, rows: slice) -> Recording:
     )
     reading = replace(reading, **{k: getattr(reading, k)[rows] for k in ("stamps", "values", "received")})
     return replace(recording, joints=(joints,), readings=(reading,))
+
+
+@contextlib.contextmanager
+def beside_a_cell(
+    folder: Path, urdf: Path = URDF, **parameters: Any
+) -> Iterator[tuple[Process, Node, Wait, PlayedCell, Said]]:
+    """A calibrator that has found a cell and heard its description; it must end well."""
+    domain = fresh_domain()
+    calibrator = Process("calibrator", domain, folder, **parameters)
+    with running(calibrator), listener(domain) as (node, wait):
+        cell, said = PlayedCell(node), Said(node)
+        wait(cell.heard, 60.0)
+        cell.describe(urdf.read_text())
+        yield calibrator, node, wait, cell, said
+        assert calibrator.stop() == 0
 
 
 def latched(node: Any, topic: str, kind: type = String) -> list[Any]:
@@ -122,16 +141,11 @@ def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(tmp_path
 
 def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
     """By asking: until somebody accepts, the old model stands, marked as one that does not hold."""
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, accept="asked", after_change=24)
     bump = se3.exp(np.array([5e-4, -4e-4, 3e-4, 0.0, 0.0, 0.0]))
-    with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+    with beside_a_cell(tmp_path, accept="asked", after_change=24) as (_, node, wait, cell, said):
         models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
         changes, before = latched(node, "calibrator/change"), latched(node, "calibrator/residual_before", Float64)
         after = latched(node, "calibrator/residual", Float64)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
         cell.play(stations(64))
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
@@ -156,12 +170,9 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
         wait(lambda: report, 10.0)
         found = json.loads(report[-1])["effects"]
         assert [(e["family"], e["place"]) for e in found] == [("step", "tool")]
-        assert calibrator.stop() == 0
 
 
 def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
 
     def shuffled(i: int, message: Any) -> Any:
         if hasattr(message, "name"):
@@ -170,14 +181,10 @@ def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
             message.name, message.position = [names[k] for k in order], [positions[k] for k in order]
         return message
 
-    with running(calibrator), listener(domain) as (node, wait):
-        cell = PlayedCell(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    with beside_a_cell(tmp_path, out=tmp_path / "out") as (_, node, wait, cell, _):
         cell.play(stations(), shuffled)
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
-        assert calibrator.stop() == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["recording"]["stations"] == STATIONS
     assert report["error_mm"]["final"]["rms"] < 0.2
@@ -238,12 +245,8 @@ def test_two_publishers_of_one_arms_joints_are_said(tmp_path: Path) -> None:
 
 
 def test_a_clock_set_back_begins_a_new_stretch(tmp_path: Path) -> None:
-    domain, whole = fresh_domain(), stations(60)
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
-    with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    whole = stations(60)
+    with beside_a_cell(tmp_path, out=tmp_path / "out") as (_, node, wait, cell, said):
         cell.play(part(whole, slice(0, 30)))
         # the second half at stamps an hour before the first
         later = part(whole, slice(30, 60))
@@ -253,7 +256,6 @@ def test_a_clock_set_back_begins_a_new_stretch(tmp_path: Path) -> None:
         wait(cell.taken, 60.0)
         wait(lambda: said.value(SAMPLES, "clock set back") == "1", 20.0)
         assert call(node, wait, "calibrator/solve").success
-        assert calibrator.stop() == 0
     # a reading may overtake the joint state that says that the clock was set back
     assert json.loads((tmp_path / "out" / "report.json").read_text())["recording"]["stations"] >= 58
 
@@ -282,8 +284,6 @@ def test_two_robots_in_one_domain(tmp_path: Path) -> None:
 
 
 def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
 
     def spoiled(i: int, message: Any) -> Any:
         if hasattr(message, "name") and i % 10 == 3:
@@ -292,16 +292,12 @@ def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -
             return None  # the beam was broken
         return message
 
-    with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    with beside_a_cell(tmp_path, out=tmp_path / "out") as (calibrator, node, wait, cell, said):
         cell.play(stations(60), spoiled)
         wait(cell.taken, 60.0)
         wait(lambda: said.value(SAMPLES, "messages refused") == "6", 20.0)
         assert said.level(SAMPLES) == 1
         assert call(node, wait, "calibrator/solve").success
-        assert calibrator.stop() == 0
     assert "4 positions for 6 names" in calibrator.output
     assert json.loads((tmp_path / "out" / "report.json").read_text())["recording"]["stations"] == 48
 
@@ -316,8 +312,6 @@ def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -
     ],
 )
 def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str, tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
 
     def spoiled(i: int, message: Any) -> Any:
         joints = hasattr(message, "name")
@@ -330,32 +324,27 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str,
             message.position = [float(np.degrees(p)) for p in message.position]
         return message
 
-    with running(calibrator), listener(domain) as (node, wait):
-        cell = PlayedCell(node)
-        wait(cell.heard, 60.0)
-        cell.describe((PANDA if fault == "robot" else URDF).read_text())
+    with beside_a_cell(tmp_path, urdf=PANDA if fault == "robot" else URDF, out=tmp_path / "out") as (
+        _,
+        node,
+        wait,
+        cell,
+        _,
+    ):
         cell.play(stations(), spoiled)
         wait(cell.taken, 60.0)
         answer = call(node, wait, "calibrator/solve")
         assert not answer.success
         assert said in answer.message
         assert "\n" not in answer.message
-        assert calibrator.stop() == 0
     assert not (tmp_path / "out").exists()
 
 
 def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path)
-    with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
         cell.play(stations(150))
         wait(cell.taken, 60.0)
         done: list[Any] = []
-        from std_srvs.srv import Trigger
-
         client = node.create_client(Trigger, "calibrator/solve")
         wait(client.service_is_ready, 30.0)
         answer = client.call_async(Trigger.Request())
@@ -372,7 +361,6 @@ def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
             wait(lambda: said.value(HEARING, "messages of /joint_states") == str(heard), 10.0)  # noqa: B023
             extra = stations(40, seed=1, begin=START + 1000.0 + 100.0 * heard)
         assert done[0].result().success
-        assert calibrator.stop() == 0
 
 
 def test_a_killed_calibrator_leaves_no_process_behind(tmp_path: Path) -> None:
@@ -385,12 +373,7 @@ def test_a_killed_calibrator_leaves_no_process_behind(tmp_path: Path) -> None:
 
 
 def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path)
-    with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
         cell.play(stations())
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
@@ -400,37 +383,23 @@ def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(tmp_path: Path) 
         assert not answer.success
         assert "nothing was heard" in answer.message
         wait(lambda: said.value(MODEL, "state") == "trusted", 10.0)
-        assert calibrator.stop() == 0
 
 
 def test_an_unwritable_folder_is_said(tmp_path: Path) -> None:
-    domain = fresh_domain()
     (tmp_path / "file").write_text("in the way")
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "file")
-    with running(calibrator), listener(domain) as (node, wait):
-        cell = PlayedCell(node)
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
+    with beside_a_cell(tmp_path, out=tmp_path / "file") as (_, node, wait, cell, _):
         cell.play(stations())
         wait(cell.taken, 60.0)
         answer = call(node, wait, "calibrator/solve")
         assert not answer.success
         assert "file: is a file" in answer.message
-        assert calibrator.stop() == 0
 
 
 def test_the_running_estimate_is_published(tmp_path: Path) -> None:
-    from std_msgs.msg import Float64MultiArray
-
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path)
-    with running(calibrator), listener(domain) as (node, wait):
-        cell = PlayedCell(node)
+    with beside_a_cell(tmp_path) as (_, node, wait, cell, _):
         estimates: list[Any] = []
         node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
         names = latched(node, "calibrator/estimate_names")
-        wait(cell.heard, 60.0)
-        cell.describe(URDF.read_text())
         cell.play(stations(60))
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
@@ -439,7 +408,6 @@ def test_the_running_estimate_is_published(tmp_path: Path) -> None:
         cell.play(stations(200, begin=START + 500.0, seed=1))
         wait(lambda: np.array(estimates[-1].data).reshape(2, -1)[1].max() < 0.8 * std.max(), 20.0)
         assert len(names[-1].split("\n")) == len(std)
-        assert calibrator.stop() == 0
     chain = read_chain(URDF.read_text())
     assert any(name.startswith(chain.names[2]) for name in names[-1].split("\n"))
 
