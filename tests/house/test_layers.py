@@ -18,6 +18,7 @@ SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 _FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "calibration", "diagnosis", "online")
 _ALSO = {"errors", "geometry", "robots", "measurements"}
 ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
+ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
 ROOMS["articulation"] = _ALSO | {"articulation"}
 ROOMS["compliance"] = _ALSO | {"compliance"}
 ROOMS["report"] = {*ROOMS, "report", "top"}

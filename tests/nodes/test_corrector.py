@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from correction.test_compensation import started
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nodes.corrected_arm import AWAY, CHAIN, GEAR, LATCHED, URDF, Arm, calibration, matrix, text, written
 from nodes.processes import Process, fresh_domain, listener, running
-from online.test_compensation import started
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -27,10 +27,10 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.correction import Correction
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.online.conditions import Conditions
-from modcal_core.online.correction import Correction
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commands import seconds, set_seconds

@@ -19,9 +19,9 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
+from modcal_core.correction.conditions import Approach, Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
-from modcal_core.online.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
-from modcal_core.online.conditions import Approach, Conditions
 from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new, set_seconds
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_nodes.files import parse_calibration, read_calibration

@@ -23,10 +23,10 @@ from modcal_core.calibration.gauge import passing_directions
 from modcal_core.calibration.linearise import error_transform
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.online.conditions import Conditions
 from modcal_core.robots.kinematics import Frames, frames
 
 Target = Literal["tip", "tool"]

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.correction import Correction, Target
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.online.conditions import Conditions
-from modcal_core.online.correction import Correction, Target
 from modcal_core.robots.inverse import inverse
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.compensation import Command, compensate
+from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.correction import Correction, Target
+from modcal_core.correction.setpoints import Bounds, Stream
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.online.compensation import Command, compensate
-from modcal_core.online.conditions import Conditions
-from modcal_core.online.correction import Correction, Target
-from modcal_core.online.setpoints import Bounds, Stream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from calibration.test_effects import started
 from cells import ur10
-from online.test_compensation import STEEP, calibration_of, true_model
+from correction.test_compensation import STEEP, calibration_of, true_model
 
+from modcal_core.correction.commander import Commander, Robot, Settings
+from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.correction import Correction
+from modcal_core.correction.setpoints import Bounds, Stream
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
 from modcal_core.geometry import se3
-from modcal_core.online.commander import Commander, Robot, Settings
-from modcal_core.online.conditions import Conditions
-from modcal_core.online.correction import Correction
-from modcal_core.online.setpoints import Bounds, Stream
 from modcal_core.robots.chain import Chain
 
 AT = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
