@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -260,6 +261,32 @@ def test_a_clock_set_back_begins_a_new_stretch(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "report.json").read_text())["recording"]["stations"] >= 58
 
 
+def test_messages_without_a_station_are_left_out_when_they_grow_old(tmp_path: Path) -> None:
+    """Half a minute of joint states without a tracker, and then a cell as it should be."""
+    with beside_a_cell(tmp_path, memory_s=20.0) as (calibrator, node, wait, cell, _):
+        cell.play(stations(30), lambda _, m: m if hasattr(m, "name") else None)
+        wait(lambda: "some minutes of messages are left out" in calibrator.output, 60.0)
+        cell.play(stations(begin=START + 100.0))
+        wait(cell.taken, 60.0)
+        answer = call(node, wait, "calibrator/solve")
+        assert answer.success, answer.message
+
+
+def test_topics_are_remapped(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    topics = ("joint_states", "tracker/pose", "robot_description")
+    remapped = [word for topic in topics for word in ("-r", f"{topic}:=/hall_3/{topic}")]
+    calibrator = Process("calibrator", domain, tmp_path, *remapped)
+    with running(calibrator), listener(domain) as (node, wait):
+        cell = PlayedCell(node, "/hall_3")
+        wait(cell.heard, 60.0)
+        cell.describe(URDF.read_text())
+        cell.play(stations())
+        wait(cell.taken, 60.0)
+        assert call(node, wait, "calibrator/solve").success
+        assert calibrator.stop() == 0
+
+
 def test_two_robots_in_one_domain(tmp_path: Path) -> None:
     domain = fresh_domain()
     sides = ("left", "right")
@@ -370,6 +397,20 @@ def test_a_killed_calibrator_leaves_no_process_behind(tmp_path: Path) -> None:
         calibrator.popen.send_signal(signal.SIGKILL)
         calibrator.popen.wait()
         _eventually(lambda: not any(_alive(child) for child in children), 20.0)
+
+
+def test_a_killed_solver_is_replaced(tmp_path: Path) -> None:
+    with beside_a_cell(tmp_path) as (calibrator, node, wait, cell, _):
+        cell.play(stations())
+        wait(cell.taken, 60.0)
+        for child in _children(calibrator.popen.pid):
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                os.kill(child, signal.SIGKILL)
+                wait(lambda: not _alive(child), 20.0)  # noqa: B023
+        answer = call(node, wait, "calibrator/solve")
+        if not answer.success:  # the node had not noticed yet
+            answer = call(node, wait, "calibrator/solve")
+        assert answer.success, answer.message
 
 
 def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(tmp_path: Path) -> None:

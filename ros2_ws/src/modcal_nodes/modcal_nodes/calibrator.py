@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import concurrent.futures.process
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -40,6 +39,7 @@ from modcal_nodes.parameters import CALIBRATOR, declare, values
 from modcal_nodes.running import LATCHED, SENSOR, run
 
 _POLL = 0.1  # s
+_SOLVE = "solve"
 
 
 class Calibrator(Node):
@@ -73,9 +73,7 @@ class Calibrator(Node):
         self._announcer = Announcer(self)
         self._ears = self._listen(chosen["silent_s"])
         self._health = Health(self, self._statuses)
-        self._workshop = Workshop()
-        self._workshop.warm_up()
-        self._work: tuple[concurrent.futures.Future[Any], Any] | None = None
+        self._workshop = Workshop(self.get_logger().error)
         self._waiting: Future | None = None
         self._solve_next = False
         # a group of its own: while a solve is awaited, its group takes no other callback
@@ -192,14 +190,14 @@ class Calibrator(Node):
 
     def _begin_solve(self) -> str:
         """Have a solve done in the workshop; returns why not, or nothing."""
-        if self._solve_next or (self._work is not None and self._work[1] == self._solved):
+        if self._solve_next or self._workshop.doing == _SOLVE:
             return "a solve is running already"
         self._recognise()
         if self._arm.chain is None:
             if not self._arm.description:
                 return "robot_description: not heard yet: publish it (latched), or set the parameter"
             return self._arm.trouble or "joint_states: not heard yet: start the robot's driver, or remap the topic"
-        if self._work is not None:  # something else is in the workshop, which takes a moment
+        if self._workshop.doing:  # something else is in the workshop, which takes a moment
             self._solve_next = True
             return ""
         job = Job(
@@ -212,42 +210,30 @@ class Calibrator(Node):
             self._supervisor.changed,
             self._supervisor.trusted,
         )
-        self._work = self._workshop.give(solve, job, self._arm.description), self._solved
+        fail = partial(self._answer, False)
+        self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=self._solved, fail=fail)
         return ""
 
     def _poll(self) -> None:
         """Take what the workshop has finished, and give it what is due."""
-        if self._work is not None:
-            future, finish = self._work
-            if not future.done():
-                return
-            self._work = None
-            try:
-                finish(future.result())
-            except ModcalError as error:
-                self._answer(False, str(error))
-            except OSError as error:
-                where = error.filename or "file system"
-                self._answer(False, f"{where}: {error.strerror}: make room, or check its permissions")
-            except Exception as error:  # a fault of ours must not leave the caller waiting
-                self.get_logger().error(f"solve failed: {error!r}")
-                self._answer(False, f"internal error: {error!r}")
-                self._replace_broken_workshop(error)
-        elif self._solve_next:
+        if self._workshop.poll():
+            return
+        if self._solve_next:
             self._solve_next = False
             if refusal := self._begin_solve():
                 self._answer(False, refusal)
         elif self._arm.chain is not None and self._memory.full:
-            pieces = self._memory.pieces
-            heard, limit = self._memory.finished(), self._chosen["clock_limit_s"]
-            work = self._workshop.give(condense, heard, self._arm.chain, limit, self._chosen["most_stations"])
-            self._work = work, partial(self._condensed, pieces)
+            pieces, most = self._memory.pieces, self._chosen["most_stations"]
+            work = self._memory.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
+            done, fail = partial(self._condensed, pieces), partial(self._left_out, pieces)
+            self._workshop.give("condensing", condense, *work, finish=done, fail=fail)
         elif self._supervisor.wants_solve() and (refusal := self._begin_solve()):
             self._verdict = refusal
 
-    def _replace_broken_workshop(self, error: Exception) -> None:
-        if isinstance(error, concurrent.futures.process.BrokenProcessPool):
-            self._workshop = Workshop()
+    def _left_out(self, pieces: int, why: str) -> None:
+        """Forget messages that hold no station."""
+        self.get_logger().warning(f"some minutes of messages are left out: {why}")
+        self._memory.condensed(pieces, self._memory.samples)
 
     def _condensed(self, pieces: int, samples: Any) -> None:
         self._memory.condensed(pieces, samples)
@@ -348,7 +334,7 @@ class Calibrator(Node):
         yield tracker_status(hearing_status(self._ears), self._ears)
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
-        yield model_status(self._supervisor, self._verdict, trouble, self._work is not None, candidate)
+        yield model_status(self._supervisor, self._verdict, trouble, self._workshop.doing == _SOLVE, candidate)
         counts = self._arm.stream.counts if self._arm.stream else None
         yield sample_status(self._supervisor.stations, self._refused, self._memory.jumps, counts, self._times)
 

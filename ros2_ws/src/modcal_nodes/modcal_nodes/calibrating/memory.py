@@ -70,7 +70,7 @@ class Memory:
         """Everything but the present piece."""
         return Heard(tuple(self._pieces), self.samples)
 
-    def condensed(self, pieces: int, samples: Samples) -> None:
+    def condensed(self, pieces: int, samples: Samples | None) -> None:
         """From now on these samples stand for what was remembered before and for so many of the oldest pieces."""
         self.samples = samples
         del self._pieces[:pieces]

@@ -8,11 +8,13 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.errors import ModcalError
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Comparison, Heard, Job, resolve
 from modcal_core.robots.chain import Chain
@@ -51,19 +53,72 @@ def condense(heard: Heard, chain: Chain, clock_limit: float, most: int) -> Sampl
     return heard.prepared(chain, clock_limit, most)[0]
 
 
+@dataclass(frozen=True)
+class _Work:
+    name: str
+    future: Future[Any]
+    finish: Callable[[Any], None]
+    fail: Callable[[str], None]
+
+
 class Workshop:
-    """One process that works on one thing after the other. It ends with its parent, however that ends."""
+    """One process that works on one thing at a time. It ends with its parent, however that ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], object]) -> None:
+        """say: where faults of our own are told."""
+        self._say = say
+        self._work: _Work | None = None
+        self._start()
+
+    def _start(self) -> None:
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_settle_in)
+        self._pool.submit(os.getpid)  # the first piece of work does not wait for the process to start
 
-    def give(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Have this done; arguments and result travel between processes."""
-        return self._pool.submit(work, *arguments)
+    @property
+    def doing(self) -> str:
+        """The name of what is being worked on; empty: nothing."""
+        return self._work.name if self._work else ""
 
-    def warm_up(self) -> None:
-        """Start the process now, so that the first piece of work does not wait for it."""
-        self._pool.submit(os.getpid)
+    def give(
+        self,
+        name: str,
+        work: Callable[..., Any],
+        *arguments: Any,
+        finish: Callable[[Any], None],
+        fail: Callable[[str], None],
+    ) -> None:
+        """Have this done; arguments and result travel between processes. One of finish and fail is called by poll."""
+        assert self._work is None
+        try:
+            future = self._pool.submit(work, *arguments)
+        except BrokenProcessPool:  # it was killed while it had nothing to do
+            self._say(f"the process that solves has ended; another one is started for {name}")
+            self._start()
+            future = self._pool.submit(work, *arguments)
+        self._work = _Work(name, future, finish, fail)
+
+    def poll(self) -> bool:
+        """Take in what is finished; returns whether there was or is anything to do."""
+        work = self._work
+        if work is None:
+            return False
+        if work.future.done():
+            self._work = None
+            self._take_in(work)
+        return True
+
+    def _take_in(self, work: _Work) -> None:
+        try:
+            work.finish(work.future.result())
+        except ModcalError as error:
+            work.fail(str(error))
+        except OSError as error:
+            work.fail(f"{error.filename or 'file system'}: {error.strerror}: make room, or check its permissions")
+        except Exception as error:  # a fault of ours must not leave the caller waiting
+            self._say(f"{work.name} failed: {error!r}")
+            work.fail(f"internal error: {error!r}")
+            if isinstance(error, BrokenProcessPool):
+                self._start()
 
     def close(self) -> None:
         """Drop what is waiting, and end what is being worked on."""
