@@ -37,6 +37,10 @@ from modcal_core.calibration.cell import Cell, fit_cell  # noqa: E402
 from modcal_core.calibration.identify import identify  # noqa: E402
 from modcal_core.calibration.linearise import linearise  # noqa: E402
 from modcal_core.calibration.structure import choose_parameters, views_of  # noqa: E402
+from modcal_core.geometry import se3  # noqa: E402
+from modcal_core.online.estimator import Estimator  # noqa: E402
+from modcal_core.online.watch import Watch  # noqa: E402
+from modcal_core.robots.inverse import inverse  # noqa: E402
 from modcal_core.robots.kinematics import forward  # noqa: E402
 from modcal_core.robots.urdf import read_chain  # noqa: E402
 from modcal_msgs_py.mcap_read import read_bag  # noqa: E402
@@ -102,6 +106,35 @@ def kinematics(table: Table) -> None:
     table.add_row("FK, 10 000 postures", f"{ours:.1f}", f"{other:.0f}", f"{other / ours:.0f} x", "Pinocchio in a loop")
 
 
+def online(table: Table) -> None:
+    """One sample more: the running estimate against a batch fit of all, and the watch; inverse kinematics."""
+    samples = record(1, 1_000, "pose").samples
+    start = fit_cell(ur10(), samples, Cell()).model
+    parameters = choose_parameters(start, views_of(samples)).parameters
+    fit = identify(start, samples, parameters)
+    estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
+    watch = Watch(fit.model, fit.parameters, fit.covariance, fit.spread)
+    rows = [samples.select(np.array([i])) for i in range(500)]
+    update = median_ms(lambda: [estimator.update(row) for row in rows]) / len(rows)
+    look = median_ms(lambda: [watch.add(row) for row in rows]) / len(rows)
+    batch = median_ms(lambda: identify(fit.model, samples, parameters), 3)
+    table.add_row("one more sample", f"{update:.2f}", f"{batch:.0f}", f"{batch / update:.0f} x", "batch fit of 1 000")
+    table.add_row("watch, one sample", f"{look:.2f}", "", "", "48 postures, 42 directions")
+
+    chain, q = ur10(), np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
+    T = forward(chain, q)
+
+    def gap(x: Any) -> Any:
+        return se3.log(se3.inverse(forward(chain, x)) @ T)
+
+    def peer() -> Any:
+        return least_squares(gap, q + 0.01, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+    assert np.abs(peer() - inverse(chain, T, q + 0.01)).max() < 1e-7
+    ours, other = median_ms(lambda: inverse(chain, T, q + 0.01), 50), median_ms(peer, 20)
+    table.add_row("IK, from nearby", f"{ours:.2f}", f"{other:.1f}", f"{other / ours:.0f} x", "SciPy least squares")
+
+
 def bags(table: Table) -> None:
     """Reading and decoding a bag, against rosbags."""
     with tempfile.TemporaryDirectory() as folder:
@@ -127,6 +160,7 @@ def main() -> None:
         table.add_column(name, justify="left" if name in ("work", "remark") else "right")
     calibration(table)
     kinematics(table)
+    online(table)
     bags(table)
     Console(width=110).print(table)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -116,16 +115,3 @@ def test_weights_do_not_change_the_answer(rng: np.random.Generator) -> None:
     for weights in ([1, 1, 1, 0.1, 0.1, 0.1], [0.1, 1, 1, 3, 3, 3]):
         found = inverse(chain, forward(chain, q), q + 0.1, weights=weights)
         assert np.abs(forward(chain, found) - forward(chain, q)).max() < 1e-9
-
-
-def test_it_is_quick_enough_for_a_stream(rng: np.random.Generator) -> None:
-    """Two milliseconds of a processor from a near posture; the best of many, for other programs run too."""
-    chain = ARMS["ur10"]
-    q = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
-    T, start = forward(chain, q), q + 0.01
-    times = []
-    for _ in range(100):
-        begin = time.thread_time()
-        inverse(chain, T, start)
-        times.append(time.thread_time() - begin)
-    assert min(times) < 2e-3, f"{1e3 * min(times):.2f} ms"

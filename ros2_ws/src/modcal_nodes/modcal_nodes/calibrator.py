@@ -39,6 +39,7 @@ from modcal_nodes.parameters import CALIBRATOR, declare, values
 from modcal_nodes.running import LATCHED, SENSOR, run
 
 _POLL = 0.1  # s
+_REST = 0.003  # s
 _SOLVE = "solve"
 
 
@@ -341,4 +342,4 @@ class Calibrator(Node):
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Calibrator)
+    run(Calibrator, rest=_REST)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 
 import rclpy
@@ -18,8 +19,11 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 
 
-def run(make: Callable[[], Node]) -> None:
+def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     """Spin the node until it is told to stop (Ctrl-C, SIGTERM, shutdown), then close it.
+
+    rest: seconds between two looks for messages. Each look costs as much as handling ten messages; a node that takes
+    all that waits (see hearing.py) and need not answer within a millisecond gets by with few.
 
     A ModcalError, or a parameter outside its bounds, ends the process with exit code 2 and one line on stderr.
     """
@@ -30,7 +34,10 @@ def run(make: Callable[[], Node]) -> None:
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once()
+            if rest:
+                time.sleep(rest)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (ModcalError, ParameterException) as error:
