@@ -131,18 +131,18 @@ class Calibrator(Node):
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
 
     def _joint_state(self, message: JointState) -> None:
-        began = time.perf_counter()
+        began = time.thread_time()
         if self._remember("joint_states", message):
             if self._arm.chain is None:
                 self._recognise()
             self._feed(partial(self._arm.joint_state, message))
-        self._times.took.append(time.perf_counter() - began)
+        self._times.took.append(time.thread_time() - began)
 
     def _reading(self, topic: str, kind: str, message: Any) -> None:
-        began = time.perf_counter()
+        began = time.thread_time()
         if self._remember(topic, message):
             self._feed(partial(self._arm.reading, kind, message))
-        self._times.took.append(time.perf_counter() - began)
+        self._times.took.append(time.thread_time() - began)
         self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
 
     def _temperature(self, message: Temperature) -> None:
