@@ -27,8 +27,8 @@ class Grid:
         """The times up to ``until`` that have not been handed out yet."""
         while (due := self._start + (self._k + self._phase) / self._rate) <= until:
             self._k += 1
-            self.count += 1
             yield due
+            self.count += 1  # once it has been dealt with
 
 
 class CellTime:
