@@ -94,7 +94,7 @@ class Calibrator(Node):
         ears = [hear(JointState, "joint_states", self._joint_state, SENSOR, needed=True)]
         for topic, (message, kind) in readings.items():
             ears.append(hear(message, topic, partial(self._reading, topic, kind), SENSOR, single=False))
-        ears.append(hear(Temperature, "temperature", self._temperature, SENSOR, single=False))
+        ears.append(hear(Temperature, "temperature", partial(self._remember, "temperature"), SENSOR, single=False))
         description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
         return [*ears, description]
 
@@ -144,9 +144,6 @@ class Calibrator(Node):
             self._feed(partial(self._arm.reading, kind, message))
         self._times.took.append(time.thread_time() - began)
         self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
-
-    def _temperature(self, message: Temperature) -> None:
-        self._remember("temperature", message)
 
     def _remember(self, topic: str, message: Any) -> bool:
         received = 1e-9 * self.get_clock().now().nanoseconds
@@ -211,8 +208,8 @@ class Calibrator(Node):
             self._supervisor.changed,
             self._supervisor.trusted,
         )
-        fail = partial(self._answer, False)
-        self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=self._solved, fail=fail)
+        done, fail = partial(self._solved, self._memory.forgotten), partial(self._answer, False)
+        self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=done, fail=fail)
         return ""
 
     def _poll(self) -> None:
@@ -223,25 +220,33 @@ class Calibrator(Node):
             self._solve_next = False
             if refusal := self._begin_solve():
                 self._answer(False, refusal)
-        elif self._arm.chain is not None and self._memory.full:
+        elif self._arm.chain is None:
+            self._memory.keep(1)  # nobody can say what these are good for; they must not grow without end
+        elif self._memory.full:
             pieces, most = self._memory.pieces, self._chosen["most_stations"]
             work = self._memory.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
-            done, fail = partial(self._condensed, pieces), partial(self._left_out, pieces)
+            now = self._memory.forgotten
+            done, fail = partial(self._condensed, pieces, now), partial(self._left_out, pieces, now)
             self._workshop.give("condensing", condense, *work, finish=done, fail=fail)
         elif self._supervisor.wants_solve() and (refusal := self._begin_solve()):
             self._verdict = refusal
 
-    def _left_out(self, pieces: int, why: str) -> None:
+    def _left_out(self, pieces: int, then: int, why: str) -> None:
         """Forget messages that hold no station."""
         self.get_logger().warning(f"some minutes of messages are left out: {why}")
-        self._memory.condensed(pieces, self._memory.samples)
+        if then == self._memory.forgotten:
+            self._memory.condensed(pieces, self._memory.samples)
 
-    def _condensed(self, pieces: int, samples: Any) -> None:
-        self._memory.condensed(pieces, samples)
-        self._save_samples()
+    def _condensed(self, pieces: int, then: int, samples: Any) -> None:
+        if then == self._memory.forgotten:  # else they are no longer wanted
+            self._memory.condensed(pieces, samples)
+            self._save_samples()
 
-    def _solved(self, solved: Solved) -> None:
+    def _solved(self, then: int, solved: Solved) -> None:
         """Publish what a solve has found; trust it, if the policy says so."""
+        if then != self._memory.forgotten:
+            self._answer(False, "what it was solved from has been forgotten meanwhile")
+            return
         if self._chosen["out"]:
             write_folder(Path(self._chosen["out"]), solved.files)
         self._announcer.result(solved.rms, solved.comparison)

@@ -32,7 +32,7 @@ class Ear:
         node: Node,
         kind: type,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[[Any], object],
         qos: QoSProfile,
         needed: bool = False,
         patience: float = 5.0,

@@ -21,10 +21,12 @@ class Memory:
         """longest: seconds of messages that one piece holds."""
         self._longest = longest
         self.samples: Samples | None = None
+        self.forgotten = -1  # how often everything was forgotten, beginning with nothing
         self.clear()
 
     def clear(self) -> None:
         """Forget everything."""
+        self.forgotten += 1
         self._pieces: list[Recording] = []
         self._builder = RecordingBuilder("live")
         self._first = self._last = math.nan
@@ -74,6 +76,10 @@ class Memory:
         """From now on these samples stand for what was remembered before and for so many of the oldest pieces."""
         self.samples = samples
         del self._pieces[:pieces]
+
+    def keep(self, pieces: int) -> None:
+        """Forget all but so many of the newest finished pieces."""
+        del self._pieces[: max(len(self._pieces) - pieces, 0)]
 
     @property
     def pieces(self) -> int:
