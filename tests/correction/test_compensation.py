@@ -20,7 +20,7 @@ from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.correction.compensation import compensate
-from modcal_core.correction.conditions import Approach, Conditions
+from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import se3, so3
@@ -267,13 +267,3 @@ def test_efforts_follow_the_weight_to_where_the_arm_goes(rng: np.random.Generato
     at = replace(Conditions.at_rest(q, T0), effort=-torque)
     T = Correction(calibration_of(model)).pose(there, at)
     assert np.abs(T - load.pose(there, Conditions.at_rest(there, T0))).max() < 1e-12
-
-
-def test_approach_remembers_the_last_way_of_every_joint() -> None:
-    approach = Approach()
-    assert approach.update(np.zeros(3)).tolist() == [0, 0, 0]
-    for x in np.linspace(0.0, 0.1, 50):
-        came = approach.update(np.array([x, -x, 1e-5 * x]))
-    assert came.tolist() == [1, -1, 0]
-    assert approach.update(np.array([0.0998, -0.1, 0.0])).tolist() == [1, -1, 0], "less than noise"
-    assert approach.update(np.array([0.0990, -0.1, 0.0])).tolist() == [-1, -1, 0]

@@ -33,7 +33,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.commands import seconds, set_seconds
+from modcal_msgs_py.stamps import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatus.OK

@@ -101,6 +101,22 @@ def test_the_first_solve_by_itself_is_tried_again_later() -> None:
     assert supervisor.wants_solve()
     supervisor.failed()
     assert not supervisor.wants_solve()
+    stations = [replace(later(1), station=np.array([i])) for i in range(6, 36)]
+    for sample in stations[:-1]:
+        feed(supervisor, sample)
+    assert not supervisor.wants_solve()
+    feed(supervisor, stations[-1])
+    assert supervisor.wants_solve()
+
+
+def test_what_is_to_be_asked_for_does_not_come_by_itself_after_a_failure() -> None:
+    supervisor = Supervisor(Policy(after_change=0))
+    supervisor.trust(calibrated())
+    feed(supervisor, later(30, bump=BUMP))
+    assert supervisor.state == SUSPECTED
+    supervisor.failed()
+    feed(supervisor, later(30, bump=BUMP))
+    assert not supervisor.wants_solve()
 
 
 def test_to_forget_leaves_what_is_trusted() -> None:

@@ -102,15 +102,13 @@ def resolve(job: Job) -> Resolved:
 
 
 def _compare(job: Job, result: Result) -> Comparison:
-    scored = result.report.scored
+    scored, score = result.report.scored, result.report.errors
+    if job.trusted is None:
+        return compared(score["nominal"].position_norm, score["final"].position_norm)
     if job.changed is not None:
         since = scored.select(scored.stamps >= job.changed)
         scored = since if len(since) >= _LEAST_COMPARED else scored
-    if job.trusted is None:
-        before = np.asarray(result.report.errors["nominal"].position_norm)
-        before = before if len(before) == len(scored) else errors(result.calibration.nominal, scored).position_norm
-    else:
-        before = errors(with_frames(job.trusted.calibrated, scored.frames), scored).position_norm
+    before = errors(with_frames(job.trusted.calibrated, scored.frames), scored).position_norm
     after = errors(result.scored.model, scored).position_norm
     return compared(before, after)
 

@@ -11,21 +11,11 @@ import numpy as np
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.stamps import seconds
 
 _UNIT = 1e-3  # how far from one the length of a quaternion may be
 _FASTEST = 100.0  # rad/s or m/s
 _BEYOND = 0.1  # rad or m outside the limits that a joint may be reported
-
-
-def seconds(stamp: Any) -> float:
-    """A builtin_interfaces/Time or Duration in seconds."""
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
-
-
-def set_seconds(stamp: Any, value: float) -> None:
-    """Write seconds into a builtin_interfaces/Time or Duration, to the nanosecond."""
-    nanoseconds = round(value * 1e9)
-    stamp.sec, stamp.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
 
 
 def desired_pose(message: Any, farthest: float) -> Array:

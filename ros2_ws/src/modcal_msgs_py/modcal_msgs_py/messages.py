@@ -22,6 +22,7 @@ from modcal_core.measurements.recording import (
     Recording,
     SignalTrack,
 )
+from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
 
 
@@ -85,13 +86,6 @@ class RecordingBuilder:
                 part = f"{PART}{path[1:]}" if len(numbers) > 1 else ""
                 self._signal(topic, f"signal:{topic}{part}", stamp, received, [value])
 
-    def counts(self) -> dict[str, int]:
-        """Messages so far: joint states, and readings by frame."""
-        out = {JOINT_STATES: sum(len(rows.stamps) for rows in self._joints.values())}
-        for (_, _, frame), rows in self._readings.items():
-            out[frame] = out.get(frame, 0) + len(rows.stamps)
-        return out
-
     def recording(self) -> Recording:
         """Everything taken so far."""
         joint_topics = _preferred({topic for topic, _ in self._joints}, JOINT_STATES)
@@ -147,11 +141,11 @@ class RecordingBuilder:
         header = getattr(message, "header", None)
         if header is None:
             return received
-        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
+        stamp = seconds(header.stamp)
         if stamp == 0.0 and math.isfinite(received):
             self._unstamped[topic] = self._unstamped.get(topic, 0) + 1
             return received
-        return float(stamp)
+        return stamp
 
 
 def _pose(message: Any) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.measurements.recording import SignalTrack
-from modcal_msgs_py.commands import seconds
+from modcal_msgs_py.stamps import seconds
 
 _STEP = 1.0  # s between values that are kept
 _MOST = 3600  # values; an effect may follow with a lag of many minutes

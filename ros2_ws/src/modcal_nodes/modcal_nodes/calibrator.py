@@ -25,9 +25,10 @@ from modcal_core.online.suspicion import Suspicion
 from modcal_core.resolve import Job
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import TYPES
 from modcal_nodes.calibrating.announcing import Announcer
-from modcal_nodes.calibrating.arm import KnownArm, seconds
+from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.state import State, read_state, write_state
@@ -341,8 +342,7 @@ class Calibrator(Node):
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
         yield model_status(self._supervisor, self._verdict, trouble, self._workshop.doing == _SOLVE, candidate)
-        counts = self._arm.stream.counts if self._arm.stream else None
-        yield sample_status(self._supervisor.stations, self._refused, self._memory.jumps, counts, self._times)
+        yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
 
 
 def main() -> None:

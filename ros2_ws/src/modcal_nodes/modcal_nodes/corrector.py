@@ -20,10 +20,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
-from modcal_core.correction.conditions import Approach, Conditions
+from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
-from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_core.measurements.approach import Approach
+from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
+from modcal_msgs_py.stamps import set_seconds
 from modcal_nodes.files import parse_calibration, read_calibration
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
@@ -67,14 +69,13 @@ class Corrector(Node):
             Ear(self, JointState, "joint_states", self._guarded("joint_states", self._take_joints), _FEW, needed=True),
             Ear(self, Temperature, "temperature", self._guarded("temperature", self._take_temperature), _FEW),
             Ear(self, PoseStamped, "desired_pose", wish, _NEWEST, single=True),
+            Ear(self, String, "robot_description", self._take_description, LATCHED),
+            Ear(self, String, "calibration", self._take_calibration, LATCHED),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
         self._health = Health(self, self._report)
         self._meet()
-        for qos in (LATCHED, _NEWEST):  # what is not latched is heard too, if it is said while this node listens
-            self.create_subscription(String, "robot_description", self._take_description, qos)
-            self.create_subscription(String, "calibration", self._take_calibration, qos)
         self.create_service(Trigger, "~/reset", self._reset)
 
     # calibration and robot

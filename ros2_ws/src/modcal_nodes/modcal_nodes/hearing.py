@@ -15,6 +15,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from modcal_nodes.health import ERROR, OK, WARN, Status
+from modcal_nodes.waiting import waiting
 
 _LESS = {
     QoSPolicyKind.RELIABILITY: "heard with best effort; on a busy network some messages will be lost",
@@ -37,7 +38,6 @@ class Ear:
         needed: bool = False,
         patience: float = 5.0,
         single: bool = False,
-        raw: bool = False,
     ) -> None:
         """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault."""
         self._node, self._callback = node, callback
@@ -46,26 +46,18 @@ class Ear:
         self.incompatible: str | None = None
         self._less: Timer | None = None
         self._last = time.monotonic()
-        self._kind, self._raw, self._qos = kind, raw, qos
+        self._kind, self._qos = kind, qos
         self._subscriptions = [self._subscribe(topic, qos)]
         self.topic = self._subscriptions[0].topic_name
 
     def _subscribe(self, topic: str, qos: QoSProfile) -> Subscription:
         def hear(message: Any) -> None:
             self._take(message)
-            # What waits behind it is taken here: by way of the executor each message costs ten times as much, and a
-            # kilohertz of joint states would be more than it can bring.
-            for _ in range(_AT_ONCE):
-                with subscription.handle:
-                    waiting = subscription.handle.take_message(self._kind, self._raw)
-                if waiting is None:
-                    return
-                self._take(waiting[0])
+            for behind, _ in waiting(subscription, _AT_ONCE):
+                self._take(behind)
 
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
-        subscription = self._node.create_subscription(
-            self._kind, topic, hear, qos, event_callbacks=events, raw=self._raw
-        )
+        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events)
         return subscription
 
     def _take(self, message: Any) -> None:

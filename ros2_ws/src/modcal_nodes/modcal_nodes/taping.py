@@ -24,6 +24,7 @@ from modcal_msgs_py.bag_metadata import qos_profile
 from modcal_msgs_py.topics import TYPES
 from modcal_msgs_py.types import jazzy
 from modcal_nodes.health import ERROR, WARN
+from modcal_nodes.waiting import waiting
 
 # Five seconds of a fast driver may wait while this process gets no time.
 _DEPTH = 5000
@@ -170,15 +171,8 @@ class Tape:
 
     def _hear(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         self._keep(offer, cdr, info)
-        # What waits behind it is taken here: by way of the executor each message costs ten times as much, and when
-        # many wait, time is short.
-        ear = self._ears[offer]
-        for _ in range(_AT_ONCE):
-            with ear.handle:
-                waiting = ear.handle.take_message(ear.msg_type, True)
-            if waiting is None:
-                return
-            self._keep(offer, *waiting)
+        for behind in waiting(self._ears[offer], _AT_ONCE, raw=True):
+            self._keep(offer, *behind)
 
     def _keep(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         published = info["source_timestamp"]

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.circumstances import Arm
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import POSE, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import gravity_wrench
-
-TRAVEL = 5e-4  # rad or m that a joint must go before it has a direction, as in the stations of a calibration
 
 
 @dataclass(frozen=True)
@@ -82,23 +81,3 @@ class Conditions:
             effort=effort,
             signals=self.signals,
         )
-
-
-@dataclass
-class Approach:
-    """Remembers which way each joint of an arm last went. Fed with every posture, in order of time."""
-
-    direction: Array = field(default_factory=lambda: np.empty(0))
-    _anchor: Array = field(default_factory=lambda: np.empty(0))
-
-    def update(self, q: Array) -> Array:
-        """The directions (n,), −1, 0 (unknown) or 1, now that the joints are at q (n,)."""
-        if self._anchor.shape != q.shape:
-            self._anchor, self.direction = q.copy(), np.zeros(len(q))
-        way = q - self._anchor
-        moved = np.abs(way) > TRAVEL
-        self.direction = np.where(moved, np.sign(way), self.direction)
-        # while a joint goes on the same way its anchor goes with it, so that turning back is noticed at once
-        onward = moved | (way * self.direction > 0.0)
-        self._anchor = np.where(onward, q, self._anchor)
-        return self.direction

@@ -17,6 +17,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import (
     POINT,
     POSE,
@@ -248,7 +249,6 @@ def deviation_of_mean(residual: Array) -> float:
     return float(np.sqrt(variance / effective))
 
 
-_TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved
 
 
@@ -264,7 +264,7 @@ def _approach(samples: Samples, t: Array, q: Array) -> Array:
         back = _LOOK_BACK
         while True:
             apart = samples.q[i] - q[max(0, end - back) : end]
-            moved = np.abs(apart) > _TRAVEL
+            moved = np.abs(apart) > TRAVEL
             if moved.any(axis=0).all() or back >= end:
                 break
             back *= 4

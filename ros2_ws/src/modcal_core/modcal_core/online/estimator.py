@@ -36,12 +36,11 @@ _ROUNDS = 20
 @dataclass(frozen=True)
 class Update:
     """What one sample did. score: how far it lay from what was expected, as a standard score. weight: 1 taken in full,
-    0 rejected. innovation: its residual before it was taken in, position [m] then rotation [rad], (3,) or (6,).
+    0 rejected.
     """
 
     score: float
     weight: float
-    innovation: Array
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ class Estimator:
             self._now = self._now.with_rows(*_whitened(at_point + J @ self._point, J, noise, weight))
             self.values = self._now.mean
             self._keep(sample, weight)
-        return Update(score, weight, r)
+        return Update(score, weight)
 
     def settle(self) -> int:
         """Linearise the kept samples again until the estimate stands; returns how often that was needed."""

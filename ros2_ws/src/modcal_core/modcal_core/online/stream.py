@@ -16,6 +16,7 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import POSE, WIDTH, ReadingTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, averaged
@@ -69,8 +70,7 @@ class Stream:
         self._since = -np.inf  # when the present stand began
         self._stood = -np.inf  # when the last one ended
         self._began = -np.inf
-        self._approach = np.zeros(n)
-        self._anchor = np.zeros(n)
+        self._approach = Approach()
         self._step = np.nan
         self._noise = np.zeros(n)
         self._ready: list[Samples] = []
@@ -127,11 +127,6 @@ class Stream:
         if self._end > self._first:
             self._end_stand(float(self._t[self._end - 1]))
 
-    @property
-    def still(self) -> bool:
-        """Whether the arm stands."""
-        return self._end > self._first and float(self._t[self._end - 1]) - self._since >= self._rules.window
-
     def _append(self, stamp: float, q: Array, effort: Array | None) -> None:
         if self._end == len(self._t):
             keep = slice(self._end - _HELD, self._end)
@@ -146,7 +141,8 @@ class Stream:
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if self._end - self._first < 2:
             self._begin_stand(stamp, q)
-            self._began, self._anchor = stamp, q.copy()
+            self._began = stamp
+            self._approach.update(q)
             return
         step = stamp - self._t[self._end - 2]
         self._step = step if not np.isfinite(self._step) else self._step + 0.05 * (step - self._step)
@@ -165,7 +161,7 @@ class Stream:
                 self._end_stand(stamp)
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
-        self._approach, self._anchor = _moved_on(self._approach, self._anchor, q)
+        self._approach.update(q)
 
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()
@@ -272,22 +268,10 @@ class Stream:
                 velocity=zero if velocity is None else velocity[None],
                 moving=np.array([velocity is not None]),
                 acceleration=zero if acceleration is None else acceleration[None],
-                approach=(np.sign(velocity) if velocity is not None else self._approach)[None],
+                approach=(np.sign(velocity) if velocity is not None else self._approach.direction)[None],
                 effort=np.array(effort)[None],
             )
         )
-
-
-_TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
-
-
-def _moved_on(approach: Array, anchor: Array, q: Array) -> tuple[Array, Array]:
-    """The direction in which each joint last moved, and where it is taken to have come from."""
-    apart = q - anchor
-    far = np.abs(apart) > _TRAVEL
-    if not far.any():
-        return approach, anchor
-    return np.where(far, np.sign(apart), approach), np.where(far, q, anchor)
 
 
 def _parts(kind: str, values: Array) -> tuple[Array, Array, float, float]:

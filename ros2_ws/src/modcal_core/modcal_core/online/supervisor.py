@@ -41,7 +41,7 @@ class Supervisor:
         self.candidate: Calibration | None = None
         self.stations = 0
         self._last_station = -1
-        self._wait = policy.after_change
+        self._wait = policy.first_solve
 
     @property
     def trusted(self) -> Calibration | None:
@@ -76,7 +76,7 @@ class Supervisor:
     def wants_solve(self) -> bool:
         """Whether it is time to calibrate again."""
         if self.live is None:
-            return 0 < self.policy.first_solve <= self.stations and self.candidate is None
+            return 0 < self._wait <= self.stations and self.candidate is None
         return self.suspicion is not None and 0 < self._wait <= self.live.since
 
     def solved(self, calibration: Calibration, better: bool) -> bool:
@@ -89,10 +89,10 @@ class Supervisor:
 
     def failed(self) -> None:
         """A solve brought nothing: wait for as many stations again."""
-        if self.live is not None and self.suspicion is not None:
-            self._wait = self.live.since + max(self.policy.after_change, 1)
+        if self.live is None:
+            self._wait = self.stations + self.policy.first_solve if self.policy.first_solve else 0
         else:
-            self.policy = Policy(self.policy.accept, 2 * self.policy.first_solve, self.policy.after_change)
+            self._wait = self.live.since + self.policy.after_change if self.policy.after_change else 0
 
     def accept(self) -> bool:
         """Trust the candidate; returns whether there was one."""
@@ -111,5 +111,6 @@ class Supervisor:
         """Forget the candidate and what was suspected; what is trusted stays."""
         self.candidate = None
         self.stations = 0
+        self._wait = self.policy.first_solve
         if self.live is not None:
             self.trust(self.live.calibration)

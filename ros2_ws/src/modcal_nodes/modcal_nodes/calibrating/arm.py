@@ -12,6 +12,7 @@ from modcal_core.online.stream import Stream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.messages import READING
+from modcal_msgs_py.stamps import seconds
 
 
 class KnownArm:
@@ -78,8 +79,3 @@ class KnownArm:
         if self.stream is not None:
             values = np.array(READING[kind](message))
             self.stream.reading(kind, message.header.frame_id, seconds(message.header.stamp), values)
-
-
-def seconds(stamp: Any) -> float:
-    """A stamp in seconds."""
-    return float(stamp.sec + 1e-9 * stamp.nanosec)

@@ -9,6 +9,7 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Heard
 from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES
 
 _JUMP = 1.0  # s
@@ -31,16 +32,13 @@ class Memory:
         self._builder = RecordingBuilder("live")
         self._first = self._last = math.nan
         self.samples = None
-        self.jumps = 0
         self._names: frozenset[str] = frozenset()
 
     def add(self, topic: str, type_name: str, message: Any, received: float) -> None:
         """Take one message. Raises BadRecording for one that contradicts itself."""
         if topic.endswith(JOINT_STATES):
-            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            back = stamp < self._last - _JUMP
-            if back or stamp - self._first > self._longest:
-                self.jumps += back
+            stamp = seconds(message.header.stamp)
+            if stamp < self._last - _JUMP or stamp - self._first > self._longest:
                 self._close_piece()
             self._first = stamp if math.isnan(self._first) else self._first
             self._last = stamp
@@ -57,10 +55,6 @@ class Memory:
     def full(self) -> bool:
         """Whether there are finished pieces that could be made into samples."""
         return bool(self._pieces)
-
-    def counts(self) -> dict[str, int]:
-        """Messages of the present piece, by joint states and frames."""
-        return self._builder.counts()
 
     def heard(self) -> Heard:
         """Everything remembered."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.online.stream import Counts
+from modcal_core.online.stream import Stream
 from modcal_core.online.supervisor import SUSPECTED, Supervisor
 from modcal_core.resolve import Comparison
 from modcal_nodes.health import ERROR, OK, WARN, Status
@@ -64,11 +64,14 @@ def model_status(
     return Status("model", OK, verdict, facts)
 
 
-def sample_status(stations: int, refused: int, jumps: int, counts: Counts | None, times: Times) -> Status:
+def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:
     """How many stations there are, what was left out, and how long updates take."""
-    facts: dict[str, object] = {"messages refused": refused, "clock set back": jumps}
-    if counts is not None:
-        facts["messages out of order"] = counts.late
-        facts["readings without joint states"] = counts.unpaired
-    message = f"{stations} stations" + (f", {refused} messages refused" if refused else "")
+    facts: dict[str, object] = {"messages refused": refused}
+    if stream is not None:
+        facts["clock set back"] = stream.counts.jumps
+        facts["messages out of order"] = stream.counts.late
+        facts["readings without joint states"] = stream.counts.unpaired
+    if supervisor.live is not None:
+        facts["readings in unknown frames"] = supervisor.live.strange
+    message = f"{supervisor.stations} stations" + (f", {refused} messages refused" if refused else "")
     return Status("samples", WARN if refused else OK, message, {**facts, **times.values()})

@@ -8,6 +8,7 @@ from trajectory_msgs.msg import JointTrajectory
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_msgs_py.stamps import seconds
 
 
 def legs(chain: Chain, trajectory: JointTrajectory) -> list[tuple[float, Array]]:
@@ -25,7 +26,7 @@ def legs(chain: Chain, trajectory: JointTrajectory) -> list[tuple[float, Array]]
     out: list[tuple[float, Array]] = []
     last = 0.0
     for k, point in enumerate(trajectory.points):
-        after = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+        after = seconds(point.time_from_start)
         q = np.array(point.positions, dtype=float)
         offender = f"joint_trajectory: point {k}"
         if len(q) != len(order) or not np.isfinite(q).all():
