@@ -8,10 +8,16 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modcal_nodes.parameters import CALIBRATOR, CORRECTOR, RECORDER, SIMULATED_CELL
+from modcal_nodes.parameters import CALIBRATOR, CORRECTOR, RECORDER, SIMULATED_CELL, SIMULATED_FURNITURE
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
-KNOWN = {"recorder": RECORDER, "calibrator": CALIBRATOR, "corrector": CORRECTOR, "simulated_cell": SIMULATED_CELL}
+KNOWN = {
+    "recorder": RECORDER,
+    "calibrator": CALIBRATOR,
+    "corrector": CORRECTOR,
+    "simulated_cell": SIMULATED_CELL,
+    "simulated_furniture": SIMULATED_FURNITURE,
+}
 
 
 @pytest.mark.parametrize("name", KNOWN)

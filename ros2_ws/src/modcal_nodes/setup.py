@@ -30,6 +30,7 @@ setup(
             f"calibrator = {PACKAGE}.calibrator:main",
             f"corrector = {PACKAGE}.corrector:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
+            f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
         ],
     },
 )

@@ -124,6 +124,30 @@ SIMULATED_CELL = {
     "warm_up_s": Parameter(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
 }
 
+SIMULATED_FURNITURE = {
+    "urdf": Parameter("", "URDF file of the arm; its links must have masses."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
+    "seed": Parameter(0, "Decides the object, its place, the tool's weight and the noise.", 0, 2**31 - 1),
+    "kind": Parameter("", "What is pulled: door, drawer, screw or folding; empty: a door or a drawer, by chance."),
+    "grasp": Parameter("", "How the hand holds the handle: weld (firmly) or ball (it may turn); empty: by chance."),
+    "radius_m": Parameter(-1.0, "Distance of the handle from the hinge [m]; below zero: by chance.", -1.0, 2.0),
+    "friction": Parameter(-1.0, "Dry friction of its joint [N m; N]; below zero: by chance.", -1.0, 200.0),
+    "damping": Parameter(-1.0, "Damping of its joint [N m s/rad; N s/m]; below zero: by chance.", -1.0, 1000.0),
+    "spring": Parameter(-1.0, "Stiffness that closes it [N m/rad; N/m]; below zero: by chance.", -1.0, 1000.0),
+    "mass_kg": Parameter(-1.0, "Mass of what moves [kg]; below zero: by chance.", -1.0, 200.0),
+    "stop": Parameter(
+        -1.0, "Where it jams for good [rad; m]; 0: it is locked; below zero: only at its own end.", -1.0, 3.0
+    ),
+    "servo_stiffness": Parameter(4000.0, "Stiffness of the joints' servos [N m/rad].", 100.0, 1e5),
+    "servo_lag_s": Parameter(0.03, "How far behind a steadily moving reference they stay [s].", 0.005, 0.2),
+    "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
+    "wrench_rate_hz": Parameter(250.0, "Rate of the wrist's sensor [Hz].", 10.0, 1000.0),
+    "truth_rate_hz": Parameter(100.0, "Rate of ~/contact_force and ~/object_truth [Hz].", 1.0, 1000.0),
+    "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
+    "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
+}
+
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
     """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""

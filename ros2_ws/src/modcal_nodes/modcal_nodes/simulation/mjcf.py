@@ -33,27 +33,30 @@ def mjcf(chain: Chain, origins: Array, T_tip_tool: Array, inertias: Inertias | N
     for k, name in enumerate(chain.names):
         kind = "hinge" if chain.revolute[k] else "slide"
         opening.append(
-            f"<body name={quoteattr(body_name(name))} {_placed(origins[k])}>"
-            f"<joint name={quoteattr(name)} type={quoteattr(kind)} axis={quoteattr(_text(chain.axes[k]))}/>"
-            + ('<geom type="sphere" size="0.03" mass="2"/>' if inertias is None else _inertial(inertias, k))
+            f"<body name={quoteattr(body_name(name))} {placed(origins[k])}>"
+            f"<joint name={quoteattr(name)} type={quoteattr(kind)} axis={quoteattr(text(chain.axes[k]))}/>"
+            + ('<geom type="sphere" size="0.03" mass="2"/>' if inertias is None else inertial(inertias, k))
         )
     mass = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
-    payload = f"<body name={quoteattr(PAYLOAD)} {_placed(origins[-1])}>{mass}</body>"
-    site = f'<site name="tool" {_placed(origins[-1] @ T_tip_tool)}/>'
+    payload = f"<body name={quoteattr(PAYLOAD)} {placed(origins[-1])}>{mass}</body>"
+    site = f'<site name="tool" {placed(origins[-1] @ T_tip_tool)}/>'
     return "".join(opening) + payload + site + "</body>" * chain.n + "</worldbody></mujoco>"
 
 
-def _inertial(inertias: Inertias, k: int) -> str:
+def inertial(inertias: Inertias, k: int) -> str:
+    """MJCF of what joint k carries by itself."""
     tensor = inertias.inertia[k] + NO_MASS * np.eye(3)
-    full = _text(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    full = text(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
     mass = max(float(inertias.mass[k]), NO_MASS)
-    return f'<inertial pos="{_text(inertias.com[k])}" mass="{mass:.17g}" fullinertia="{full}"/>'
+    return f'<inertial pos="{text(inertias.com[k])}" mass="{mass:.17g}" fullinertia="{full}"/>'
 
 
-def _placed(T: Array) -> str:
+def placed(T: Array) -> str:
+    """MJCF attributes that put a body or a site at T (4, 4) [m]."""
     x, y, z, w = so3.to_quaternion(T[:3, :3])
-    return f'pos="{_text(T[:3, 3])}" quat="{_text(np.array([w, x, y, z]))}"'
+    return f'pos="{text(T[:3, 3])}" quat="{text(np.array([w, x, y, z]))}"'
 
 
-def _text(values: Array) -> str:
+def text(values: Array) -> str:
+    """Numbers as MJCF writes them, no digit lost."""
     return " ".join(f"{v:.17g}" for v in values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from sensor_msgs.msg import JointState, Temperature
 
 from modcal_core.geometry import se3
@@ -14,7 +14,9 @@ from modcal_core.geometry.so3 import Array
 TRACKER = "tracker"
 
 
-def stamp(message: JointState | PoseStamped | PointStamped | Temperature, when: tuple[int, int]) -> None:
+def stamp(
+    message: JointState | PoseStamped | PointStamped | Temperature | WrenchStamped, when: tuple[int, int]
+) -> None:
     """Put a time in seconds and nanoseconds on a message."""
     message.header.stamp.sec, message.header.stamp.nanosec = when
 

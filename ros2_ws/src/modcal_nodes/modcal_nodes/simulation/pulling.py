@@ -1,0 +1,194 @@
+"""An arm that pulls at furniture, stepped by MuJoCo: servos that lag, a wrist sensor that is not tared, a true grasp.
+
+It keeps no time of its own but MuJoCo's, so a study may run it as fast as it will go and a node at the clock's pace.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadCommand, BadRobot
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+from modcal_nodes.simulation.furniture import Furniture
+from modcal_nodes.simulation.furniture_mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
+
+_SETTLE = 0.3  # s before time zero, for the grasp to take up what is left of the start posture's rounding
+_LONGEST_JUMP = 0.3  # rad; a driver refuses a reference further from the last one
+
+
+class Pulling:
+    """The scene at one moment. ``time`` [s] is zero when the arm stands still with the closed handle in its hand."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        inertias: Inertias,
+        servo: Servo,
+        scene: Furniture,
+        rng: np.random.Generator,
+        noise_n: float = 0.2,
+        noise_nm: float = 0.01,
+    ) -> None:
+        """Let the arm take hold. noise: of the wrist sensor, one standard deviation per axis [N, N m]."""
+        self.chain, self.scene = chain, scene
+        self._noise, self._rng = np.array([noise_n] * 3 + [noise_nm] * 3), rng
+        self.model = mujoco.MjModel.from_xml_string(furniture_mjcf(chain, inertias, servo, scene))
+        self.data = mujoco.MjData(self.model)
+        self._arm = [self.model.joint(name).qposadr[0] for name in chain.names]
+        self._arm_v = [self.model.joint(name).dofadr[0] for name in chain.names]
+        assert self._arm == list(range(self._arm[0], self._arm[0] + chain.n)), self._arm
+        names = [self.model.joint(k).name for k in range(self.model.njnt)]
+        self.object_joints = tuple(name for name in (OBJECT, SECOND) if name in names)
+        self._object = [self.model.joint(name).qposadr[0] for name in self.object_joints]
+        self._object_v = [self.model.joint(name).dofadr[0] for name in self.object_joints]
+        self._tool, self._handle = self.model.site("tool").id, self.model.site("handle").id
+        self._wrist, self._grasp = self._sensor("force"), self._sensor("grasp_force")
+        self._way: tuple[Array, Array] | None = None
+        self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
+        self.data.qpos[self._arm] = scene.q
+        self.data.ctrl[:] = scene.q
+        self.start = 0.0
+        self.advance(_SETTLE)
+        self.start = float(self.data.time)
+        self.forget()
+
+    @classmethod
+    def of(
+        cls,
+        urdf_xml: str,
+        chain: Chain,
+        scene: Furniture,
+        rng: np.random.Generator,
+        servo: Servo | None = None,
+        noise_n: float = 0.2,
+        noise_nm: float = 0.01,
+    ) -> Pulling:
+        """The scene with the arm of a URDF, its masses and its torques. Raises BadRobot where it states no masses."""
+        inertias = read_inertias(urdf_xml, chain)
+        if not (inertias.mass > 0.0).all():
+            light = chain.names[int(np.argmin(inertias.mass))]
+            raise BadRobot(f"joint {light}", "moves no mass in this URDF", "give an arm with inertials")
+        servo = servo or Servo(effort_limits(urdf_xml, chain.names))
+        return cls(chain, inertias, servo, scene, rng, noise_n, noise_nm)
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start."""
+        return float(self.data.time) - self.start
+
+    def advance(self, seconds: float) -> None:
+        """Let so much time pass, in whole steps of a millisecond."""
+        for _ in range(round(seconds / TIMESTEP)):
+            if self._way is not None:
+                times, postures = self._way
+                self.data.ctrl[:] = [np.interp(self.data.time, times, column) for column in postures.T]
+            mujoco.mj_step(self.model, self.data)
+            force = self.data.sensordata[self._grasp : self._grasp + 3]
+            size = math.sqrt(float(force @ force))
+            if size > self._peak_size:
+                self._peak, self._peak_size = self.contact(), size
+            self._sum += size
+            self._steps += 1
+
+    # what it is told
+
+    def refer(self, q: ArrayLike) -> None:
+        """Send the servos to a posture (n,) at once. Raises BadCommand for none, or one that is a jump away."""
+        q = np.asarray(q, dtype=float)
+        if q.shape != (self.chain.n,) or not np.isfinite(q).all():
+            raise BadCommand("joint_references", "has wrong positions", f"give {self.chain.n} finite numbers")
+        jump = np.abs(q - self.data.ctrl)
+        if jump.max() > _LONGEST_JUMP:
+            worst = self.chain.names[int(np.argmax(jump))]
+            raise BadCommand(
+                f"joint_references: {worst}",
+                f"is {jump.max():.3g} away from the last one, {_LONGEST_JUMP:g} is the limit",
+                "let references begin where the arm is, and move on in small steps",
+            )
+        self._way = None
+        self.data.ctrl[:] = q
+
+    def follow(self, legs: Sequence[tuple[float, Array]]) -> None:
+        """Go through postures (n,) by their seconds from now, straight from one to the next."""
+        times = self.data.time + np.array([0.0, *(after for after, _ in legs)])
+        self._way = times, np.array([self.data.ctrl.copy(), *(q for _, q in legs)])
+
+    # what may be known of it
+
+    def joints(self) -> tuple[Array, Array]:
+        """Positions and velocities of the arm's joints, (n,) each."""
+        return self.data.qpos[self._arm].copy(), self.data.qvel[self._arm_v].copy()
+
+    def reference(self) -> Array:
+        """Where the servos are sent (n,)."""
+        return self.data.ctrl.copy()
+
+    def wrench(self) -> Array:
+        """Reading of the wrist's sensor (6,): what acts on the tool, in the tool and about its origin [N, N m].
+
+        Pushed along its x, the tool reads a positive force x. Its weight, the sensor's zero and noise are in it.
+        """
+        # MuJoCo's sensor tells what the wrist does to the tool, which balances all the rest
+        felt = -self.data.sensordata[self._wrist : self._wrist + 6]
+        return felt + self.scene.tool_bias + self._noise * self._rng.standard_normal(6)
+
+    # the truth
+
+    def contact(self) -> Array:
+        """True force and torque (6,) of the hand on the handle, in the handle and about its origin [N, N m]."""
+        return -self.data.sensordata[self._grasp : self._grasp + 6]
+
+    def peak(self) -> Array:
+        """The :meth:`contact` (6,) of the largest force since :meth:`forget`, every millisecond looked at."""
+        return self._peak.copy()
+
+    def mean(self) -> float:
+        """Mean of the size of those forces since :meth:`forget` [N]."""
+        return self._sum / max(self._steps, 1)
+
+    def forget(self) -> None:
+        """Begin peak and mean anew."""
+        self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
+
+    def object_state(self) -> tuple[Array, Array]:
+        """True positions and velocities of ``object_joints`` [rad; m]."""
+        return self.data.qpos[self._object].copy(), self.data.qvel[self._object_v].copy()
+
+    @property
+    def opened(self) -> float:
+        """How far the object is open [rad; m]; both hinges together where it folds."""
+        positions = self.data.qpos[self._object]
+        return float(positions.sum() if self.scene.kind == "folding" else positions[0])
+
+    def tool(self) -> Array:
+        """True pose (4, 4) of the tool in the base."""
+        return self._site(self._tool)
+
+    def handle(self) -> Array:
+        """True pose (4, 4) of the handle in the base."""
+        return self._site(self._handle)
+
+    def _site(self, number: int) -> Array:
+        T = np.eye(4)
+        T[:3, :3] = self.data.site_xmat[number].reshape(3, 3)
+        T[:3, 3] = self.data.site_xpos[number]
+        return T
+
+    def _sensor(self, name: str) -> int:
+        return int(self.model.sensor(name).adr[0])
+
+
+def effort_limits(urdf_xml: str, names: Sequence[str]) -> Array:
+    """Largest torque or force of the joints (n,) [N m; N]; inf where the URDF states none, or zero."""
+    stated = {joint.get("name"): joint.find("limit") for joint in ElementTree.fromstring(urdf_xml).iterfind("joint")}
+    limits = [stated.get(name) for name in names]
+    efforts = np.array([0.0 if limit is None else float(limit.get("effort", 0.0)) for limit in limits])
+    return np.where(efforts > 0.0, efforts, np.inf)
