@@ -22,7 +22,7 @@ SPEED = 0.06  # m/s of the handle
 _TARE_S = 0.2
 _FARTHEST = 1.15  # of the way that should do; a compliant hand lags behind
 _PATIENCE = 1.3  # times what that way should take
-_MASS, _STIFFNESS, _DAMPING = (np.repeat(pair, 3) for pair in ([10.0, 1.0], [300.0, 20.0], [1000.0, 80.0]))
+_MASS, _STIFFNESS, _DAMPING = (np.repeat(pair, 3) for pair in ([10.0, 1.0], [300.0, 20.0], [1000.0, 200.0]))
 Way = Callable[[float], Array]
 
 

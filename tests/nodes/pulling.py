@@ -1,0 +1,147 @@
+"""A pull through the real nodes: furniture in MuJoCo, articulation_estimator and impedance_setpoint, each a process."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from nodes.plain_pulls import Pull
+from nodes.processes import ROOT, Process, fresh_domain, listener, running
+from nodes.talking import RELIABLE, Diagnostics
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from modcal_core.geometry.so3 import Array
+from modcal_nodes.simulation.furniture import Furniture
+
+PANDA = ROOT / "examples" / "robots" / "panda.urdf"
+WORLD, ESTIMATOR, SETPOINT = "simulated_furniture", "articulation_estimator", "impedance_setpoint"
+_STILL_S = 2.0  # s without a setpoint after which a pull is over
+Wait = Callable[[Callable[[], Any], float], Any]
+
+
+@dataclass
+class Told:
+    """What the world and the setpoints said, with the times at which it arrived [s]."""
+
+    forces: list[tuple[float, float]] = field(default_factory=list)
+    opened: list[tuple[float, float]] = field(default_factory=list)
+    setpoints: list[float] = field(default_factory=list)
+    begun: float = 0.0
+
+    def listen(self, node: Node) -> None:
+        node.create_subscription(WrenchStamped, f"{WORLD}/contact_force", self._force, RELIABLE)
+        node.create_subscription(JointState, f"{WORLD}/object_truth", self._truth, RELIABLE)
+        node.create_subscription(JointTrajectoryPoint, "joint_references", self._setpoint, RELIABLE)
+
+    def _force(self, message: WrenchStamped) -> None:
+        f = message.wrench.force
+        self.forces.append((time.monotonic(), float(np.linalg.norm([f.x, f.y, f.z]))))
+
+    def _truth(self, message: JointState) -> None:
+        self.opened.append((time.monotonic(), float(message.position[0])))
+
+    def _setpoint(self, _: JointTrajectoryPoint) -> None:
+        self.setpoints.append(time.monotonic())
+
+    def over(self) -> bool:
+        """Whether setpoints came and have ended."""
+        return bool(self.setpoints) and time.monotonic() - self.setpoints[-1] > _STILL_S
+
+    def since_begun(self, series: list[tuple[float, float]]) -> Array:
+        """Times since the pull was asked for, and values, (n, 2)."""
+        return np.array([(t - self.begun, value) for t, value in series if t >= self.begun]).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A pull, and how it went: forces and opened (n, 2), times [s] and values [N; rad or m]."""
+
+    pull: Pull
+    forces: Array
+    opened: Array
+    seconds: float
+    gap: float  # s, the longest between two setpoints
+
+
+def call(node: Node, wait: Wait, kind: type, name: str, request: Any, patience: float = 30.0) -> Any:
+    """The answer of a service; asked again where the question was lost."""
+    client = node.create_client(kind, name)
+    wait(client.service_is_ready, patience)
+    for _ in range(3):
+        answer = client.call_async(request)
+        with contextlib.suppress(AssertionError):
+            wait(answer.done, 0.5 * patience)
+            return answer.result()
+    raise AssertionError(f"{name} does not answer")
+
+
+def change(node: Node, wait: Wait, name: str, transition: int) -> None:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    answer = call(node, wait, ChangeState, f"{name}/change_state", request)
+    assert answer.success, f"{name}: transition {transition} failed"
+
+
+def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any], setpoint: dict[str, Any]) -> Any:
+    """The three of them, connected by remapping alone."""
+
+    def remap(**names: str) -> list[str]:
+        return [word for old, new in names.items() for word in ("-r", f"{old}:={new}")]
+
+    heard = {f"object_{what}": f"{ESTIMATOR}/object_{what}" for what in ("description", "state", "status")}
+    return (
+        Process(WORLD, domain, folder, urdf=PANDA, **world),
+        Process(ESTIMATOR, domain, folder),
+        Process(
+            SETPOINT,
+            domain,
+            folder,
+            *remap(**heard),
+            "-r",
+            "~/joint_references:=joint_references",
+            tool_mass=scene.tool_mass,
+            tool_centre=[float(x) for x in scene.tool_com],
+            goal=float(scene.goal),
+            **setpoint,
+        ),
+    )
+
+
+def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: float = 60.0, **setpoint: Any) -> Opening:
+    """Pull at the object of a scene, which ``world`` (parameters of the world) must draw, until setpoints end."""
+    domain = fresh_domain()
+    made = processes(folder, domain, scene, world, setpoint)
+    with running(*made), listener(domain) as (node, wait):
+        told, health = Told(), Diagnostics(node)
+        told.listen(node)
+        change(node, wait, SETPOINT, Transition.TRANSITION_CONFIGURE)
+        change(node, wait, SETPOINT, Transition.TRANSITION_ACTIVATE)
+        wait(lambda: told.forces and told.opened, 30.0)
+        told.begun = time.monotonic()
+        answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
+        assert answer.success, answer.message
+        wait(told.over, patience)
+        said = health.last.get(f"/{SETPOINT}: pull")
+        forces, opened = told.since_begun(told.forces), told.since_begun(told.opened)
+        for process in made:
+            process.stop()
+    gaps = np.diff(told.setpoints)
+    # a message holds the largest force since the one before, so this mean is never too small
+    pull = Pull(
+        float(forces[:, 1].max()),
+        float(forces[forces[:, 0] <= told.setpoints[-1] - told.begun, 1].mean()),
+        float(opened[:, 1].max()),
+        scene.goal,
+        said.message if said is not None else "",
+    )
+    return Opening(pull, forces, opened, told.setpoints[-1] - told.begun, float(gaps.max(initial=0.0)))
