@@ -20,7 +20,7 @@ _ALSO = {"errors", "geometry", "robots", "measurements"}
 ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
 ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
 ROOMS["articulation"] = _ALSO | {"articulation"}
-ROOMS["compliance"] = _ALSO | {"compliance"}
+ROOMS["compliance"] = _ALSO | {"articulation", "compliance"}
 ROOMS["report"] = {*ROOMS, "report", "top"}
 ROOMS["top"] = {*ROOMS, "top"}
 

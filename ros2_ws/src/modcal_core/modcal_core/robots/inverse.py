@@ -11,7 +11,6 @@ leave its limits is held at them and the others go on. Where that ends in a dead
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,6 +20,7 @@ from modcal_core.errors import NotReachable
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.posture import cross, joint_motions, pose_error, posture_frames
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
@@ -117,56 +117,13 @@ def _descend(
 
 def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     """The error (6,) at a posture (n,), seen from the tip, and what it loses per unit of each joint, (6, n)."""
-    before, tip = _frames(chain, q)
-    R, p = tip[:3, :3], tip[:3, 3]
-    axis, arm = before[:, :3, 2], p - before[:, :3, 3]
-    turn = chain.revolute[:, None]
-    v = np.where(turn, _cross(axis, arm), axis) @ R  # rows, in the tip
-    w = np.where(turn, axis, 0.0) @ R
-    e_p, e_w = R.T @ (goal[:3, 3] - p), _turn(R.T @ goal[:3, :3])
+    before, tip = posture_frames(chain, q)
+    v, w = joint_motions(chain, before, tip)
+    e = pose_error(tip, goal)
     J = np.empty((6, chain.n))
-    J[:3] = (v - _cross(e_p[None], w)).T
-    J[3:] = so3.left_jacobian_inverse(e_w) @ w.T
-    return np.concatenate([e_p, e_w]), J
-
-
-def _frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Frames before each joint, its axis as z, (n, 4, 4), and the tip (4, 4), of one posture without a batch's cost."""
-    M = chain.along_z
-    motion = np.tile(np.eye(4), (chain.n, 1, 1))
-    angle = np.where(chain.revolute, q, 0.0)
-    motion[:, 0, 0] = motion[:, 1, 1] = np.cos(angle)
-    motion[:, 1, 0] = np.sin(angle)
-    motion[:, 0, 1] = -motion[:, 1, 0]
-    motion[:, 2, 3] = np.where(chain.revolute, 0.0, q)
-    links = motion @ M[1:]
-    out = np.empty((chain.n, 4, 4))
-    T = M[0]
-    for k in range(chain.n):
-        out[k] = T
-        T = T @ links[k]
-    return out, T
-
-
-def _turn(R: Array) -> Array:
-    """Rotation vector (3,) of one rotation matrix; so3.log is for many, and exact near half a turn."""
-    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = math.sqrt(v @ v), 0.5 * (float(R[0, 0] + R[1, 1] + R[2, 2]) - 1.0)
-    if cosine < -0.9:
-        return so3.log(R)
-    return v * (math.atan2(sine, cosine) / sine) if sine > 1e-9 else v
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products of rows; np.cross takes longer to begin than this to finish."""
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
+    J[:3] = (v - cross(e[None, :3], w)).T
+    J[3:] = so3.left_jacobian_inverse(e[3:]) @ w.T
+    return e, J
 
 
 def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:

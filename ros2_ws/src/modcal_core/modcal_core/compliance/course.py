@@ -1,0 +1,135 @@
+"""Where the tool is expected while something is opened: a pull into the unknown, then the way that a model knows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.compliance.poses import along_screw, crossed, turned
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.posture import rotation_vector
+
+_LED = 0.9  # share of what the tool was led aside that is expected to go on; below one, or nothing would bring it back
+_LED_AFTER = 0.1  # s
+_STEP_M, _STEP_RAD = 0.015, 0.05  # between poses of a path
+
+
+class Pull:
+    """The expected pose while the way is unknown: along the believed direction, which turns with the tool.
+
+    What leads the tool aside or turns it is followed, so that a hinge need not fight the arm: a door that turns the
+    hand by 10° over 10 cm would otherwise have to turn it against the damping of the impedance law.
+    """
+
+    def __init__(self, T_base_tool: Array, direction: Array) -> None:
+        """Begin at a pose (4, 4). direction (3,): of the pull, seen from the tool."""
+        self.start, self.pose = np.array(T_base_tool), np.array(T_base_tool)
+        length = float(np.linalg.norm(direction))
+        if not (math.isfinite(length) and length > 1e-6):
+            raise BadCommand(f"direction {np.asarray(direction).tolist()}", "has no length", "give x y z of the pull")
+        self.direction = np.asarray(direction, dtype=float) / length
+        self.way = 0.0  # m that it has gone on
+        self._line = self.start[:3, 3].copy()
+        self._aside, self._turn = np.zeros(3), np.zeros(3)
+
+    def advance(self, ds: float, T_measured: Array, h: float) -> Array:
+        """The expected pose (4, 4) after ds [m] more, with the tool measured at a pose (4, 4), h seconds later."""
+        share = h / (h + _LED_AFTER)
+        R0 = self.start[:3, :3]
+        turn = rotation_vector(T_measured[:3, :3] @ R0.T)
+        self._turn = self._turn + share * (_LED * turn - self._turn)
+        R = turned(self._turn) @ R0
+        d = R @ self.direction
+        self.way += ds
+        self._line = self._line + ds * d
+        off = T_measured[:3, 3] - self._line
+        off = off - (off @ d) * d
+        self._aside = self._aside + share * (_LED * off - self._aside)
+        self.pose = np.eye(4)
+        self.pose[:3, :3] = R
+        self.pose[:3, 3] = self._line + self._aside
+        return self.pose
+
+    def progress(self, T_measured: Array) -> float:
+        """How far the tool has come [m], at the pose (4, 4) it is measured at."""
+        return float(np.linalg.norm(T_measured[:3, 3] - self.start[:3, 3]))
+
+    @property
+    def moved(self) -> Array:
+        """The direction (3,) in the base in which it pulls now."""
+        return self.pose[:3, :3] @ self.direction
+
+
+class Course:
+    """The way of a handle that a model knows, from where it was closed to a goal."""
+
+    def __init__(
+        self, model: JointModel, closed: Array, now: Array, ahead: Array, goal_rad: float, goal_m: float, over: float
+    ) -> None:
+        """model: of the tool's poses in the base. closed, now (4, 4): the tool when it was closed and as it is.
+
+        ahead (3,): the direction in the base in which it opens. goal_rad, goal_m: from closed, for what turns and what
+        slides. over: way [m] beyond the goal to which it may be expected, to make up for what the pull gives way.
+        Raises BadCommand for a model of something that does not move.
+        """
+        self._closed, self._goals, self._over = closed, (goal_rad, goal_m), over
+        self._ahead = ahead
+        self.take(model, now)
+
+    def take(self, model: JointModel, expected: Array) -> Array:
+        """The pose (4, 4) on a new model that is nearest to the one expected (4, 4) so far; its way goes on there."""
+        self.per_unit = model.length_per_unit
+        if not self.per_unit > 1e-3:
+            said = f"a handle that moves {1e3 * self.per_unit:.3g} mm per unit cannot be opened"
+            raise BadCommand(f"model of the object ({model.kind})", said, "see whether it is locked")
+        self.model = model
+        self._twist = model.twist()
+        self._reference = expected if not model.oriented else None
+        self._reference_at = float(model.configuration(expected[:3, 3])) if not model.oriented else 0.0
+        at = self.configuration(expected)
+        v = self._twist[:3] + crossed(self._twist[3:], expected[:3, 3])
+        self.sign = 1.0 if v @ self._ahead >= 0.0 else -1.0
+        self.closed_at = self.configuration(self._closed)
+        self.goal_at = self.closed_at + self.sign * self._goals[0 if model.turns else 1]
+        self.at = at
+        return self.pose(self.at)
+
+    def configuration(self, T: Array) -> float:
+        """The configuration nearest to a pose (4, 4)."""
+        return float(self.model.configuration(T if self.model.oriented else T[:3, 3]))
+
+    def pose(self, a: float) -> Array:
+        """The expected tool (4, 4) at a configuration."""
+        if self._reference is None:
+            return along_screw(self.model.start, a * self._twist)
+        return along_screw(self._reference, (a - self._reference_at) * self._twist)
+
+    def advance(self, ds: float) -> Array:
+        """The expected pose (4, 4) after ds [m] more, or as far beyond the goal as it may be."""
+        last = self.goal_at + self.sign * self._over / self.per_unit
+        room = self.sign * (last - self.at) * self.per_unit
+        self.at += self.sign * min(ds, max(room, 0.0)) / self.per_unit
+        return self.pose(self.at)
+
+    def left(self, a: float) -> float:
+        """The way from a configuration to the goal [m], negative beyond it."""
+        return self.sign * (self.goal_at - a) * self.per_unit
+
+    def opened(self, a: float) -> float:
+        """How far it is open at a configuration [rad or m]."""
+        return self.sign * (a - self.closed_at)
+
+    def tangent(self) -> Array:
+        """The direction (3,) in which it opens, seen from the expected tool."""
+        T = self.pose(self.at)
+        v = self.sign * (self._twist[:3] + crossed(self._twist[3:], T[:3, 3]))
+        return T[:3, :3].T @ (v / np.linalg.norm(v))
+
+    def path(self) -> Array:
+        """Poses (m, 4, 4) from where it is expected now to the goal."""
+        span = self.goal_at - self.at
+        steps = max(abs(span) * self.per_unit / _STEP_M, abs(span) / _STEP_RAD if self.model.turns else 0.0)
+        return np.array([self.pose(a) for a in np.linspace(self.at, self.goal_at, max(math.ceil(steps), 1) + 1)])

@@ -1,0 +1,271 @@
+"""The guard: the last thing that every setpoint passes, and that nothing passes which an arm must not do.
+
+It mends nothing. What is within all limits goes through as it is, the rest does not go at all; shaping a course so that
+it stays within them is done before (shaping.py, following.py). After a refusal that only means waiting (an input is
+late) the next good setpoint may follow from where the last one was; after any other the guard stays shut until it is
+opened anew.
+
+Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
+stop, after which no more than one period's step is allowed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.compliance.poses import crossed, speeds
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.posture import pose_and_jacobian
+
+_ROUNDING = 1e-6  # share by which a number may exceed its limit for being rounded
+_PAUSE = 5.0  # periods without a setpoint, after which the arm counts as standing
+
+
+@dataclass(frozen=True)
+class Limits:
+    """speed, acceleration: of the tool [m/s, m/s²]; turning, turning_acceleration [rad/s, rad/s²]. force, moment: on
+    the tool [N, N m]. displacement, turn: of the setpoint from where the tool is measured [m, rad]. joint_speed,
+    joint_acceleration: (n,) per second. stale: oldest input [s]. period: of setpoints [s]. gain: least singular value
+    of the Jacobian [m or rad a rad]. apart: how far the pose may be from where the joints put it [m; 5 times rad].
+    """
+
+    joint_speed: Array
+    joint_acceleration: Array
+    speed: float = 0.25
+    acceleration: float = 2.5
+    turning: float = 1.5
+    turning_acceleration: float = 15.0
+    force: float = 50.0
+    moment: float = 20.0
+    displacement: float = 0.1
+    turn: float = 0.5
+    stale: float = 0.1
+    period: float = 0.004
+    gain: float = 0.02
+    apart: float = 0.02
+    stiffness: tuple[float, float] = (5000.0, 500.0)
+    wrench: tuple[float, float] = (50.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """What an arm is told. pose (4, 4): of the tool in ``frame``. q, velocity (n,): of the joints ``names``.
+
+    wrench (6,): to be exerted on top of it. stiffness (6,): of the stack that follows, along and about the tool's axes.
+    why: what the arm is doing, for a person.
+    """
+
+    frame: str
+    names: tuple[str, ...]
+    pose: Array
+    q: Array
+    velocity: Array
+    wrench: Array
+    stiffness: Array
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What the arm's sensors say. joints: name to position. T_base_tool (4, 4): where the tool is measured to be.
+
+    wrench (6,): on the tool, in frame ``wrench_frame``, which must be the tool's. Stamps [s].
+    """
+
+    joints: dict[str, float]
+    joints_stamp: float
+    T_base_tool: Array
+    wrench: Array
+    wrench_frame: str
+    wrench_stamp: float
+
+
+class Late(BadCommand):
+    """An input that is too old: nothing may be said now, but a moment later again."""
+
+
+@dataclass
+class _Last:
+    now: float
+    pose: Array
+    q: Array
+    dt: float
+    rates: tuple[Array, Array, Array] = field(default=(np.zeros(3), np.zeros(3), np.zeros(0)))
+
+
+class Guard:
+    """Lets setpoints through, or raises BadCommand. ``shut`` says why it lets nothing through any more, if so."""
+
+    def __init__(self, chain: Chain, limits: Limits, tool_frame: str = "") -> None:
+        """Shut, until it is opened."""
+        self.chain, self.limits = chain, limits
+        self.tool_frame = tool_frame or chain.tip
+        self.shut = "it was not opened yet"
+        self._last: _Last | None = None
+        self._now = -math.inf
+
+    def open(self, pose: Array, q: Array, now: float) -> None:
+        """Let setpoints through that follow from a pose (4, 4) and joints (n,) at which the arm stands. Or raise."""
+        finite = np.isfinite(pose).all() and np.isfinite(q).all() and math.isfinite(now)
+        if not finite or np.shape(pose) != (4, 4) or np.shape(q) != (self.chain.n,):
+            raise BadCommand("place to begin from", "is not finite", "wait for joint states")
+        self._last = _Last(now, np.array(pose, float), np.array(q, float), self.limits.period, self._rest())
+        self._now, self.shut = now, ""
+
+    def close(self, why: str) -> None:
+        """Let nothing through from now on."""
+        self.shut = self.shut or why
+
+    def check(self, wish: Setpoint, heard: Heard, now: float) -> Setpoint:
+        """The setpoint, if it may go out at time ``now`` [s]. Raises Late for a late input, BadCommand else."""
+        if self.shut or self._last is None:
+            raise BadCommand("setpoint", f"the guard is shut ({self.shut})", "see to that and begin anew")
+        try:
+            with np.errstate(all="ignore"):  # numbers that overflow fail every comparison below
+                self._check_time(now)
+                self._check_heard(heard, now)
+                self._check_form(wish)
+                self._last = self._check_motion(wish, heard, now, self._last)
+        except Late:
+            raise
+        except BadCommand as error:
+            self.shut = str(error)
+            raise
+        return wish
+
+    def _rest(self) -> tuple[Array, Array, Array]:
+        return np.zeros(3), np.zeros(3), np.zeros(self.chain.n)
+
+    def _check_time(self, now: float) -> None:
+        if not (math.isfinite(now) and now >= self._now):
+            raise BadCommand("clock", "went back", "begin anew at the new time")
+        self._now = now
+
+    def _check_heard(self, heard: Heard, now: float) -> None:
+        limits = self.limits
+        for what, stamp in (("joint_states", heard.joints_stamp), ("wrench", heard.wrench_stamp)):
+            if not math.isfinite(stamp):
+                raise BadCommand(what, "its stamp is not finite", "see to its publisher")
+            if not abs(now - stamp) <= limits.stale:
+                age, limit = abs(now - stamp), limits.stale
+                raise Late(what, f"is {age:.3g} s off, {limit:g} s is the limit", "see that its publisher is alive")
+        for name in self.chain.names:
+            if not math.isfinite(heard.joints.get(name, math.nan)):
+                raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")
+        if heard.wrench_frame != self.tool_frame:
+            said = f"is in frame '{heard.wrench_frame}', not '{self.tool_frame}'"
+            raise BadCommand("wrench", said, "bring it there first")
+        _require_finite("wrench", heard.wrench, (6,))
+        _require_rotation("measured tool", heard.T_base_tool)
+        force, moment = _norm(heard.wrench[:3]), _norm(heard.wrench[3:])
+        if not force <= limits.force:
+            raise BadCommand("force", f"{force:.1f} N, {limits.force:g} N is the limit", "see what holds the object")
+        if not moment <= limits.moment:
+            said = f"{moment:.1f} N m, {limits.moment:g} N m is the limit"
+            raise BadCommand("moment", said, "see what holds the object")
+
+    def _check_form(self, wish: Setpoint) -> None:
+        chain, limits = self.chain, self.limits
+        if wish.frame != chain.base:
+            raise BadCommand("setpoint", f"is in frame '{wish.frame}', not '{chain.base}'", "give it in the base link")
+        if wish.names != chain.names:
+            raise BadCommand("setpoint", "names other joints than the arm has", "name the chain's, in its order")
+        n = chain.n
+        for what, array, shape in (
+            ("pose", wish.pose, (4, 4)),
+            ("joints", wish.q, (n,)),
+            ("joint speeds", wish.velocity, (n,)),
+            ("wrench", wish.wrench, (6,)),
+            ("stiffness", wish.stiffness, (6,)),
+        ):
+            _require_finite(f"setpoint's {what}", array, shape)
+        _require_rotation("setpoint's pose", wish.pose)
+        for what, array, (way, turn) in (
+            ("wrench", np.abs(wish.wrench), limits.wrench),
+            ("stiffness", wish.stiffness, limits.stiffness),
+        ):
+            if not (array.min() >= 0.0 and array[:3].max() <= way and array[3:].max() <= turn):
+                raise BadCommand(f"setpoint's {what}", f"is not within 0 and {way:g}, {turn:g}", "ask for less")
+
+    def _check_motion(self, wish: Setpoint, heard: Heard, now: float, last: _Last) -> _Last:
+        limits, chain = self.limits, self.chain
+        out = (wish.q < chain.lower) | (wish.q > chain.upper)
+        if out.any():
+            j = int(np.argmax(out))
+            said = f"{wish.q[j]:.4f} is outside {chain.lower[j]:.4f} to {chain.upper[j]:.4f}"
+            raise BadCommand(f"setpoint of joint {chain.names[j]}", said, "see to the arc")
+        dt = now - last.now
+        rates, before = last.rates, last.dt
+        if dt > _PAUSE * limits.period:  # it stood meanwhile, and begins with one step
+            rates, dt, before = self._rest(), limits.period, limits.period
+        if not dt > 0.0:
+            raise BadCommand("setpoint", "is the second at one time", "wait for the clock")
+        new = (
+            (wish.pose[:3, 3] - last.pose[:3, 3]) / dt,
+            _turn(last.pose, wish.pose) / dt,
+            (wish.q - last.q) / dt,
+        )
+        # neither over this step nor over the middle of two
+        span = min(dt, 0.5 * (dt + before))
+        for what, now_, then, speed, change in (
+            ("tool", new[0], rates[0], limits.speed, limits.acceleration),
+            ("turning tool", new[1], rates[1], limits.turning, limits.turning_acceleration),
+        ):
+            _require_most(f"speed of the {what}", _norm(now_), speed)
+            _require_most(f"acceleration of the {what}", _norm(now_ - then) / span, change)
+        for what, values, most in (
+            ("speed", np.abs(new[2]), limits.joint_speed),
+            ("named speed", np.abs(wish.velocity), limits.joint_speed),
+            ("acceleration", np.abs(new[2] - rates[2]) / span, limits.joint_acceleration),
+        ):
+            j = int(np.argmax(values / most))
+            _require_most(f"{what} of joint {chain.names[j]}", float(values[j]), float(most[j]))
+        way, turn = speeds(heard.T_base_tool, wish.pose)
+        _require_most("distance of the setpoint from the tool", way, limits.displacement)
+        _require_most("turn of the setpoint from the tool", turn, limits.turn)
+        T, J = pose_and_jacobian(chain, wish.q)
+        way, turn = speeds(T, wish.pose)
+        _require_most("distance of the pose from where the joints put it", way, limits.apart)
+        _require_most("turn of the pose from where the joints put it", turn, 5.0 * limits.apart)
+        gain = math.sqrt(max(float(np.linalg.eigvalsh(J @ J.T)[0]), 0.0)) if chain.n >= 6 else limits.gain
+        if not gain >= limits.gain:
+            said = f"its smallest gain is {gain:.3g}, {limits.gain:g} is the limit"
+            raise BadCommand("posture", f"is next to singular: {said}", "come from another posture")
+        return _Last(now, np.array(wish.pose), np.array(wish.q), dt, new)
+
+
+def _require_most(what: str, value: float, most: float) -> None:
+    if not value <= most * (1.0 + _ROUNDING):
+        raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or see what went wrong before")
+
+
+def _require_finite(what: str, array: Array, shape: tuple[int, ...]) -> None:
+    if np.shape(array) != shape or not np.isfinite(array).all():
+        raise BadCommand(what, f"is not {shape} finite numbers", "see what went wrong before")
+
+
+def _require_rotation(what: str, T: Array) -> None:
+    _require_finite(what, T, (4, 4))
+    R = T[:3, :3]
+    if not (np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 and R[:, 0] @ crossed(R[:, 1], R[:, 2]) > 0.0):
+        raise BadCommand(what, "is no rotation", "see what went wrong before")
+    if not (T[3] == (0.0, 0.0, 0.0, 1.0)).all():
+        raise BadCommand(what, "is no rigid transform", "see what went wrong before")
+
+
+def _turn(before: Array, after: Array) -> Array:
+    """Rotation vector (3,) [rad] of a small turn, in the base."""
+    D = after[:3, :3] @ before[:3, :3].T
+    _, angle = speeds(before, after)
+    v = np.array([D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]])
+    length = math.sqrt(v @ v)
+    return v * (angle / length) if length > 0.0 else np.array([angle, 0.0, 0.0])
+
+
+def _norm(v: Array) -> float:
+    return math.sqrt(v @ v)

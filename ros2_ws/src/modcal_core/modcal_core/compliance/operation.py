@@ -1,0 +1,432 @@
+"""Opening something, as a story: weigh the tool, pull gently, learn, look whether the way is free, follow it, stop.
+
+    tare → explore → check → follow → arrive → done
+                  ↘ release → stopped: whenever something is not as it should be
+
+One tick a period, no clock of its own, no ROS. What comes out of a tick has passed the guard; a tick never raises for
+anything that it was given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.compliance.course import Course, Pull
+from modcal_core.compliance.following import Follower
+from modcal_core.compliance.guard import Guard, Heard, Late, Limits, Setpoint
+from modcal_core.compliance.impedance import Gains, Impedance
+from modcal_core.compliance.pace import Pace, Patience
+from modcal_core.compliance.poses import speeds
+from modcal_core.compliance.reach import Reach, Walk
+from modcal_core.compliance.wrench import Tare, WrenchSensor
+from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.gravity import STANDARD_GRAVITY
+
+Mode = Literal["expected", "admittance"]
+_REST = 0.01  # rad/s or m/s of a joint that still counts as standing
+_STOOD = 2e-3  # m/s at which the tool has arrived
+_TARE_PATIENCE, _CHECK_PATIENCE = 10.0, 5.0  # s
+_STEPS_A_TICK = 2  # of the walk along the way that is to be checked
+_RELEASE = 0.6  # s in which the force is let go
+_OVER = 0.05  # m that the expected pose may lie beyond the goal
+_MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
+
+
+class Belief(Protocol):
+    """What is believed of the object: the state of an articulation Tracker, or the like."""
+
+    @property
+    def model(self) -> JointModel | None:
+        """How the tool moves, in the base."""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether it has predicted."""
+
+    @property
+    def event(self) -> str | None:
+        """What has happened to it."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Positions q (n,) of the chain's joints, in its order, and when they were so [s]."""
+
+    q: Array
+    stamp: float
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Nothing may be sent now. why: for a person."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The end. done: whether the goal was reached. why: for a person. opened: how far [rad or m]."""
+
+    done: bool
+    why: str
+    opened: float = 0.0
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to do and how gently.
+
+    direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
+    be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
+    never both. exploring, speed: of the tool while the way is unknown, and once it is known [m/s]. explore: longest way
+    that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
+    stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
+    down (3,): gravity in the base [m/s²]. patience_s: longest silence of an input before it is the end [s].
+    """
+
+    direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    goal_rad: float = math.radians(60.0)
+    goal_m: float = 0.3
+    mode: Mode = "admittance"
+    exploring: float = 0.03
+    speed: float = 0.06
+    explore: float = 0.25
+    mass: tuple[float, float, float] = (10.0, 10.0, 1.0)
+    damping: tuple[float, float, float] = (1000.0, 1000.0, 80.0)
+    stiffness: tuple[float, float, float] = (1000.0, 300.0, 20.0)
+    stack: tuple[float, float] = (3000.0, 200.0)
+    blend: float = 0.5
+    tare_s: float = 0.5
+    down: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
+    patience: Patience = field(default_factory=Patience)
+    patience_s: float = 1.0
+
+    def gains(self, along: Array) -> Gains:
+        """The impedance's gains with their first axis along a direction (3,), seen from the tool."""
+
+        def six(values: tuple[float, float, float]) -> Array:
+            return np.array([values[0], values[1], values[1], values[2], values[2], values[2]])
+
+        return Gains.of(six(self.mass), six(self.damping), six(self.stiffness), _axes(along))
+
+
+class Operation:
+    """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`."""
+
+    def __init__(self, chain: Chain, task: Task, limits: Limits) -> None:
+        """For an arm (chain to the tool that is measured)."""
+        self.chain, self.task, self.limits = chain, task, limits
+        self.phase = "tare"
+        self.guard = Guard(chain, limits)
+        self.follower = Follower(chain, limits)
+        self.impedance = Impedance(task.gains(task.direction), task.blend)
+        self.pace = Pace(task.patience)
+        self.reached: Reach | None = None
+        self.course: Course | None = None
+        self.force = np.zeros(6)
+        self.expected = np.eye(4)
+        self._pull: Pull | None = None
+        self._tare = Tare(task.tare_s)
+        self._walk: tuple[Walk, Array] | None = None
+        self._checked = np.eye(4)
+        self._walked_from = 0.0
+        self._untrusted = 0.0
+        self._why, self._since = "", math.nan
+        self._last = -math.inf
+        self._late = math.nan
+        self._before: tuple[float, Array] | None = None
+        self._stop: Stop | None = None
+        self._tell: dict[str, Callable[[float, Array, Belief], None]] = {
+            "explore": self._explore,
+            "check": self._check,
+            "follow": self._follow,
+            "arrive": self._arrive,
+            "release": self._release,
+        }
+
+    def stop(self, why: str) -> Stop:
+        """End it now, whatever it does."""
+        self.guard.close(why)
+        self._stop = self._stop or Stop(False, why, self._opened())
+        return self._stop
+
+    def tick(
+        self, now: float, T_base_tool: Array, sensor: WrenchSensor, joints: Joints, state: Belief
+    ) -> Setpoint | Wait | Stop:
+        """What to send at time ``now`` [s], or that nothing may be sent yet, or any more.
+
+        T_base_tool (4, 4): where the tool is measured. sensor: has heard the last wrench. state: the belief so far.
+        """
+        if self._stop is not None:
+            return self._stop
+        try:
+            late = self._late_input(now, sensor, joints)
+            if late:
+                return self._wait(late, now)
+            self._late = math.nan
+            if self.phase == "tare":
+                return self._weigh(now, T_base_tool, sensor, joints)
+            return self._go_on(now, T_base_tool, sensor, joints, state)
+        except Late as error:
+            return self._wait(str(error), now)
+        except ModcalError as error:
+            return self.stop(str(error))
+
+    # before anything moves
+
+    def _late_input(self, now: float, sensor: WrenchSensor, joints: Joints) -> str:
+        stale = self.limits.stale
+        for what, stamp in (("joint_states", joints.stamp), ("wrench", sensor.stamp)):
+            if not abs(now - stamp) <= stale:
+                return f"{what}: nothing of the last {stale:g} s: see that its publisher is alive"
+        return ""
+
+    def _wait(self, why: str, now: float) -> Wait | Stop:
+        """Stand until it comes, but not for ever."""
+        if math.isnan(self._late):
+            self._late = now
+        if not 0.0 <= now - self._late <= (self.task.patience_s if self.phase != "tare" else _TARE_PATIENCE):
+            return self.stop(why)
+        return Wait(why)
+
+    def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: Joints) -> Wait | Stop:
+        if math.isnan(self._since):
+            self._since = now
+        at_rest = True
+        if self._before is not None and now > self._before[0]:
+            at_rest = bool(np.abs(joints.q - self._before[1]).max() <= _REST * max(now - self._before[0], 0.02))
+        self._before = now, joints.q
+        if not self._tare.add(sensor.raw, sensor.stamp, at_rest):
+            if now - self._since > _TARE_PATIENCE:
+                return self.stop("tare: the arm does not stand still: hold it still before it pulls")
+            return Wait("the wrench is tared: the arm stands still for a moment")
+        sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.down)
+        sensor.forget_past()
+        self.follower.begin(joints.q, T)
+        self.guard.open(T, joints.q, now)
+        self._pull = Pull(T, self.task.direction)
+        self.expected = T
+        self._enter("explore", now)
+        return Wait("the wrench is tared")
+
+    # while it moves
+
+    def _go_on(
+        self, now: float, T: Array, sensor: WrenchSensor, joints: Joints, state: Belief
+    ) -> Setpoint | Wait | Stop:
+        h = now - self._last
+        if not 0.0 < h <= 5.0 * self.limits.period:  # the first, or after a pause: from rest
+            if h <= 0.0:
+                raise BadCommand("clock", "went back or stands", "begin anew")
+            self.follower.rest()
+            self.impedance.halt()
+            self.pace.stand(now)
+            h = self.limits.period
+        self.force = sensor.on_tool(T, self.task.down)
+        self._tell[self.phase](h, T, state)
+        if self._stop is not None:
+            return self._stop
+        if self.task.mode == "admittance":
+            F = np.concatenate([_seen(self.expected, T, self.force[:3]), _seen(self.expected, T, self.force[3:])])
+            self.impedance.step(F, h)
+            goal = self.impedance.command(self.expected)
+        else:
+            goal = self.expected
+        self.follower.step(goal, h, self._posture())
+        self._last = now
+        heard = Heard(
+            dict(zip(self.chain.names, joints.q.tolist(), strict=True)),
+            joints.stamp,
+            T,
+            self.force,
+            self.chain.tip,
+            sensor.stamp,
+        )
+        return self.guard.check(self._setpoint(), heard, now)
+
+    def _explore(self, h: float, T: Array, state: Belief) -> None:
+        pull, now = self._pull, self._last + h
+        assert pull is not None
+        ds = self.pace.step(self.task.exploring, self.force, h)
+        self.expected = pull.advance(ds, T, h)
+        if state.trusted and state.model is not None:
+            self._believe(state.model, T)
+            self._enter("check", now)
+        elif self.pace.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
+            self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
+        elif pull.way > self.task.explore:
+            said = state.event or "no model predicts it"
+            self._let_go(f"not understood after {100.0 * pull.progress(T):.0f} cm ({said})", now)
+
+    def _check(self, h: float, T: Array, state: Belief) -> None:
+        """Stand, and walk along the way in thought."""
+        course, now = self.course, self._last + h
+        assert course is not None
+        self.expected = course.advance(self.pace.step(0.0, self.force, h))
+        done = self._look(_STEPS_A_TICK)
+        if done is not None:
+            if done.whole:
+                self.impedance.change(self.task.gains(course.tangent()))
+                self._enter("follow", now)
+            else:
+                self._let_go(f"the arm cannot lead it to the goal: {done.why}", now)
+        elif now - self._since > _CHECK_PATIENCE:
+            self._let_go("the way was not looked through in time: this is our fault", now)
+
+    def _follow(self, h: float, T: Array, state: Belief) -> None:
+        course, now = self.course, self._last + h
+        assert course is not None
+        if state.model is not None and state.trusted and state.model is not course.model:
+            self._believe(state.model, T)
+        if self._walk is not None:
+            done = self._look(1)
+            if done is not None and not done.whole:
+                self._let_go(f"the arm cannot lead it to the goal: {done.why}", now)
+                return
+        at = course.configuration(T)
+        left = course.left(at)
+        wanted = self.task.speed if state.trusted else self.task.exploring
+        wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.005)
+        # the arm may be slower than the way: its joints set the pace then
+        wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
+        ds = self.pace.step(wanted, self.force, h)
+        self.expected = course.advance(ds)
+        self._untrusted = 0.0 if state.trusted else self._untrusted + ds
+        if left <= 0.0:
+            self._enter("arrive", now)
+        elif self._untrusted > 0.05:
+            self._let_go(f"it moves otherwise than before ({state.event or 'no model predicts it'})", now)
+        elif self.pace.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
+            self._let_go(f"it does not move on: {self._pushed()}, open to {self._said()}", now)
+
+    def _arrive(self, h: float, T: Array, state: Belief) -> None:
+        """Stand where the goal was reached."""
+        self.expected = self.follower.pose if self.task.mode == "admittance" else self.expected
+        self.impedance.settle()
+        if float(np.abs(self.follower.velocity).max()) <= _STOOD:
+            self._stop = Stop(True, f"open to {self._said(T)}", self._opened(T))
+            self.guard.close(self._stop.why)
+
+    def _release(self, h: float, T: Array, state: Belief) -> None:
+        """Give way to the force, instead of holding against it."""
+        if self._last + h - self._since > _RELEASE:
+            self.stop(self._why)
+
+    # what several of them do
+
+    def _enter(self, phase: str, now: float) -> None:
+        self.phase, self._since = phase, now
+
+    def _let_go(self, why: str, now: float) -> None:
+        self._why = why
+        if self.task.mode == "admittance":
+            soft = self.task.gains(self.impedance.gains.task[:, 0])
+            free = Gains.of(soft.mass, soft.damping, np.zeros(6), soft.task)
+            self.impedance.expect(self.expected, self.follower.pose)
+            self.expected = self.follower.pose
+            self.impedance.settle()
+            self.impedance.change(free)
+        else:
+            self.expected = self.follower.pose
+        self._enter("release", now)
+
+    def _believe(self, model: JointModel, T: Array) -> None:
+        """Expect what a model says from now on; nothing jumps, and a way that has changed is looked at anew."""
+        before = self.expected
+        if self.course is None:
+            assert self._pull is not None
+            moved = T[:3, 3] - self._pull.start[:3, 3]
+            goals = self.task.goal_rad, self.task.goal_m
+            self.course = Course(model, self._pull.start, before, moved, *goals, _OVER)
+            self.expected = self.course.pose(self.course.at)
+        else:
+            self.expected = self.course.take(model, before)
+        if self.task.mode == "admittance":
+            self.impedance.expect(before, self.expected)
+        goal = self.course.pose(self.course.goal_at)
+        way, turn = speeds(self._checked, goal)
+        if self._walk is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
+            path = _seen_from_arm(self.follower.offset, self.course.path())
+            self._walk = Walk(self.chain, path, self.follower.q, gain=1.5 * self.limits.gain), goal
+            self._walked_from = self.course.opened(self.course.at)
+
+    def _look(self, steps: int) -> Reach | None:
+        """Go on looking along the way; what was found when it is done."""
+        assert self._walk is not None
+        walk, goal = self._walk
+        done = walk.advance(steps)
+        if done is not None:
+            self.reached, self._checked, self._walk = done, goal, None
+        return done
+
+    def _posture(self) -> Array | None:
+        """The posture that was found for where it is expected."""
+        if self.phase == "arrive" or self.reached is None or self.course is None or not self.reached.whole:
+            return None
+        span = self.course.opened(self.course.goal_at) - self._walked_from
+        share = (self.course.opened(self.course.at) - self._walked_from) / span if abs(span) > 1e-6 else 1.0
+        return self.reached.posture(share)
+
+    def _goal_now(self) -> Array:
+        return self.impedance.command(self.expected) if self.task.mode == "admittance" else self.expected
+
+    def _setpoint(self) -> Setpoint:
+        follower, task = self.follower, self.task
+        if task.mode == "admittance":
+            stiffness = np.repeat(np.array(task.stack), 3)
+        else:
+            stiffness = np.diag(self.impedance.gains.matrices()[2]).copy()
+        return Setpoint(
+            self.chain.base,
+            self.chain.names,
+            follower.pose,
+            follower.q,
+            follower.velocity,
+            np.zeros(6),
+            stiffness,
+            self.phase,
+        )
+
+    def _opened(self, T: Array | None = None) -> float:
+        """How far it is open [rad or m]."""
+        if self.course is None:
+            return 0.0
+        return self.course.opened(self.course.configuration(T) if T is not None else self.course.at)
+
+    def _said(self, T: Array | None = None) -> str:
+        opened = self._opened(T)
+        turns = self.course is not None and self.course.model.turns
+        return f"{math.degrees(opened):.0f}°" if turns else f"{100.0 * opened:.0f} cm"
+
+    def _pushed(self) -> str:
+        return f"{math.sqrt(self.force[:3] @ self.force[:3]):.0f} N"
+
+
+def _axes(along: Array) -> Array:
+    """A rotation (3, 3) whose first column is a direction (3,)."""
+    x = np.asarray(along, dtype=float)
+    length = float(np.linalg.norm(x))
+    if not (math.isfinite(length) and length > 1e-6):
+        raise BadCommand(f"direction {x.tolist()}", "has no length", "give x y z of the pull")
+    x = x / length
+    y = np.eye(3)[int(np.argmin(np.abs(x)))]
+    y = y - (y @ x) * x
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _seen(T: Array, seen_from: Array, v: Array) -> Array:
+    return T[:3, :3].T @ (seen_from[:3, :3] @ v)
+
+
+def _seen_from_arm(offset: Array, path: Array) -> Array:
+    """Poses (m, 4, 4) of the tool as the chain's own kinematics have them."""
+    return np.linalg.inv(offset) @ path

@@ -1,0 +1,62 @@
+"""Poses one at a time, where a control loop cannot wait for what is made for many."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+
+
+def turned(w: Array) -> Array:
+    """Rotation matrix (3, 3) of one rotation vector (3,) [rad]."""
+    angle = math.sqrt(w @ w)
+    a, b = (math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2) if angle > 1e-6 else (1.0, 0.5)
+    x, y, z = w
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + a * W + b * (W @ W)
+
+
+def tool_from(T: Array, x: Array) -> Array:
+    """The pose (4, 4) that lies x = (way, rotation vector) (6,) from T (4, 4), seen from T; undoes ``pose_error``."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3] @ turned(x[3:])
+    out[:3, 3] = T[:3, 3] + T[:3, :3] @ x[:3]
+    return out
+
+
+def along_screw(T: Array, xi: Array) -> Array:
+    """The pose exp(ξ) T (4, 4) for one space twist ξ = (v, ω) (6,) [m, rad]."""
+    v, w = xi[:3], xi[3:]
+    angle = math.sqrt(w @ w)
+    out = np.eye(4)
+    if angle < 1e-9:
+        out[:3, :3], out[:3, 3] = T[:3, :3], T[:3, 3] + v
+        return out
+    R = turned(w)
+    n = w / angle
+    # V v of the exponential, split into what lies along the axis and what turns about it (Lynch and Park, 3.3)
+    u = v / angle
+    shift = (R - np.eye(3)) @ crossed(u, n) + n * (n @ v)
+    out[:3, :3] = R @ T[:3, :3]
+    out[:3, 3] = R @ T[:3, 3] + shift
+    return out
+
+
+def relative(T: Array, seen_from: Array, v: Array) -> Array:
+    """A vector (3,) given in the axes of ``seen_from`` (4, 4), in those of T (4, 4)."""
+    return T[:3, :3].T @ (seen_from[:3, :3] @ v)
+
+
+def speeds(before: Array, after: Array) -> tuple[float, float]:
+    """How far [m] and by how much [rad] two poses (4, 4) lie apart."""
+    d = after[:3, 3] - before[:3, 3]
+    # |R − R'|² = 8 sin²(½ angle), which keeps small angles
+    chord = float(np.linalg.norm(after[:3, :3] - before[:3, :3])) / math.sqrt(8.0)
+    return math.sqrt(d @ d), 2.0 * math.asin(min(1.0, chord))
+
+
+def crossed(a: Array, b: Array) -> Array:
+    """Cross product (3,) of two vectors; np.cross takes longer to begin than this to finish."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

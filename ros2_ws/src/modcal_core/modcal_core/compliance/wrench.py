@@ -1,0 +1,200 @@
+"""From what a force sensor says to the force that the environment exerts on the tool.
+
+F = (force, moment) [N, N m] is what the environment does to the tool, at the tool's origin and in its axes: positive
+along z when something pushes the tool that way. Most wrist sensors say the same plus the weight of what hangs on them
+and an offset that drifts,
+
+    w = F_sensor + b + m (g, c × g),        g: gravity in the axes of the sensor, c: centre of mass,
+
+of which b, and m and c where they are not known, are found while nothing touches, or as it is touched at rest: a tare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadCommand, NotEnoughData
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.gravity import STANDARD_GRAVITY
+
+DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])  # m/s², in a base that stands upright
+_LEAST_MASS_SPREAD = 0.2  # smallest singular value of unit gravity directions that tells an offset from a weight
+
+
+@dataclass(frozen=True)
+class Load:
+    """What hangs on the sensor. mass [kg], centre (3,) [m] in the sensor's frame, bias (6,) [N, N m]."""
+
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    bias: Array = field(default_factory=lambda: np.zeros(6))
+
+    def wrench(self, R_base_sensor: Array, down: Array = DOWN) -> Array:
+        """What the sensor says (6,) when nothing touches the tool."""
+        g = self.mass * (R_base_sensor.T @ down)
+        c = self.centre
+        out = np.array(self.bias, dtype=float)
+        out[:3] += g
+        out[3:] += (c[1] * g[2] - c[2] * g[1], c[2] * g[0] - c[0] * g[2], c[0] * g[1] - c[1] * g[0])
+        return out
+
+
+def estimate_load(wrenches: ArrayLike, rotations: ArrayLike, down: Array = DOWN) -> Load:
+    """The load, offset included, from wrenches (n, 6) at rest with the sensor turned n ways (n, 3, 3), at least 3.
+
+    Linear least squares: w = b + (m g, m c × g). Raises NotEnoughData where the turns do not tell weight from offset.
+    """
+    w, R = np.asarray(wrenches, dtype=float), np.asarray(rotations, dtype=float)
+    g = np.swapaxes(R, -1, -2) @ down
+    spread = np.linalg.svd((g - g.mean(axis=0)) / np.linalg.norm(down), compute_uv=False) if len(g) > 2 else np.zeros(1)
+    # one more direction of turning is needed to see all of the centre
+    if len(g) < 3 or spread[1] < _LEAST_MASS_SPREAD:
+        raise NotEnoughData(
+            "weight of the tool",
+            f"{len(g)} readings in which gravity hardly turns about the tool",
+            "hold the tool still in three or more directions, 30° and more apart, about two axes",
+        )
+    n = len(g)
+    A = np.zeros((n, 6, 10))  # m, m c, b
+    A[:, :3, 0] = g
+    A[:, 3:, 1:4] = -so3.hat(g)  # c × g = −g × c
+    A[:, :, 4:] = np.eye(6)
+    found = np.linalg.lstsq(A.reshape(6 * n, 10), w.reshape(-1), rcond=None)[0]
+    mass = float(found[0])
+    return Load(mass, found[1:4] / mass if mass > 1e-3 else np.zeros(3), found[4:])
+
+
+class Tare:
+    """The offset of the sensor, as a mean while the arm stands still."""
+
+    def __init__(self, seconds: float = 0.5, least: int = 25, noise: tuple[float, float] = (2.0, 0.2)) -> None:
+        """Take readings for some seconds, at least so many. noise: largest deviation of one [N, N m]."""
+        self._seconds, self._least, self._noise = seconds, least, noise
+        self._readings: list[Array] = []
+        self._begun = math.nan
+
+    def add(self, wrench: Array, stamp: float, at_rest: bool) -> bool:
+        """Take one reading (6,) of a time [s]; whether there are enough. An arm that moves begins anew."""
+        if not at_rest or not self._readings:
+            self._readings, self._begun = [], stamp
+        self._readings.append(np.array(wrench, dtype=float))
+        return len(self._readings) >= self._least and stamp - self._begun >= self._seconds
+
+    def load(self, R_base_sensor: Array, known: Load, down: Array = DOWN) -> Load:
+        """The known load with the offset that was found. Raises BadCommand where the readings scatter too much."""
+        readings = np.array(self._readings)
+        scatter = readings.std(axis=0)
+        for what, worst, most, unit in (
+            ("force", float(scatter[:3].max()), self._noise[0], "N"),
+            ("moment", float(scatter[3:].max()), self._noise[1], "N m"),
+        ):
+            if not worst <= most:
+                raise BadCommand(
+                    f"tare of the {what}",
+                    f"readings scatter by {worst:.3g} {unit}, {most:g} is the limit",
+                    "keep the arm still and its surroundings quiet, or see to the sensor",
+                )
+        weight = Load(known.mass, known.centre).wrench(R_base_sensor, down)
+        return Load(known.mass, known.centre, readings.mean(axis=0) - weight)
+
+
+class LowPass:
+    """A first-order low-pass of a vector, that begins at what it first hears."""
+
+    def __init__(self, cutoff_hz: float) -> None:
+        self._tau = 1.0 / (2.0 * math.pi * cutoff_hz)
+        self._last: tuple[float, Array] | None = None
+
+    def take(self, value: Array, stamp: float) -> Array:
+        """The value (m,), smoothed; one that is not newer than the last changes nothing."""
+        if self._last is None:
+            self._last = stamp, value
+        elif (h := stamp - self._last[0]) > 0.0:
+            self._last = stamp, self._last[1] + (value - self._last[1]) * (h / (self._tau + h))
+        return self._last[1]
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._last = None
+
+
+class WrenchSensor:
+    """Readings of one sensor turned into forces on the tool; says no to those that cannot be trusted."""
+
+    def __init__(
+        self,
+        frames: Sequence[tuple[str, Array]],
+        load: Load | None = None,
+        cutoff_hz: float = 30.0,
+        sign: float = 1.0,
+        largest: tuple[float, float] = (1000.0, 200.0),
+    ) -> None:
+        """frames: names that readings may carry, with T_tool_frame (4, 4) of each. load: what is known of the tool.
+
+        sign: −1 for a sensor that says what the tool does to the environment. largest: what no reading of a sound
+        sensor exceeds [N, N m].
+        """
+        self._adjoints = {name: (np.asarray(T)[:3, :3], np.asarray(T)[:3, 3]) for name, T in frames}
+        self.load = load or Load()
+        self._filter, self._sign, self._largest = LowPass(cutoff_hz), sign, largest
+        self.stamp = -math.inf
+        self._frame = ""
+        self._raw = np.zeros(6)
+        self.force = np.zeros(6)
+
+    def hear(self, frame: str, wrench: ArrayLike, stamp: float, now: float, stale: float) -> None:
+        """Take a reading (6,) in a frame, made at ``stamp`` and heard ``now`` [s]. Raises BadCommand for a bad one."""
+        w = np.array(wrench, dtype=float)
+        if frame not in self._adjoints:
+            known = ", ".join(self._adjoints)
+            raise BadCommand(f"wrench in frame '{frame}'", f"it must be in one of {known}", "set the sensor's frame_id")
+        if w.shape != (6,) or not np.isfinite(w).all():
+            raise BadCommand("wrench", "is not finite", "see to the sensor")
+        if not (np.abs(w[:3]).max() <= self._largest[0] and np.abs(w[3:]).max() <= self._largest[1]):
+            raise BadCommand(
+                "wrench",
+                f"{np.abs(w[:3]).max():.4g} N, {np.abs(w[3:]).max():.4g} N m is no reading of a sound sensor",
+                "see to the sensor and its unit",
+            )
+        if not abs(now - stamp) <= stale:
+            raise BadCommand("wrench", f"is {abs(now - stamp):.3g} s off, {stale:g} s is the limit", "see to its clock")
+        if stamp < self.stamp:
+            raise BadCommand("wrench", "came after a newer one", "let one publisher send it, in order")
+        if frame != self._frame:
+            self._filter.forget()
+        self._frame, self.stamp, self._raw = frame, stamp, self._sign * w
+
+    @property
+    def raw(self) -> Array:
+        """The last reading (6,), as the sensor sees it."""
+        return self._raw
+
+    def rotation(self, T_base_tool: Array) -> Array:
+        """R_base_sensor (3, 3)."""
+        return T_base_tool[:3, :3] @ self._adjoints[self._frame][0]
+
+    def on_tool(self, T_base_tool: Array, down: Array = DOWN) -> Array:
+        """F (6,): what the environment exerts on the tool, at its origin, in its axes, smoothed."""
+        R, p = self._adjoints[self._frame]
+        w = self._filter.take(self._raw - self.load.wrench(self.rotation(T_base_tool), down), self.stamp)
+        f = R @ w[:3]
+        m = R @ w[3:]
+        self.force = np.array(
+            [*f, m[0] + p[1] * f[2] - p[2] * f[1], m[1] + p[2] * f[0] - p[0] * f[2], m[2] + p[0] * f[1] - p[1] * f[0]]
+        )
+        return self.force
+
+    def forget_past(self) -> None:
+        """Smooth from now on only: what was known of the tool before has changed."""
+        self._filter.forget()
+
+    def forget(self) -> None:
+        """Begin anew, at whatever time it is now; what is known of the tool stays."""
+        self.stamp, self._frame = -math.inf, ""
+        self._filter.forget()

@@ -1,0 +1,270 @@
+"""Pulling something open in a small world of another make: gently, to the goal, or not at all and with a reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from compliance.toy import PANDA, PERIOD, READY, T_READY, Belief, Pulled, Toy, door, drawer, limits, pull
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.compliance.course import Course
+from modcal_core.compliance.guard import Setpoint
+from modcal_core.compliance.operation import Joints, Operation, Stop, Task, Wait
+from modcal_core.compliance.pace import Pace, Patience
+from modcal_core.compliance.wrench import WrenchSensor
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.kinematics import forward
+
+PEAK, MEAN, ABORT = 40.0, 12.0, 60.0  # N
+BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
+TASK = Task(direction=BACK)
+LIMITS = limits()
+
+
+def assert_gentle(done: Pulled, peak: float = PEAK) -> None:
+    assert done.forces.max() <= peak
+    assert done.forces.mean() <= MEAN
+
+
+def assert_smooth(done: Pulled) -> None:
+    """Steps of what was sent, by differences of joints and poses, within the limits."""
+    times = np.array([t for t, _ in done.setpoints])
+    gaps = np.diff(times)
+    together = gaps < 5.0 * PERIOD
+    p = np.array([s.pose[:3, 3] for _, s in done.setpoints])
+    q = np.array([s.q for _, s in done.setpoints])
+    speed = np.linalg.norm(np.diff(p, axis=0), axis=1) / gaps
+    assert (speed <= LIMITS.speed).all()
+    rates = np.diff(q, axis=0) / gaps[:, None]
+    assert (np.abs(rates) <= LIMITS.joint_speed).all()
+    change = np.abs(np.diff(rates, axis=0)) / gaps[1:, None]
+    assert (change[together[1:] & together[:-1]] <= LIMITS.joint_acceleration * 1.001).all()
+
+
+SCENES = {
+    "door": (Toy(door(0.4)), 0.14, math.radians(60.0)),
+    "narrow door, hinged on the other side": (Toy(door(0.25, -1.0), friction=2.0, seed=1), 0.14, math.radians(60.0)),
+    "drawer": (Toy(drawer(), friction=6.0, spring=10.0, inertia=4.0, seed=2), 0.07, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_it_opens_gently_as_far_as_it_should(name: str) -> None:
+    toy, trusts, goal = SCENES[name]
+    done = pull(toy, Operation(PANDA, TASK, LIMITS), trusts)
+    assert done.stop is not None
+    assert done.stop.done, done.stop.why
+    assert done.opened == pytest.approx(goal, rel=0.03)
+    assert done.stop.opened == pytest.approx(done.opened, rel=0.03)
+    assert list(dict.fromkeys(done.phases)) == ["tare", "explore", "check", "follow", "arrive"]
+    assert_gentle(done)
+    assert_smooth(done)
+
+
+def test_a_model_that_is_revised_all_the_time_shakes_nothing(rng: np.random.Generator) -> None:
+    """Five times a second the hinge lies 5 mm elsewhere: forces and steps stay as small."""
+    done = pull(Toy(door()), Operation(PANDA, TASK, LIMITS), revise=0.005, rng=rng)
+    assert done.stop is not None
+    assert done.stop.done, done.stop.why
+    assert_gentle(done)
+    assert_smooth(done)
+
+
+def test_what_is_locked_is_left_alone() -> None:
+    done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, LIMITS))
+    assert done.stop is not None
+    assert not done.stop.done
+    assert "does not move" in done.stop.why
+    assert done.forces.max() < ABORT
+    assert done.forces[-1] < 5.0  # and the force was let go
+    assert_smooth(done)
+
+
+def test_a_door_that_ends_early_is_noticed() -> None:
+    done = pull(Toy(door(), last=0.5), Operation(PANDA, TASK, LIMITS))
+    assert done.stop is not None
+    assert not done.stop.done
+    assert "does not move on" in done.stop.why
+    assert done.forces.max() < ABORT
+
+
+@pytest.mark.parametrize("wrong", [drawer(), door(0.2)], ids=["a drawer", "a door of half the width"])
+def test_a_wrong_model_harms_nothing(wrong: JointModel) -> None:
+    """The way that it expects is not the way that the door goes: the pull ends below the limit, or gets there gently."""
+    done = pull(Toy(door()), Operation(PANDA, TASK, LIMITS), model=wrong)
+    assert done.stop is not None
+    assert done.forces.max() < ABORT
+    assert_smooth(done)
+
+
+def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
+    """The believed axis leads the tool through the arm's own shoulder: said after 8°, not found out at 50°."""
+    far = Task(direction=BACK, goal_m=0.9)
+    done = pull(Toy(drawer(), friction=6.0, inertia=4.0), Operation(PANDA, far, LIMITS), trusts=0.05)
+    assert done.stop is not None
+    assert not done.stop.done
+    assert "cannot lead it" in done.stop.why
+    assert done.opened < 0.12
+    assert "follow" not in done.phases
+    assert_gentle(done)
+
+
+def test_what_nothing_predicts_is_given_up() -> None:
+    done = pull(Toy(drawer(), friction=3.0, inertia=4.0), Operation(PANDA, replace(TASK, explore=0.08), LIMITS), 9.9)
+    assert done.stop is not None
+    assert "not understood after" in done.stop.why
+    assert done.opened < 0.1
+
+
+def test_the_expected_mode_leaves_giving_way_to_the_stack() -> None:
+    """A soft servo: what is sent is the expected way itself, with the stiffness that the stack shall have."""
+    soft = Toy(door(), stiffness=np.array([400.0] * 3 + [30.0] * 3), friction=0.5, spring=0.5)
+    task = replace(TASK, mode="expected")
+    done = pull(soft, Operation(PANDA, task, limits(displacement=0.15)))
+    assert done.stop is not None
+    assert done.stop.done, done.stop.why
+    assert_gentle(done)
+    following = [s for _, s in done.setpoints if s.why == "follow"]
+    truth = np.array([soft.truth.pose(soft.truth.configuration(s.pose))[:3, 3] - s.pose[:3, 3] for s in following])
+    assert np.abs(truth[-500:]).max() < 2e-3
+    stiff = following[-1].stiffness
+    assert stiff[:3].min() == pytest.approx(300.0, rel=0.05)
+
+
+class Still:
+    """An arm that stands where it is told, with a weight on its sensor, for what is fed by hand."""
+
+    def __init__(self, operation: Operation) -> None:
+        self.operation, self.now, self.q = operation, 50.0, READY
+        self.sensor, self.belief = WrenchSensor([(PANDA.tip, np.eye(4))]), Belief()
+
+    def tick(self, wrench: Array | None = None, joints_age: float = 0.0, hear: bool = True) -> Setpoint | Wait | Stop:
+        self.now += PERIOD
+        if hear:
+            w = np.array([0, 0, 8.0, 0, 0, 0]) + (0.0 if wrench is None else wrench)
+            self.sensor.hear(PANDA.tip, w, self.now, self.now, 0.1)
+        joints = Joints(self.q, self.now - joints_age)
+        out = self.operation.tick(self.now, forward(PANDA, self.q), self.sensor, joints, self.belief)
+        if isinstance(out, Setpoint):
+            self.q = out.q
+        return out
+
+    def until(self, phase: str) -> None:
+        for _ in range(2000):
+            self.tick()
+            if self.operation.phase == phase:
+                return
+        raise AssertionError(self.operation.phase)
+
+
+def test_a_stack_behind_the_admittance_shall_be_stiff() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    sent = [out for _ in range(5) if isinstance(out := still.tick(), Setpoint)]
+    assert (sent[-1].stiffness == [3000.0] * 3 + [200.0] * 3).all()
+    assert not sent[-1].wrench.any()
+
+
+def test_it_waits_for_what_is_late_and_goes_on_from_rest() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    last = [out for _ in range(300) if isinstance(out := still.tick(), Setpoint)][-1]
+    silent = [still.tick(hear=False) for _ in range(100)]
+    assert isinstance(silent[-1], Wait)
+    assert "wrench" in silent[-1].why
+    sent = [s for s in silent if isinstance(s, Setpoint)]
+    assert len(sent) <= 0.1 / PERIOD + 1
+    last = sent[-1] if sent else last
+    again = still.tick()
+    assert isinstance(again, Setpoint)
+    assert np.abs(again.q - last.q).max() <= (LIMITS.joint_acceleration * PERIOD**2).max()
+
+
+def test_it_does_not_wait_for_ever() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    outs = [still.tick(joints_age=0.5) for _ in range(400)]
+    assert isinstance(outs[100], Wait)
+    assert isinstance(outs[-1], Stop)
+    assert "joint_states" in outs[-1].why
+    assert isinstance(still.tick(), Stop)  # and stays so
+
+
+def test_a_blow_ends_it_at_once() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    for _ in range(20):
+        still.tick()
+    outs = [still.tick(np.array([0, 200.0, 0, 0, 0, 0])) for _ in range(10)]
+    assert isinstance(outs[-1], Stop)
+    assert "force" in outs[-1].why
+
+
+def test_a_clock_that_goes_back_ends_it() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    still.tick()
+    still.now -= 5.0
+    still.sensor.forget()
+    assert isinstance(still.tick(), Stop)
+
+
+def test_the_tool_is_not_weighed_while_it_moves() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    for _ in range(400):
+        still.q = still.q + 1e-3
+        assert isinstance(still.tick(), Wait)
+    assert still.operation.phase == "tare"
+
+
+@pytest.mark.parametrize("flip", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw"])
+def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip: float) -> None:
+    truth = drawer() if kind == "prismatic" else door()
+    axis, pitch = flip * truth.axis, 0.02 if kind == "screw" else 0.0
+    model = JointModel(kind, T_READY, axis, truth.point, pitch)  # type: ignore[arg-type]
+    now = model.pose(flip * 0.1)
+    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    goal = course.goal_at
+    assert goal == pytest.approx(flip * (0.3 if kind == "prismatic" else 1.0))
+    assert course.opened(course.configuration(now)) == pytest.approx(0.1)
+    before = course.pose(course.at)
+    assert np.abs(before - now).max() < 1e-9
+    after = course.advance(1e-4)
+    step = after[:3, 3] - before[:3, 3]
+    assert np.linalg.norm(step) == pytest.approx(1e-4, rel=1e-3)
+    assert np.allclose(before[:3, :3] @ course.tangent(), step / np.linalg.norm(step), atol=1e-3)
+    for _ in range(100):
+        course.advance(0.01)
+    assert course.left(course.at) == pytest.approx(-0.05)  # never farther than that beyond
+    path = course.path()
+    assert np.abs(path[-1] - model.pose(goal)).max() < 1e-9
+
+
+def test_a_model_from_positions_turns_the_tool_with_it() -> None:
+    truth = door()
+    model = JointModel("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
+    now = truth.pose(0.2)
+    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    while course.left(course.at) > 0.0:
+        T = course.advance(0.01)
+    assert np.abs(T - truth.pose(course.opened(course.at))).max() < 1e-9
+
+
+def test_force_slows_the_pace_down_and_stops_it() -> None:
+    pace = Pace(Patience())
+    free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (10.0, 25.0, 36.0))
+    for _ in range(1000):
+        pace.step(0.06, free, PERIOD)
+    assert pace.speed == pytest.approx(0.06)
+    for _ in range(100):
+        pace.step(0.06, half, PERIOD)
+    assert pace.speed == pytest.approx(0.03)
+    for _ in range(100):
+        pace.step(0.06, full, PERIOD)
+    assert pace.speed == 0.0
+    assert Patience().share(np.array([0, 0, 0, 0, 0, 20.0])) == 0.0

@@ -1,0 +1,126 @@
+"""Whether the arm can go all the way, and joints that follow: what they say is so, and nothing is too fast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compliance.toy import PANDA, PERIOD, READY, ROOT, T_READY, door, drawer, limits
+
+from modcal_core.compliance.following import Follower
+from modcal_core.compliance.poses import speeds
+from modcal_core.compliance.reach import Walk, reach
+from modcal_core.errors import NotReachable
+from modcal_core.geometry import se3
+from modcal_core.robots.inverse import inverse
+from modcal_core.robots.kinematics import body_jacobian, forward
+from modcal_core.robots.urdf import read_chain
+
+
+@pytest.mark.parametrize("model", [door(0.4), door(0.3, -1.0), drawer()], ids=["left", "right", "drawer"])
+def test_a_way_within_reach_is_found_with_its_joints(model: object) -> None:
+    far = 1.05 if model.turns else 0.3  # type: ignore[attr-defined]
+    poses = model.pose(np.linspace(0.0, far, 30))  # type: ignore[attr-defined]
+    found = reach(PANDA, poses, READY).require()
+    assert found.whole
+    T = forward(PANDA, found.joints)
+    assert np.abs(T[:, :3, 3] - poses[:, :3, 3]).max() < 2e-4
+    assert np.abs(T[:, :3, :3] - poses[:, :3, :3]).max() < 2e-3
+    assert (found.joints >= PANDA.lower + 0.02).all()
+    assert (found.joints <= PANDA.upper - 0.02).all()
+    assert np.linalg.svd(body_jacobian(PANDA, found.joints), compute_uv=False).min() >= 0.03
+    assert np.abs(np.diff(found.joints, axis=0)).max() < 0.35
+    assert np.allclose(found.posture(0.0), found.joints[0])
+    assert np.allclose(found.posture(1.0), found.joints[-1])
+    assert np.allclose(found.posture(0.5 / 29), found.joints[:2].mean(axis=0))
+
+
+def test_a_way_out_of_reach_says_where_it_ends(rng: np.random.Generator) -> None:
+    """Pushed straight away from the base: where the arm is stretched, it says so, and not before."""
+    farthest = 1.2
+    poses = np.array([se3.transform(p=[x, 0.0, 0.0]) @ T_READY for x in np.linspace(0.0, farthest, 80)])
+    found = reach(PANDA, poses, READY)
+    assert not found.whole
+    assert 10 < len(found.joints) < 79
+    assert "%" in found.why
+    with pytest.raises(NotReachable):
+        found.require("drawer")
+    # inverse kinematics from thirty other postures knows no way to the next pose either
+    with pytest.raises(NotReachable):
+        inverse(PANDA, poses[len(found.joints)], found.joints[-1], rng=rng)
+
+
+def test_a_joint_that_would_pass_its_limit_is_named() -> None:
+    turns = np.linspace(0.0, 4.0, 120)
+    poses = np.array([T_READY @ se3.exp([0, 0, 0, 0, 0, a]) for a in turns])
+    found = reach(PANDA, poses, READY)
+    assert not found.whole
+    assert "panda_joint7" in found.why
+
+
+def test_a_walk_in_pieces_is_the_same_walk() -> None:
+    poses = door().pose(np.linspace(0.0, 1.0, 20))
+    walk, count = Walk(PANDA, poses, READY), 0
+    while walk.advance(1) is None:
+        count += 1
+    assert count > 20
+    assert walk.result is not None
+    assert (walk.result.joints == reach(PANDA, poses, READY).joints).all()
+
+
+def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -> None:
+    """Goals that jump, ticks that jitter: the guard's limits hold, and the last goal is reached."""
+    lim = limits(speed=0.2, acceleration=2.0, turning=1.0, turning_acceleration=10.0)
+    follower = Follower(PANDA, lim)
+    follower.begin(READY, T_READY)
+    goal, q, T, rates = T_READY, READY, T_READY, np.zeros(3)
+    joint_rates, before = np.zeros(7), PERIOD
+    for k in range(1200):
+        if k % 80 == 0 and k < 800:
+            goal = T_READY @ se3.exp(rng.uniform(-1, 1, 6) * [0.1, 0.1, 0.1, 0.3, 0.3, 0.3])
+        h = PERIOD * rng.uniform(0.3, 3.0)
+        follower.step(goal, h, READY)
+        span = min(h, 0.5 * (h + before))
+        way, turn = speeds(T, follower.pose)
+        assert way <= lim.speed * h
+        assert turn <= lim.turning * h
+        rate = (follower.pose[:3, 3] - T[:3, 3]) / h
+        assert np.linalg.norm(rate - rates) <= lim.acceleration * span
+        joints = (follower.q - q) / h
+        assert (np.abs(joints) <= lim.joint_speed).all()
+        assert (np.abs(joints - joint_rates) <= lim.joint_acceleration * span).all()
+        assert np.abs(forward(PANDA, follower.q) - follower.pose).max() < 1e-9
+        q, T, rates, joint_rates, before = follower.q, follower.pose, rate, joints, h
+    assert speeds(follower.pose, goal)[0] < 1e-4
+    assert speeds(follower.pose, goal)[1] < 1e-3
+
+
+def test_a_goal_behind_a_joint_limit_is_not_followed_through_it() -> None:
+    follower = Follower(PANDA, limits())
+    follower.begin(READY, T_READY)
+    for k in range(1500):
+        follower.step(T_READY @ se3.exp([0, 0, 0, 0, 0, min(0.004 * k, 3.0)]), PERIOD)
+        assert (follower.q <= PANDA.upper).all()
+        assert (follower.q >= PANDA.lower).all()
+    assert follower.lag(follower.pose) == 0.0
+
+
+def test_a_tool_measured_by_something_better_is_led_there() -> None:
+    """Where the chain is off by some mm, the offset goes along."""
+    off = se3.exp([0.003, -0.002, 0.001, 0.004, 0.0, -0.003])
+    follower = Follower(PANDA, limits())
+    follower.begin(READY, off @ T_READY)
+    assert np.abs(follower.pose - off @ T_READY).max() < 1e-9
+    goal = off @ T_READY @ se3.exp([0.02, 0.0, 0.01, 0.0, 0.05, 0.0])
+    for _ in range(500):
+        follower.step(goal, PERIOD)
+    assert np.abs(off @ forward(PANDA, follower.q) - goal).max() < 1e-4
+
+
+def test_an_arm_without_spare_joints_and_one_that_slides() -> None:
+    ur10 = read_chain((ROOT / "examples" / "robots" / "ur10.urdf").read_text())
+    q0 = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
+    T0 = forward(ur10, q0)
+    poses = np.array([se3.transform(p=[0.0, 0.0, z]) @ T0 for z in np.linspace(0.0, 0.2, 15)])
+    found = reach(ur10, poses, q0)
+    assert found.whole
+    assert np.abs(forward(ur10, found.joints) - poses).max() < 1e-3

@@ -1,0 +1,181 @@
+"""A small world to pull in: a servo that is stiff and late, welded to a handle that has mass, friction and a spring.
+
+It knows the chain's kinematics, and of the object only its twist; what is pulled and what pulls meet in a stiff spring.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.compliance.guard import Limits, Setpoint
+from modcal_core.compliance.operation import Joints, Operation, Stop
+from modcal_core.compliance.wrench import WrenchSensor
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.posture import pose_and_jacobian, pose_error
+from modcal_core.robots.urdf import read_chain
+
+ROOT = Path(__file__).resolve().parents[2]
+PANDA = read_chain((ROOT / "examples" / "robots" / "panda.urdf").read_text(), "panda_link0", "panda_hand_tcp")
+READY = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.785])
+T_READY = forward(PANDA, READY)
+PERIOD = 0.004
+_SUBSTEPS = 2
+_SERVO = np.array([1e4] * 3 + [600.0] * 3)  # N/m, N m/rad
+_SLACK = np.array([60.0] * 3 + [4.0] * 3)  # N s/m, N m s/rad
+_LAG = 0.03  # s
+
+
+def limits(**other: object) -> Limits:
+    return replace(Limits(np.full(7, 1.5), np.full(7, 15.0)), **other)  # type: ignore[arg-type]
+
+
+def door(radius: float = 0.4, side: float = 1.0, T: Array = T_READY) -> JointModel:
+    """A door whose handle is at T, hinged about the vertical; it opens towards −x of the base."""
+    hinge = T[:3, 3] + np.array([0.0, side * radius, 0.0])
+    # towards −x: v = ω × (handle − hinge) = ω × (0, −side r, 0), so ω along −side z gives v along −x
+    return JointModel("revolute", T, np.array([0.0, 0.0, -side]), hinge - hinge[2] * np.array([0.0, 0.0, 1.0]))
+
+
+def drawer(T: Array = T_READY) -> JointModel:
+    return JointModel("prismatic", T, np.array([-1.0, 0.0, 0.0]), np.zeros(3))
+
+
+@dataclass
+class Belief:
+    model: JointModel | None = None
+    trusted: bool = False
+    event: str | None = None
+
+
+@dataclass
+class Toy:
+    """The object at configuration a [rad or m], with its own speed; the servo at joints q."""
+
+    truth: JointModel
+    friction: float = 1.0  # N m or N
+    spring: float = 2.0  # a rad or m
+    inertia: float = 1.0
+    damping: float = 0.5
+    last: float = 2.0
+    locked: bool = False
+    servo_lag: float = _LAG
+    stiffness: Array = field(default_factory=lambda: _SERVO)
+    delay: int = 2  # periods until a reading is heard
+    noise: float = 0.3  # N
+    weight: Array = field(default_factory=lambda: np.array([0.3, -0.2, 12.0, 0.1, 0.2, 0.0]))
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.a, self.speed = 0.0, 0.0
+        self.command = READY.copy()
+        self.q = READY.copy()
+        self.contact = np.zeros(6)
+        self._rng = np.random.default_rng(self.seed)
+        self.handle = self.truth.pose(0.0)
+        self._e, self._missing = np.zeros(6), np.zeros(6)
+        self._J = pose_and_jacobian(PANDA, self.q)[1]
+        self._twist = self.truth.twist()
+
+    def step(self) -> None:
+        """One period."""
+        h = PERIOD / _SUBSTEPS
+        for _ in range(_SUBSTEPS):
+            self.q = self.q + (self.command - self.q) * (h / (self.servo_lag + h))
+            S, self._J = pose_and_jacobian(PANDA, self.q)
+            # from where the servo would have the tool to where it is, seen from the tool
+            e = pose_error(S, self.handle)
+            self._missing = e
+            rate = (e - self._e) / h
+            self._e = e
+            wrench = -(self.stiffness * e + _SLACK * rate)  # on the handle, of the tool, seen from the tool: pulls back
+            v, w = self._twist[:3], self._twist[3:]
+            R = self.handle[:3, :3]
+            f, x = R @ wrench[:3], self.handle[:3, 3]
+            moment = np.array([x[1] * f[2] - x[2] * f[1], x[2] * f[0] - x[0] * f[2], x[0] * f[1] - x[1] * f[0]])
+            pull = float(v @ f + w @ (moment + R @ wrench[3:]))
+            if self.locked:
+                self.speed = 0.0
+            else:
+                free = self.speed + h * (pull - self.spring * self.a - self.damping * self.speed) / self.inertia
+                stick = h * self.friction / self.inertia
+                self.speed = float(np.sign(free) * max(abs(free) - stick, 0.0))
+            self.a += h * self.speed
+            if not 0.0 <= self.a <= self.last:
+                self.a, self.speed = min(max(self.a, 0.0), self.last), 0.0
+            self.handle = self.truth.pose(self.a)
+            self.contact = -wrench  # on the tool
+
+    def reading(self) -> tuple[Array, Array]:
+        """(joint positions, raw wrench of the sensor) of now: encoders see where the weld holds the tool."""
+        q = self.q + self._J.T @ np.linalg.solve(self._J @ self._J.T, self._missing)
+        w = self.contact + self.weight + self.noise * np.r_[np.ones(3), 0.02 * np.ones(3)] * self._rng.normal(size=6)
+        return q, w
+
+
+@dataclass
+class Pulled:
+    """What came of it. forces (m,), moments (m,) of the contact; setpoints; the last word."""
+
+    stop: Stop | None
+    forces: Array
+    moments: Array
+    setpoints: list[tuple[float, Setpoint]]
+    phases: list[str]
+    opened: float
+
+
+def pull(
+    toy: Toy,
+    operation: Operation,
+    trusts: float = 0.14,
+    model: JointModel | None = None,
+    seconds: float = 40.0,
+    revise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Pulled:
+    """Pull until it says stop. trusts: configuration from which the model (default: the truth) is trusted.
+
+    revise: deviation of the point and the axis of the model, anew five times a second [m, rad].
+    """
+    sensor, belief = WrenchSensor([(PANDA.tip, np.eye(4))]), Belief()
+    forces, moments, setpoints, phases = [], [], [], []
+    late: deque[tuple[float, Array, Array]] = deque()
+    stop = None
+    given = toy.truth if model is None else model
+    for k in range(int(seconds / PERIOD)):
+        now = 100.0 + k * PERIOD
+        q, w = toy.reading()
+        late.append((now, q, w))
+        if len(late) <= toy.delay:
+            toy.step()
+            continue
+        stamp, q, w = late.popleft()
+        sensor.hear(PANDA.tip, w, stamp, now, 0.1)
+        if toy.a >= trusts:
+            belief.trusted = True
+            if belief.model is None or (revise and rng is not None and k % 50 == 0):
+                belief.model = _revised(given, revise, rng) if revise and rng is not None else given
+        answer = operation.tick(now, pose_and_jacobian(PANDA, q)[0], sensor, Joints(q, stamp), belief)
+        phases.append(operation.phase)
+        if isinstance(answer, Stop):
+            stop = answer
+            break
+        if isinstance(answer, Setpoint):
+            setpoints.append((now, answer))
+            toy.command = answer.q
+        toy.step()
+        forces.append(float(np.linalg.norm(toy.contact[:3])))
+        moments.append(float(np.linalg.norm(toy.contact[3:])))
+    return Pulled(stop, np.array(forces), np.array(moments), setpoints, phases, toy.a)
+
+
+def _revised(model: JointModel, size: float, rng: np.random.Generator) -> JointModel:
+    axis = model.axis + size * rng.normal(size=3)
+    point = model.point + size * rng.normal(size=3) if model.turns else model.point
+    return JointModel(model.kind, model.start, axis / np.linalg.norm(axis), point)
