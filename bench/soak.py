@@ -32,8 +32,11 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 
+from modcal_core.geometry.so3 import Array  # noqa: E402
+
 JOINT_RATE, TRACKER_RATE = 1000.0, 200.0  # Hz
 WARM_UP = 0.4  # share of the time after which memory must be flat
+TURN = 0.1  # share of the time after which the calibrator makes stations of what it heard
 MOST_GROWTH = 2.0  # MB a minute after that, which is a hundred times less than what is heard
 MOST_COMPUTE = 1.0  # ms of a processor, p99 of one update
 SAMPLES, MODEL = "/calibrator: samples", "/calibrator: model"
@@ -65,11 +68,19 @@ class Usage:
         self.memory.append(rss)
         self.cpu.append(cpu)
 
-    def growth(self, since: float) -> float:
-        """MB a minute, by the straight line through what was seen after this time."""
+    def turns(self, since: float, turn: float) -> Array:
+        """Least and most [MB] in every whole turn [s] after a time, (k, 2).
+
+        What is heard is kept for a turn and then condensed, so memory goes up and down with it.
+        """
         t, m = np.array(self.at), np.array(self.memory)
-        late = t >= since
-        return float(60.0 * np.polyfit(t[late] - since, m[late], 1)[0])
+        pieces = [m[(t >= b) & (t < b + turn)] for b in np.arange(since, t[-1] - 0.95 * turn, turn)]
+        return np.array([(piece.min(), piece.max()) for piece in pieces])
+
+    def growth(self, since: float, turn: float) -> float:
+        """MB a minute by the straight line through the least of every turn: what is never given back."""
+        least = self.turns(since, turn)[:, 0]
+        return float(60.0 / turn * np.polyfit(np.arange(len(least)), least, 1)[0])
 
     def share(self) -> float:
         """Cores used."""
@@ -90,7 +101,7 @@ def _soak(folder: Path, seconds: float) -> int:
     bag = folder / "bag"
     processes = {
         "recorder": Process("recorder", domain, folder, out=bag),
-        "calibrator": Process("calibrator", domain, folder, memory_s=0.2 * seconds),
+        "calibrator": Process("calibrator", domain, folder, memory_s=TURN * seconds),
     }
     with running(*processes.values()), listener(domain) as (node, wait):
         said = Said(node)
@@ -119,7 +130,7 @@ def _soak(folder: Path, seconds: float) -> int:
         wait(lambda: time.monotonic() > due + 3.0, 10.0)
         assert processes["recorder"].stop(patience=60.0) == 0
         assert processes["calibrator"].stop(patience=120.0) == 0
-    return _report(bag, usage, begin + WARM_UP * seconds, figures, _published(cell.output))
+    return _report(bag, usage, begin + WARM_UP * seconds, TURN * seconds, figures, _published(cell.output))
 
 
 def _published(output: str) -> dict[str, int]:
@@ -130,7 +141,7 @@ def _published(output: str) -> dict[str, int]:
 
 
 def _report(
-    bag: Path, usage: dict[str, Usage], since: float, figures: dict[str, str], published: dict[str, int]
+    bag: Path, usage: dict[str, Usage], since: float, turn: float, figures: dict[str, str], published: dict[str, int]
 ) -> int:
     with Reader(bag) as reader:
         recorded = {topic: reader.topics[topic].msgcount for topic in published}
@@ -152,8 +163,9 @@ def _report(
     for key in ("median", "p99"):
         table.add_row(f"from stamp to update, {key}", f"{figures[f'from stamp to update, {key} [ms]']} ms", "", "")
     for name, one in usage.items():
-        growth = one.growth(since)
-        row(f"{name}: memory, growth", f"{one.memory[-1]:.0f} MB, {growth:+.2f} MB/min", f"{MOST_GROWTH:g} MB/min",
+        growth, turns = one.growth(since, turn), " ".join(f"{a:.0f}–{b:.0f}" for a, b in one.turns(since, turn))
+        table.add_row(f"{name}: memory, least and most of every turn", f"{turns} MB", "", "")
+        row(f"{name}: memory, growth", f"{growth:+.2f} MB/min", f"{MOST_GROWTH:g} MB/min",
             lambda g=growth: g <= MOST_GROWTH)  # type: ignore[misc]  # fmt: skip
         table.add_row(f"{name}: cores", f"{one.share():.2f}", "", "")
     Console().print(table)

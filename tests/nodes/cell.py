@@ -135,7 +135,7 @@ def call(node: Node, wait: Wait, name: str, seconds: float = 120.0) -> Trigger.R
     wait(client.service_is_ready, 60.0)
     answers = []
     asked = -_ASK_AGAIN
-    end = time.monotonic() + seconds
+    end = time.monotonic() + SLOWER * seconds
     while time.monotonic() < end:
         if time.monotonic() > asked + _ASK_AGAIN:
             answers.append(client.call_async(Trigger.Request()))
@@ -147,4 +147,4 @@ def call(node: Node, wait: Wait, name: str, seconds: float = 120.0) -> Trigger.R
                 node.destroy_client(client)
                 return answer.result()
             answers.remove(answer)
-    raise AssertionError(f"{name} did not answer in {seconds} s")
+    raise AssertionError(f"{name} did not answer in {SLOWER * seconds:g} s")

@@ -69,6 +69,7 @@ class Arm:
         self.commands: list[JointTrajectory] = []
         self.urdfs: list[str] = []
         self.health: dict[str, DiagnosticStatus] = {}
+        self.said: list[str] = []
         self.who = f"{space}/corrector"
         self.joints = node.create_publisher(JointState, f"{space}/joint_states", 10)
         self.description = node.create_publisher(String, f"{space}/robot_description", LATCHED)
@@ -91,6 +92,7 @@ class Arm:
             who, _, part = status.name.partition(": ")
             if who == self.who:
                 self.health[part] = status
+                self.said.append(status.message)
 
     def now(self) -> float:
         return 1e-9 * self.node.get_clock().now().nanoseconds

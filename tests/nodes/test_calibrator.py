@@ -17,7 +17,7 @@ import pytest
 from cells import record, samples_of
 from cli.recordings import START, URDF
 from nodes.cell import BEST_EFFORT, LATCHED, PlayedCell, Said, Wait, call
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import SLOWER, Process, fresh_domain, listener, running
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -469,7 +469,7 @@ def _alive(pid: int) -> bool:
 
 
 def _eventually(condition: Any, seconds: float) -> Any:
-    end = time.monotonic() + seconds
+    end = time.monotonic() + SLOWER * seconds
     while time.monotonic() < end:
         if value := condition():
             return value
