@@ -29,7 +29,7 @@ MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
 _PARSERS = {"lxml", "urdf_parser_py"}
 OUTSIDE = {"robots/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
-OUTSIDE_WHEN_CALLED = {"report/": {"jinja2", "matplotlib", "yaml"}}
+OUTSIDE_WHEN_CALLED = {"report/": {"jinja2", "matplotlib", "yaml"}, "modules/": {"matplotlib", "yaml"}}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,136 @@
+"""The product of exponentials of an assembly, straight from the modules (Gao et al. 2014).
+
+With T^B, T^J, T^L, T^G the way through each module, joints at zero, and R the quarter turns between neighbours,
+
+    T_1 = T^B R,   T_i = T_{i-1} T^J_{i-1} R T^L_{i-1} R,   T_{n+1} = T_n T^J_n R T^L_n R T^G,
+
+T_i is the input frame of joint i, whose axis is z there: ξ_i = (p_i × ω_i, ω_i) where it turns and (ω_i, 0) where it
+slides, and ``T(q) = exp(ξ_1 q_1) … exp(ξ_n q_n) T_{n+1}``. In the local form of :class:`Chain` the constants between
+the joints are M_0 = T_1, M_i = T_i⁻¹ T_{i+1}: each a product of *pieces*, one for every part of a module and every pair
+of flanges it consists of. Behind each piece stands the error of its owner, a small transform exp(e).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.library import JOINT, Library
+from modcal_core.robots.chain import Chain
+
+BASE_LINK, TIP_LINK = "base_link", "tool0"
+_QUARTER = np.array([[1, 0, -1, 0], [0, 1, 0, -1]], dtype=float)  # cos and sin of the quarter turns, exactly
+
+# Which part of an owner a piece is: the way through a module, or, of a joint, the way to its axis and from it on.
+WHOLE, TO_AXIS, FROM_AXIS = "whole", "to_axis", "from_axis"
+
+
+def _quarter_turns() -> Array:
+    R = np.zeros((4, 3, 3))
+    c, s = _QUARTER
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
+    T = se3.transform(R)
+    T.flags.writeable = False
+    return T
+
+
+TURN = _quarter_turns()  # about z by 0, 90, 180, 270 degrees, (4, 4, 4)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One factor of a constant of the chain.
+
+    T: nominal, (4, 4) [m]. module: index of the module it belongs to, or of the module behind the flanges that it is.
+    part: "interface", or which part of the module.
+    """
+
+    T: Array
+    module: int
+    part: str = WHOLE
+
+    @property
+    def is_interface(self) -> bool:
+        """Whether it is a pair of flanges, bolted anew in every assembly."""
+        return self.part == "interface"
+
+
+def pieces(assembly: Assembly, library: Library) -> tuple[tuple[Piece, ...], ...]:
+    """The factors of M_0 … M_n of the arm, base to tip, (n + 1) tuples; the assembly has been checked."""
+    out: list[list[Piece]] = [[]]
+    for i, module in enumerate(assembly.modules):
+        kind = library.types[module.kind]
+        if i:
+            out[-1].append(Piece(TURN[module.turn], i, "interface"))
+        if kind.role == JOINT:
+            out[-1].append(Piece(np.eye(4), i, TO_AXIS))
+            out.append([Piece(kind.T_in_out[module.size], i, FROM_AXIS)])
+        else:
+            out[-1].append(Piece(kind.T_in_out[module.size], i))
+    return tuple(tuple(segment) for segment in out)
+
+
+def origins(assembly: Assembly, library: Library) -> Array:
+    """M_0 … M_n of the arm, (n + 1, 4, 4) [m]; the assembly has been checked. Fast, for a search over many."""
+    M = [np.eye(4)]
+    for module in assembly.modules:
+        kind = library.types[module.kind]
+        M[-1] = M[-1] @ TURN[module.turn]
+        if kind.role == JOINT:
+            M.append(kind.T_in_out[module.size])
+        else:
+            M[-1] = M[-1] @ kind.T_in_out[module.size]
+    return np.stack(M)
+
+
+def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array] | None = None) -> Chain:
+    """The arm that an assembly makes, from base_link to tool0. Raises BadTable where it cannot be built.
+
+    errors: twists (6,) [m, rad] by (serial number, part), of physical modules whose true geometry is known, each in the
+    frame that its part ends in; parts are "whole", and "to_axis" and "from_axis" of joints.
+    """
+    assembly.checked(library)
+    M = origins(assembly, library) if not errors else _origins_with(assembly, library, errors)
+    kinds = [library.types[m.kind] for m in assembly.joints]
+    return Chain.build(
+        names=assembly.joint_names,
+        origins=M,
+        revolute=[k.revolute for k in kinds],
+        lower=[k.lower for k in kinds],
+        upper=[k.upper for k in kinds],
+        base=BASE_LINK,
+        tip=TIP_LINK,
+    )
+
+
+def _origins_with(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array]) -> Array:
+    M = []
+    for segment in pieces(assembly, library):
+        T = np.eye(4)
+        for piece in segment:
+            T = T @ piece.T
+            serial = assembly.modules[piece.module].serial
+            if not piece.is_interface and serial and (serial, piece.part) in errors:
+                T = T @ se3.exp(errors[serial, piece.part])
+        M.append(T)
+    return np.stack(M)
+
+
+def joint_frames(assembly: Assembly, library: Library) -> Array:
+    """T_1 … T_n, the joints' input frames in the base, joints at zero, and T_{n+1}, the tip, (n + 1, 4, 4) [m]."""
+    T = [np.eye(4)]
+    for M in origins(assembly, library):
+        T.append(T[-1] @ M)
+    return np.stack(T[1:])
+
+
+def twists(frames: Array, revolute: np.ndarray) -> Array:
+    """ξ_1 … ξ_n (n, 6) of joints whose axes are z of these frames (n, 4, 4): (p × ω, ω), or (ω, 0) where they slide."""
+    w, p = frames[:, :3, 2], frames[:, :3, 3]
+    turning = np.concatenate([np.cross(p, w), w], axis=1)
+    return np.where(np.asarray(revolute)[:, None], turning, np.concatenate([w, np.zeros_like(w)], axis=1))

@@ -1,0 +1,190 @@
+"""From modules to a chain and a URDF: against the formula as printed, and against an independent URDF library."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from modules.arms import LIBRARY, five_joints, random_assembly
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.modules.assembly import Assembly, Module
+from modcal_core.modules.bodies import body
+from modcal_core.modules.library_data import library_from_data, published_text
+from modcal_core.modules.poe import chain_of, joint_frames, origins, pieces, twists
+from modcal_core.modules.urdf import urdf_of
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+
+
+def test_lengths_are_the_published_ones() -> None:
+    def millimetres(kind: str) -> list[float]:
+        return [round(1e3 * LIBRARY.type(kind).length(n), 9) for n in range(8)]
+
+    for kind, first in (("B", 0.0), ("LC", 40.0), ("LP", 180.0), ("LR-I", 71.5), ("LR-II", 71.5)):
+        assert millimetres(kind) == [first + 5.0 * n for n in range(8)]
+    assert [t.name for t in LIBRARY.of_role("link")] == ["LC", "LP", "LR-I", "LR-II"]
+    assert [t.name for t in LIBRARY.of_role("joint")] == ["JR", "JP"]
+
+
+def test_a_thousand_assemblies_against_pinocchio(rng: np.random.Generator) -> None:
+    """Pinocchio reads the URDF, in which every module and every quarter turn stands by itself."""
+    worst = 0.0
+    for _ in range(1000):
+        assembly = random_assembly(rng)
+        chain = chain_of(assembly, LIBRARY)
+        model = pin.buildModelFromXML(urdf_of(assembly, LIBRARY))
+        data = model.createData()
+        order = [model.joints[model.getJointId(name)].idx_q for name in chain.names]
+        q = rng.uniform(chain.lower, chain.upper)
+        pin.framesForwardKinematics(model, data, q[np.argsort(order)])
+        tip = data.oMf[model.getFrameId("tool0")].homogeneous
+        worst = max(worst, float(np.abs(forward(chain, q) - tip).max()))
+    assert worst < 1e-12
+
+
+def test_the_urdf_gives_the_same_chain(rng: np.random.Generator) -> None:
+    for _ in range(30):
+        assembly = random_assembly(rng)
+        chain, text = chain_of(assembly, LIBRARY), urdf_of(assembly, LIBRARY)
+        again = read_chain(text)
+        assert (again.base, again.tip, again.names) == (chain.base, chain.tip, chain.names)
+        assert np.abs(again.origins - chain.origins).max() < 1e-15
+        assert np.array_equal(again.axes, chain.axes)
+        assert np.array_equal(again.revolute, chain.revolute)
+        assert np.array_equal([again.lower, again.upper], [chain.lower, chain.upper])
+
+
+def test_twists_as_printed(rng: np.random.Generator) -> None:
+    """T_i multiplied out as the paper has it, its twists, and the product of their exponentials."""
+    for _ in range(20):
+        assembly = random_assembly(rng)
+        chain = chain_of(assembly, LIBRARY)
+        way = [LIBRARY.types[m.kind].T_in_out[m.size] for m in assembly.modules]
+        turn = [se3.exp([0, 0, 0, 0, 0, 0.5 * np.pi * m.turn]) for m in assembly.modules]
+        T = way[0] @ turn[1]
+        frames = [T]
+        for i in range(assembly.n):
+            T = T @ way[1 + 2 * i] @ turn[2 + 2 * i] @ way[2 + 2 * i] @ turn[3 + 2 * i]
+            frames.append(T)
+        frames[-1] = T @ way[-1]
+        assert np.abs(joint_frames(assembly, LIBRARY) - frames).max() < 1e-14
+        xi = twists(np.stack(frames[:-1]), chain.revolute)
+        assert np.abs(xi - chain.spatial_twists).max() < 1e-14
+        q = rng.uniform(chain.lower, chain.upper)
+        product = np.eye(4)
+        for k in range(chain.n):
+            product = product @ se3.exp(xi[k] * q[k])
+        assert np.abs(product @ frames[-1] - forward(chain, q)).max() < 1e-13
+
+
+def test_pieces_multiply_to_the_constants(rng: np.random.Generator) -> None:
+    for _ in range(20):
+        assembly = random_assembly(rng)
+        for segment, M in zip(pieces(assembly, LIBRARY), origins(assembly, LIBRARY), strict=True):
+            T = np.eye(4)
+            for piece in segment:
+                T = T @ piece.T
+            assert np.abs(T - M).max() < 1e-15
+
+
+def test_known_errors_of_modules_travel_with_their_serial_numbers(rng: np.random.Generator) -> None:
+    assembly = five_joints().with_serials([f"S{k}" for k in range(12)])
+    errors = {("S2", "whole"): 1e-3 * rng.normal(size=6), ("S3", "to_axis"): 1e-3 * rng.normal(size=6)}
+    errors |= {("S3", "from_axis"): 1e-3 * rng.normal(size=6), ("elsewhere", "whole"): np.ones(6)}
+    chain = chain_of(assembly, LIBRARY, errors)
+    M = np.array(origins(assembly, LIBRARY))
+    way, turn = LIBRARY.type("LR-I").T_in_out[4], se3.exp([0, 0, 0, 0, 0, 0.5 * np.pi])
+    M[1] = (
+        LIBRARY.type("JR").T_in_out[0] @ turn @ way @ se3.exp(errors["S2", "whole"]) @ se3.exp(errors["S3", "to_axis"])
+    )
+    M[2] = LIBRARY.type("JR").T_in_out[0] @ se3.exp(errors["S3", "from_axis"]) @ LIBRARY.type("LP").T_in_out[7]
+    M[2] = M[2] @ se3.exp([0, 0, 0, 0, 0, np.pi])
+    assert np.abs(chain.origins - M).max() < 1e-15
+    assert np.abs(read_chain(urdf_of(assembly, LIBRARY, errors)).origins - M).max() < 1e-15
+
+
+def test_bodies_weigh_what_the_library_says(rng: np.random.Generator) -> None:
+    """Mass and centre of the moving parts, as gravity sees them, are those of the modules."""
+    assembly = random_assembly(rng, joints=4)
+    chain, text = chain_of(assembly, LIBRARY), urdf_of(assembly, LIBRARY)
+    inertias = read_inertias(text, chain)
+    kinds = [(LIBRARY.types[m.kind], m.size) for m in assembly.modules]
+    expected = [kinds[1 + 2 * k][0].mass + body(*kinds[2 + 2 * k]).mass for k in range(4)]
+    expected[-1] += LIBRARY.type("G").mass
+    assert inertias.mass == pytest.approx(expected)
+    lc = body(LIBRARY.type("LC"), 4)
+    assert lc.centre == pytest.approx([0, 0, 0.03])
+    assert lc.mass == pytest.approx(0.2 + 5.0 * 0.06)
+    across = lc.mass * (3 * 0.035**2 + 0.06**2) / 12
+    assert np.diag(lc.inertia) == pytest.approx([across, across, 0.5 * lc.mass * 0.035**2])
+    model = pin.buildModelFromXML(text)
+    assert [i.mass for i in list(model.inertias)[1:]] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("modules", "words"),
+    [
+        ([], "it is empty"),
+        ([Module("JR")], "a joint stands first: put a base there"),
+        ([Module("B"), Module("LC")], "a link stands after a base: put a joint there"),
+        ([Module("B"), Module("JR"), Module("JR")], "put a link there"),
+        ([Module("B"), Module("JR"), Module("LC")], "it ends in a link: end it in a gripper"),
+        ([Module("B"), Module("JR"), Module("LC"), Module("G"), Module("G")], "put a nothing there"),
+        ([Module("B"), Module("JX")], "use JR"),
+        ([Module("B", 8)], "its length code is 8, 0 to 7 are there"),
+        ([Module("B"), Module("JR", 1)], "its length code is 1, 0 to 0 are there"),
+        ([Module("B"), Module("JR", turn=4)], "turned by 4 quarter turns"),
+        ([Module("B", turn=1)], "a base is turned against nothing"),
+        ([Module("B", serial="A"), Module("JR", serial="A")], "serial number A is at module 1 already"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(modules: list[Module], words: str) -> None:
+    with pytest.raises(BadTable) as refusal:
+        chain_of(Assembly(tuple(modules)), LIBRARY)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def changed(*path: str, to: Any) -> Any:
+    data = yaml.safe_load(published_text())
+    at = data
+    for key in path[:-1]:
+        at = at[key]
+    if to is None:
+        del at[path[-1]]
+    else:
+        at[path[-1]] = to
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ([], "is not a mapping"),
+        ({"modules": {}}, "is not a module library"),
+        (changed("modules", "G", to=None), "there is no gripper"),
+        (changed("modules", "LC", "code", to=1), "two kinds of link have the same code"),
+        (changed("modules", "LC", "role", to="leg"), "its role is 'leg'"),
+        (changed("modules", "LC", "colour", to="red"), "'colour' does not belong there"),
+        (changed("modules", "LC", "motion", to="revolute"), "a joint, and nothing else, has a motion"),
+        (changed("modules", "LC", "output", "along", to=[0, 0, 0]), "has a length that leads nowhere"),
+        (changed("modules", "LC", "length_m", to={"first": 40, "step": 5}), "give metres"),
+        (changed("modules", "JP", "limits", to={}), "a sliding joint has an end"),
+        (changed("modules", "JR", "limits", "lower", to=4), "run from 4 to 2.967"),
+        (changed("modules", "JR", "radius_m", to=0), "radius: is 0"),
+        (changed("modules", "JR", "output", "xyz", to=[0, 0]), "needs 3 finite numbers"),
+        (changed("modules", "JR", "mass_kg", to="heavy"), "'heavy' is not a number"),
+        (changed("tolerances", "module", "length_m", to=0), "standard deviations are above 0"),
+    ],
+)
+def test_a_library_that_says_too_little_is_refused(data: Any, words: str) -> None:
+    with pytest.raises(BadTable) as refusal:
+        library_from_data(data, "mine.yaml")
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("mine.yaml")
