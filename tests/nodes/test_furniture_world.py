@@ -21,6 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 from modcal_core.robots.inverse import inverse
 from modcal_nodes.simulation.furniture import KINDS, Furniture, draw
+from modcal_nodes.simulation.furniture_mjcf import GRASP_STIFFNESS
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = urdf("panda")
@@ -248,3 +249,15 @@ def test_node_speaks_in_time_and_follows(tmp_path: Path) -> None:
         stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard["joint_states"]])
         assert np.allclose(np.diff(stamps), 0.004, atol=1e-6)
         assert node_process.stop() == 0
+
+
+def test_the_grasp_gives_way_like_a_spring() -> None:
+    locked = scene("door", "weld", stop=0.0)
+    made = world(locked)
+    moved = se3.transform(np.eye(3), [1e-3, 0.0, 0.0])
+    for k in range(250):
+        share = se3.exp(min(1.0, k / 125) * se3.log(moved))
+        made.refer(inverse(CHAIN, locked.T_base_handle @ share, made.reference(), restarts=0, tolerance=1e-8))
+        made.advance(PERIOD)
+    gap = (se3.inverse(made.handle()) @ made.tool())[0, 3]
+    assert made.contact()[0] / gap == pytest.approx(GRASP_STIFFNESS, rel=0.12)

@@ -22,7 +22,10 @@ TIMESTEP = 1e-3  # s
 _WIDEST = (np.radians(110.0), 0.6)  # where doors and drawers end [rad, m]
 _HANDLE_MASS = 1e-3  # kg, so that the sensor behind it feels the grasp and nothing else
 _SECOND_FRICTION = 4.0  # of a folding door, times that of the first hinge
-_STIFF = 'solref="0.004 1" solimp="0.95 0.99 0.001"'  # of grasp, stops and couplings; 4 ms is as hard as 1 kHz allows
+_STIFF = 'solref="0.004 1" solimp="0.95 0.99 0.001"'  # of grasp, stops, couplings; 4 ms is as hard as 1 kHz allows
+# fingers, their pads and the panel behind a handle give way before that does
+GRASP_STIFFNESS, GRASP_TURNING = 20e3, 200.0  # N/m, N m/rad
+_FINGERS, _FINGERS_GYRATION, _GRASP_DAMPING = 0.15, 0.08, 0.3  # kg, m, share of critical
 
 _STIFF_LIMIT = _STIFF.replace("solref", "solreflimit").replace("solimp", "solimplimit")
 
@@ -48,8 +51,8 @@ class Servo:
 def furniture_mjcf(chain: Chain, inertias: Inertias, servo: Servo, scene: Furniture) -> str:
     """MJCF text of the whole scene: gravity along −z of the arm's base, whose weight the servos need not carry.
 
-    The grasp couples *sites*: the tool's, which may lie anywhere in its body, and the handle's. It, the stops and the
-    coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the wrist, at the
+    The grasp couples *sites*: that of the fingers, which sit on springs at the tool's origin, and the handle's. It, the
+    stops and the coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the wrist, at the
     tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
     """
     return (
@@ -74,9 +77,27 @@ def _arm(chain: Chain, inertias: Inertias, scene: Furniture) -> str:
             f'axis="{text(chain.axes[k])}" armature="0.1" damping="0.5" frictionloss="0.1" {limits}/>'
             + inertial(inertias, k)
         )
-    tool = _inertial(scene.tool_mass, scene.tool_com, 0.03)
-    out.append(f'<body gravcomp="1" {placed(chain.origins[-1])}>{tool}<site name="tool"/></body>')
+    rest = scene.tool_mass - _FINGERS
+    tool = _inertial(rest, scene.tool_mass / rest * scene.tool_com, 0.03) + '<site name="tool"/>'
+    out.append(f'<body gravcomp="1" {placed(chain.origins[-1])}>{tool}{_fingers()}</body>')
     return "".join(out) + "</body>" * chain.n
+
+
+def _fingers() -> str:
+    """What holds the handle, on springs."""
+    joints = []
+    for kind, stiffness, inertia in (
+        ("slide", GRASP_STIFFNESS, _FINGERS),
+        ("hinge", GRASP_TURNING, _FINGERS * _FINGERS_GYRATION**2),
+    ):
+        damping = 2.0 * _GRASP_DAMPING * np.sqrt(stiffness * inertia)
+        joints += [
+            f'<joint name="fingers_{kind}_{axis}" type="{kind}" axis="{text(direction)}" stiffness="{stiffness:.17g}" '
+            f'damping="{damping:.17g}"/>'
+            for axis, direction in zip("xyz", np.eye(3), strict=True)
+        ]
+    mass = _inertial(_FINGERS, np.zeros(3), _FINGERS_GYRATION)
+    return f'<body gravcomp="1">{"".join(joints)}{mass}<site name="fingers"/></body>'
 
 
 def _object(scene: Furniture) -> str:
@@ -119,7 +140,7 @@ def _servos(chain: Chain, servo: Servo) -> str:
 
 def _couplings(scene: Furniture) -> str:
     kind = "weld" if scene.grasp == "weld" else "connect"
-    grasp = f'<{kind} name="grasp" site1="tool" site2="handle" {_STIFF}/>'
+    grasp = f'<{kind} name="grasp" site1="fingers" site2="handle" {_STIFF}/>'
     if scene.kind != "screw":
         return grasp
     return grasp + f'<joint joint1="{SECOND}" joint2="{OBJECT}" polycoef="0 {scene.pitch:.17g} 0 0 0" {_STIFF}/>'
