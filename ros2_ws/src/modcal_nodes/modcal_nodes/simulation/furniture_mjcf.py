@@ -52,8 +52,8 @@ def furniture_mjcf(chain: Chain, inertias: Inertias, servo: Servo, scene: Furnit
     """MJCF text of the whole scene: gravity along −z of the arm's base, whose weight the servos need not carry.
 
     The grasp couples *sites*: that of the fingers, which sit on springs at the tool's origin, and the handle's. It, the
-    stops and the coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the wrist, at the
-    tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
+    stops and the coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the
+    wrist, at the tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
     """
     return (
         '<mujoco model="furniture"><compiler angle="radian" autolimits="true" balanceinertia="true"/>'
