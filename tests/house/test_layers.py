@@ -27,7 +27,7 @@ ROOMS["top"] = {*ROOMS, "top"}
 MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
 # What each room of the core may import from outside, beyond NumPy, SciPy and the standard library ...
 _PARSERS = {"lxml", "urdf_parser_py"}
-OUTSIDE = {"robots/urdf": _PARSERS}
+OUTSIDE = {"robots/urdf": _PARSERS, "articulation/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
 OUTSIDE_WHEN_CALLED = {"report/": {"jinja2", "matplotlib", "yaml"}, "modules/": {"matplotlib", "yaml"}}
 

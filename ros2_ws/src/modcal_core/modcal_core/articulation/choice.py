@@ -1,0 +1,126 @@
+"""Which kind of joint it is: probabilities, the fit of the most probable kind, and whether enough was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modcal_core.articulation import furniture
+from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, row, weigh
+from modcal_core.articulation.fit import Fit, fit
+from modcal_core.articulation.joints import KINDS, Kind
+from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+SURE = 0.95  # probability from which a kind is said
+
+
+@dataclass(frozen=True)
+class Choice:
+    """probabilities: of every kind, 1 together. fit: of the most probable kind. enough: whether to rely on the kind.
+
+    why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
+    when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
+    """
+
+    probabilities: dict[Kind, float]
+    fit: Fit
+    enough: bool
+    why: str
+    fits: dict[Kind, Fit]
+    follows: bool
+    play: float
+
+    @property
+    def kind(self) -> Kind:
+        """The most probable kind."""
+        return self.fit.model.kind
+
+
+def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
+    """The choice between rigid, prismatic, revolute and screw for one track. rng: picks samples for first guesses."""
+    rng = np.random.default_rng(0) if rng is None else rng
+    fits = {kind: fit(track, kind, rng) for kind in KINDS}
+    richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
+    good = np.logical_not(gross(richest, track))
+    scene = _scene(track.part(good) if good.sum() >= 6 else track, richest, nodes)
+    if scene is None:
+        return _still(track, fits)
+    rows: dict[Kind, list[Row]] = {}
+    for kind, found in fits.items():
+        at, motion, column = [], found.motion, 2
+        for play in PLAYS:
+            at.append(row(scene, motion, float(play), column=column))
+            motion, column = at[-1].motion, at[-1].column
+        rows[kind] = at
+    logs, best, i, j = weigh(rows, len(scene.track))
+    total = float(np.logaddexp.reduce(list(logs.values())))
+    probabilities = {kind: float(np.exp(log - total)) for kind, log in logs.items()}
+    follows = not (track.oriented and bool(LOOSE[j]))
+    chosen = fits[best] if follows else fit(track.points(), best, rng)
+    if not follows:
+        fits = {**fits, best: chosen}
+    enough = probabilities[best] >= SURE
+    return Choice(probabilities, chosen, enough, _why(probabilities, chosen, enough, track), fits, follows,
+                  float(PLAYS[i]))  # fmt: skip
+
+
+def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
+    """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
+    sigma = _scales(found)
+    e = found.motion.residuals(track, found.motion.configurations(track, sigma))
+    off = np.linalg.norm(e[:, :3], axis=1) > 4.0 * max(sigma[0], float(PLAYS[2]))
+    if e.shape[1] == 6:
+        off |= np.linalg.norm(e[:, 3:], axis=1) > 4.0 * max(sigma[1], float(SWAYS[2]))
+    return off
+
+
+def _scene(track: Track, richest: Fit, most: int) -> Scene | None:
+    nodes = Nodes(track.oriented, most)
+    for i in range(len(track)):
+        nodes.add(track.positions[i], None if track.rotations is None else track.rotations[i])
+    pooled = nodes.track()
+    if pooled is None:
+        return None
+    sigma = white_noise(richest.motion.residuals(track, richest.motion.configurations(track, _scales(richest))))
+    return Scene.of(pooled, nodes.apart(), nodes.counts[: nodes.k], sigma)
+
+
+def _scales(found: Fit) -> tuple[float, float]:
+    return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
+
+
+def white_noise(e: Array) -> tuple[float, float]:
+    """Noise of one sample [m, rad] that its neighbour in time does not share, from residuals (n, 3) or (n, 6)."""
+    steps = np.diff(e, axis=0)
+    # medians of χ² with two and three degrees of freedom, times the two samples in a difference
+    position = float(np.sqrt(np.median((steps[:, :3] ** 2).sum(axis=1)) / 2.77))
+    rotation = float(np.sqrt(np.median((steps[:, 3:] ** 2).sum(axis=1)) / 4.73)) if e.shape[1] == 6 else 0.0
+    return position, rotation
+
+
+def _still(track: Track, fits: dict[Kind, Fit]) -> Choice:
+    """Nothing moved: all samples lie within a few nodes."""
+    why = f"nothing has moved by more than {1e3 * track.extent():.1f} mm: pull further, or it is locked"
+    shares: dict[Kind, float] = {kind: furniture.SHARE.get(kind, 1.0) * 0.5 for kind in KINDS}
+    return Choice(shares, fits["rigid"], False, why, fits, True, float(PLAYS[2]))
+
+
+def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Track) -> str:
+    model = chosen.model
+    span = float(np.ptp(chosen.configurations[chosen.weights > 0.2])) if (chosen.weights > 0.2).any() else 0.0
+    percent = {kind: f"{100.0 * p:.0f} %" for kind, p in probabilities.items()}
+    if model.kind == "rigid":
+        seen = f"moved by no more than {1e3 * track.extent():.0f} mm"
+    elif model.kind == "prismatic":
+        seen = f"slid {1e2 * span:.0f} cm along a line"
+    else:
+        rise = f", rising {2e3 * np.pi * model.pitch:.0f} mm a turn" if model.kind == "screw" else ""
+        seen = f"turned {np.degrees(span):.0f}° at {1e2 * model.radius:.0f} cm from its axis{rise}"
+    if enough:
+        return f"{model.kind} ({percent[model.kind]}): it {seen}"
+    ranked = sorted(probabilities, key=lambda kind: -probabilities[kind])[:2]
+    return f"not enough motion yet: {percent[ranked[0]]} {ranked[0]}, {percent[ranked[1]]} {ranked[1]}; it {seen}"

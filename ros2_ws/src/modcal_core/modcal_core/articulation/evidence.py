@@ -1,0 +1,254 @@
+"""How well a kind of joint explains what was seen, with every size that nobody knows averaged out.
+
+Nodes of a track depart from the ideal path by a play that is alike nearby and by noise that is not:
+
+    covariance between nodes i, j = s² exp(−d_ij / reach) + D² exp(−d_ij² / 2 far²) + δ_ij σ_w² / n_i
+
+for positions with s the play, for rotations with s the sway, both unknown (priors in furniture), D the distortion of
+what measures, and σ_w the noise of one sample. A textbook criterion
+takes residuals as independent, so that a drawer's bow of two millimetres, seen a hundred times, proves a circle twelve
+metres wide. Here it was seen about five times, and such a circle is furniture that nobody builds.
+
+The evidence of a kind is the integral of likelihood × prior over configurations, parameters, play and sway.
+* Configurations: exactly, flat in metres of path. What is left of a position is across the path. What is left of a
+  rotation is compared with the angle that the position tells, whose own play then counts too.
+* Parameters: Laplace's method at the most probable ones for each play, in the coordinates of ``motion``. Of those, the
+  direction of the path is common to sliding and turning; what turning must pay for is where the axis lies.
+* Play and sway: a sum over a grid in units of their prior's standard deviation.
+See MacKay, Information Theory, Inference, and Learning Algorithms (2003), chapters 27 and 28.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtrs
+
+from modcal_core.articulation import furniture
+from modcal_core.articulation.fit import prior_terms
+from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+_STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # of the prior's standard deviation
+PLAYS = np.exp(furniture.PLAY[0] + furniture.PLAY[1] * _STEPS)
+_LOG_PLAYS = -0.5 * _STEPS**2 - float(np.logaddexp.reduce(-0.5 * _STEPS**2))
+_LOOSE_STEPS = np.array([-0.5, 0.5])
+SWAYS = np.concatenate([
+    np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS), np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] *
+    _LOOSE_STEPS)
+])  # fmt: skip
+_LOG_SWAYS = np.concatenate([_LOG_PLAYS + np.log1p(-furniture.LOOSE[2]), np.full(2, np.log(0.5 * furniture.LOOSE[2]))])
+LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The nodes that all kinds must explain, and covariances (k, k) of what they do not share with the ideal path.
+
+    kernel: of a play of 1. position [m²], rotation [rad²]: noise of nodes, and distortion of what measures.
+    """
+
+    track: Track
+    kernel: Array
+    position: Array
+    rotation: Array
+
+    @classmethod
+    def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float]) -> Scene:
+        """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad]."""
+        smooth = np.exp(-0.5 * (apart / furniture.DISTORTION_REACH) ** 2)
+        least, distortion = (1e-5, 1e-4), furniture.DISTORTION
+        both = [d**2 * smooth + np.diag(s**2 / counts + m**2)
+                for s, m, d in zip(sigma, least, distortion, strict=True)]  # fmt: skip
+        return cls(track, np.exp(-apart / furniture.REACH), both[0], both[1])
+
+
+@dataclass(frozen=True)
+class Row:
+    """One kind at one play: its most probable motion, log evidence for each sway (1,) or (7,), which is the best."""
+
+    motion: Motion
+    evidence: Array
+    column: int
+
+
+def row(scene: Scene, motion: Motion, play: float, steps: int = 8, column: int = 2, again: bool = True) -> Row:
+    """Climb to the most probable motion at this play (and this of the sways, or the best if again), and weigh it."""
+    oriented = scene.track.oriented
+    column = column if oriented else 0
+    terms = _Terms.of(scene, motion, play)
+    for _ in range(steps):
+        step, gain = terms.step(scene, play, column)
+        before = terms.cost(scene, play, column)
+        shrink = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12))
+        for _ in range(6):
+            moved = motion.moved(shrink * step)
+            tried = _Terms.of(scene, moved, play)
+            if tried.cost(scene, play, column) < before + 1e-9:
+                break
+            shrink *= 0.3
+        else:
+            break
+        motion, terms = moved, tried
+        if gain < 1e-2:
+            break
+    logs = terms.evidence(scene, play)
+    best = int(np.argmax(logs + _LOG_SWAYS)) if oriented else 0
+    if best != column and again:
+        return row(scene, motion, play, steps, best, again=False)
+    return Row(motion, logs, best)
+
+
+def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
+    """The same row a little later, when nodes have changed a little: one step, and evidence at the best sway and one
+    more.
+
+    turn: chooses the other sway, so that all of them get their turn.
+    """
+    terms = _Terms.of(scene, before.motion, play)
+    columns = {0}
+    logs = before.evidence.copy()
+    if scene.track.oriented:
+        # all others move along with the best, until they are looked at again
+        columns = {before.column, turn % len(SWAYS)}
+    step = np.zeros(before.motion.size)
+    shift = 0.0
+    for c in columns:
+        value, towards = terms.weighed(scene, play, c)
+        if c == before.column:
+            step, shift = towards, value - logs[c]
+        logs[c] = value
+    if scene.track.oriented:
+        rest = np.delete(np.arange(len(SWAYS)), list(columns))
+        logs[rest] += shift
+    best = int(np.argmax(logs + _LOG_SWAYS)) if scene.track.oriented else 0
+    shrink = min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+    return Row(before.motion.moved(shrink * step), logs, best)
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """Residuals and derivatives of all nodes, split by what noise they share, whitened as far as play alone decides."""
+
+    motion: Motion
+    across: Array  # (2 or 3, k, 1 + size) across the path, whitened
+    log_det: float
+    turn: Array | None  # (2 or 3, k, 1 + size) rotation that no position tells of
+    mixed: Array | None  # (k, 1 + size) rotation about the axis against the angle of the position
+
+    @classmethod
+    def of(cls, scene: Scene, motion: Motion, play: float) -> _Terms:
+        track = scene.track
+        a = motion.configurations(track, (1.0, 1e9))
+        e, by_a, J = motion.linearise(track, a)
+        both = np.concatenate([e[:, :, None], J], axis=2)
+        if motion.kind != "rigid":
+            t = by_a[:, :3] / (by_a[:, :3] ** 2).sum(axis=1, keepdims=True)
+            along = np.einsum("nm,nmk->nk", t, both[:, :3])
+            both = both - by_a[:, :, None] * along[:, None, :]
+        N = motion.across
+        position = np.einsum("nmk,md->dnk", both[:, :3], N)
+        L = np.linalg.cholesky(play**2 * scene.kernel + scene.position)
+        k = len(a)
+        white = _whiten(L, position)
+        log_det = len(position) * (np.log(np.diag(L)).sum() + 0.5 * k * np.log(2.0 * np.pi))
+        turn = mixed = None
+        if track.oriented:
+            turned = np.moveaxis(both[:, 3:], 1, 0)
+            turn, mixed = (turned[:2], turned[2]) if motion.turns else (turned, None)
+        return cls(motion, white, float(log_det), turn, mixed)
+
+    def _system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
+        """(squares, gradient, curvature, log determinant), with the prior in the first three."""
+        flat = self.across.reshape(-1, self.across.shape[-1])
+        total = flat.T @ flat
+        log_det = self.log_det
+        if self.turn is not None:
+            sway = SWAYS[column]
+            C = sway**2 * scene.kernel + scene.rotation
+            half = 0.5 * len(C) * np.log(2.0 * np.pi)
+            L = np.linalg.cholesky(C)
+            white = _whiten(L, self.turn).reshape(-1, total.shape[0])
+            total = total + white.T @ white
+            log_det += len(self.turn) * (np.log(np.diag(L)).sum() + half)
+            if self.mixed is not None:
+                per = self.motion.r**2 + self.motion.h**2
+                L = np.linalg.cholesky(C + (play**2 * scene.kernel + scene.position) / per)
+                white = _whiten(L, self.mixed[None])[0]
+                total = total + white.T @ white
+                log_det += np.log(np.diag(L)).sum() + half
+        cost, gradient, curvature = prior_terms(self.motion)
+        return (float(0.5 * total[0, 0] + cost), total[0, 1:] + gradient, total[1:, 1:] + np.diag(curvature),
+                float(log_det))  # fmt: skip
+
+    def cost(self, scene: Scene, play: float, column: int) -> float:
+        squares, _, _, log_det = self._system(scene, play, column)
+        return squares + log_det
+
+    def step(self, scene: Scene, play: float, column: int) -> tuple[Array, float]:
+        """Gauss–Newton step, and what it promises."""
+        _, g, H, _ = self._system(scene, play, column)
+        step = -np.linalg.solve(H + 1e-10 * np.trace(H) * np.eye(len(H)), g)
+        return step, float(-0.5 * g @ step)
+
+    def weighed(self, scene: Scene, play: float, column: int) -> tuple[float, Array]:
+        """Log evidence at one sway, with the step that is left taken on the quadratic; and that step."""
+        squares, g, H, log_det = self._system(scene, play, column)
+        L = np.linalg.cholesky(H + 1e-12 * np.trace(H) * np.eye(len(H)))
+        left = dtrtrs(L, g, lower=1)[0]
+        # A quadratic that promises much is far from its middle, and not to be believed.
+        gain = min(0.5 * float(left @ left), 3.0)
+        volume = 0.5 * len(g) * np.log(2.0 * np.pi) - np.log(np.diag(L)).sum()
+        return float(gain - squares - log_det + volume + _log_prior(self.motion)), -dtrtrs(L, left, lower=1, trans=1)[0]
+
+    def evidence(self, scene: Scene, play: float) -> Array:
+        """Log evidence for each sway."""
+        columns = range(len(SWAYS)) if self.turn is not None else range(1)
+        return np.array([self.weighed(scene, play, c)[0] for c in columns])
+
+
+def _log_prior(motion: Motion) -> float:
+    """What the prior's density has beside its exponent, in the coordinates of the motion."""
+    if motion.kind == "rigid":
+        return -np.log(furniture.SPAN)
+    log = -np.log(4.0 * np.pi)
+    if motion.turns:
+        log += -np.log(2.0 * np.pi) - np.log(furniture.RADIUS[1] * np.sqrt(2.0 * np.pi))
+    if motion.kind == "screw":
+        log += -np.log(furniture.PITCH[1] * np.sqrt(2.0 * np.pi)) - np.log(2.0)
+    return float(log)
+
+
+def _whiten(L: NDArray[Any], blocks: Array) -> Array:
+    """L⁻¹ on each of (d, k, c)."""
+    d, k, c = blocks.shape
+    side = np.moveaxis(blocks, 0, 1).reshape(k, d * c)
+    return np.moveaxis(dtrtrs(L, side, lower=1)[0].reshape(k, d, c), 1, 0)
+
+
+def weigh(
+    rows: dict[Kind, list[Row]], samples: int, plays: tuple[int, ...] = tuple(range(len(PLAYS)))
+) -> tuple[dict[Kind, float], Kind, int, int]:
+    """Log evidences of kinds (with their share of furniture), the best kind, its best play and its best sway.
+
+    samples: nodes, each of which has a configuration somewhere on a path as long as handles go. plays: which of
+    PLAYS the rows are of.
+    """
+    logs: dict[Kind, float] = {}
+    best: tuple[float, Kind, int, int] | None = None
+    for kind, at in rows.items():
+        table = np.array([r.evidence for r in at]) + _LOG_PLAYS[list(plays), None]
+        if table.shape[1] > 1:
+            table = table + _LOG_SWAYS
+        share = np.log(furniture.SHARE.get(kind, 1.0)) - (samples * np.log(furniture.SPAN) if kind != "rigid" else 0.0)
+        logs[kind] = float(np.logaddexp.reduce(table, axis=None) + share)
+        i, j = np.unravel_index(int(np.argmax(table)), table.shape)
+        if best is None or logs[kind] > best[0]:
+            best = logs[kind], kind, int(i), int(j)
+    assert best is not None
+    return logs, best[1], best[2], best[3]

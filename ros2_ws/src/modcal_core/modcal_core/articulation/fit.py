@@ -1,0 +1,247 @@
+"""Maximum likelihood of one kind of joint, with a latent configuration for every sample, and how well it is known.
+
+What is minimised, over the parameters θ of the motion and the configurations a of all samples, is
+
+    Σᵢ (ν + m) / 2 · log(1 + χᵢ² / ν) + ½ Σ ((θ − prior mean) / prior std)²,   χᵢ² = |eᵢ|² / σ_p² + |φᵢ|² / σ_r²
+
+Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path, so that gross outliers lose their weight
+(Lange, Little and Taylor, JASA 1989). Given θ, the configurations are those nearest; their share of every derivative is
+projected out (Kaufman's variable projection), which leaves a Gauss–Newton problem in θ alone. Scales are
+re-estimated in every step as in EM. The prior on radius and pitch is furniture's; it is felt only where the track
+says next to nothing.
+
+The covariance is Huber's for M-estimates, times a factor for samples that are not independent: neighbours in time whose
+residuals agree say less than their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.articulation import furniture
+from modcal_core.articulation.joints import JointModel, Kind
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.seeds import seeds
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+NU = 4.0
+_LEAST = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted
+_STEPS = 40
+_ENOUGH = 1e-3  # of a log-likelihood
+
+
+@dataclass(frozen=True)
+class Fit:
+    """model; configurations (n,) [rad or m], 0 at the first sample; weights (n,), near 0 for an outlier.
+
+    covariance: of ``axis`` (3, 3), ``start`` (3, 3) [m²], and where it turns ``point`` (3, 3) [m²], ``centre`` the
+    same, ``pitch`` (1, 1) [(m/rad)²]. sigma_position [m], sigma_rotation [rad or nan]: scatter of one sample along
+    one axis.
+    log_likelihood: of the whole track, at the best configurations. motion: what was fitted, before its start was
+    chosen.
+    """
+
+    model: JointModel
+    configurations: Array
+    covariance: dict[str, Array]
+    log_likelihood: float
+    weights: Array
+    sigma_position: float
+    sigma_rotation: float
+    motion: Motion = field(repr=False)
+    parameters: Array = field(repr=False)  # covariance of the motion's parameters (size, size)
+
+
+def fit(track: Track, kind: Kind, rng: np.random.Generator | None = None, prior: bool = True,
+        start: Motion | None = None) -> Fit:  # fmt: skip
+    """The most likely joint of this kind. start: begin there, else with robust guesses (rng chooses their samples)."""
+    rng = np.random.default_rng(0) if rng is None else rng
+    starts = [start] if start is not None else seeds(track, kind, rng)
+    best = min((_climb(track, s, prior) for s in starts), key=lambda c: c.cost)
+    return _told(track, best, prior)
+
+
+@dataclass
+class _State:
+    motion: Motion
+    sigma: tuple[float, float]
+    cost: float
+
+
+def prior_terms(motion: Motion) -> tuple[float, Array, Array]:
+    """Half the squared distance from furniture's prior, its gradient (size,) and its curvature (size,), diagonal."""
+    cost, gradient, curvature = 0.0, np.zeros(motion.size), np.zeros(motion.size)
+    if motion.turns:
+        j = motion.size - (2 if motion.kind == "screw" else 1)
+        terms = [(j, np.log(motion.r), furniture.RADIUS)]
+        if motion.kind == "screw":
+            terms.append((j + 1, np.log(abs(motion.h)), furniture.PITCH))
+        for at, value, (mean, std) in terms:
+            d = (value - mean) / std
+            cost += 0.5 * d * d
+            gradient[at], curvature[at] = d / std, 1.0 / std**2
+    return cost, gradient, curvature
+
+
+def _dims(motion: Motion, m: int) -> int:
+    """Dimensions of a residual that the configuration does not absorb."""
+    return m - (motion.kind != "rigid")
+
+
+def _squared(e: Array, sigma: tuple[float, float]) -> Array:
+    chi = (e[:, :3] ** 2).sum(axis=1) / sigma[0] ** 2
+    return chi + (e[:, 3:] ** 2).sum(axis=1) / sigma[1] ** 2 if e.shape[1] == 6 else chi
+
+
+def _objective(motion: Motion, e: Array, sigma: tuple[float, float], prior: bool) -> float:
+    d = _dims(motion, e.shape[1])
+    cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum())
+    cost += len(e) * _log_scale(motion, e.shape[1], sigma)
+    return cost + (prior_terms(motion)[0] if prior else 0.0)
+
+
+def _log_scale(motion: Motion, m: int, sigma: tuple[float, float]) -> float:
+    scales = (2 if motion.kind != "rigid" else 3) * np.log(sigma[0])
+    return float(scales + (3 * np.log(sigma[1]) if m == 6 else 0.0))
+
+
+def _rescaled(motion: Motion, e: Array, sigma: tuple[float, float]) -> tuple[float, float]:
+    """Scales by EM: weighted mean squares, over the dimensions left."""
+    d = _dims(motion, e.shape[1])
+    w = (NU + d) / (NU + _squared(e, sigma))
+    position = float((w * (e[:, :3] ** 2).sum(axis=1)).sum()) / (len(e) * (2 if motion.kind != "rigid" else 3))
+    rotation = sigma[1] ** 2
+    if e.shape[1] == 6:
+        rotation = float((w * (e[:, 3:] ** 2).sum(axis=1)).sum()) / (len(e) * 3)
+    return max(position**0.5, _LEAST[0]), max(rotation**0.5, _LEAST[1])
+
+
+def _first_scales(e: Array) -> tuple[float, float]:
+    """Scales that half of the samples keep."""
+    position = float(np.median(np.linalg.norm(e[:, :3], axis=1))) / 1.18
+    rotation = float(np.median(np.linalg.norm(e[:, 3:], axis=1))) / 1.54 if e.shape[1] == 6 else 1.0
+    return max(position, _LEAST[0]), max(rotation, _LEAST[1])
+
+
+def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float]) -> tuple[Array, Array]:
+    """Residuals (n, m) over their scales, and derivatives (n, m, size) without what the configurations absorb."""
+    e, by_a, J = motion.linearise(track, a)
+    scale = np.array([sigma[0]] * 3 + [sigma[1]] * (e.shape[1] - 3))
+    e, J = e / scale, J / scale[:, None]
+    if motion.kind != "rigid":
+        t = by_a / scale
+        t = t / np.linalg.norm(t, axis=1, keepdims=True)
+        J = J - t[:, :, None] * np.einsum("nm,nmk->nk", t, J)[:, None, :]
+        e = e - t * (t * e).sum(axis=1, keepdims=True)
+    return e, J
+
+
+def _climb(track: Track, motion: Motion, prior: bool) -> _State:
+    """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes."""
+    sigma = (5e-3, 0.07)
+    a = motion.configurations(track, sigma)
+    e = motion.residuals(track, a)
+    sigma = _first_scales(e)
+    cost, damping, quiet = np.inf, 1e-4, 0
+    for _ in range(_STEPS):
+        a = motion.configurations(track, sigma)
+        sigma = _rescaled(motion, motion.residuals(track, a), sigma)
+        a = motion.configurations(track, sigma)
+        e = motion.residuals(track, a)
+        before = _objective(motion, e, sigma, prior)
+        quiet = quiet + 1 if abs(cost - before) < _ENOUGH else 0
+        cost = before
+        if quiet >= 2:
+            break
+        z, J = whitened(motion, track, a, sigma)
+        w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(e, sigma))
+        flat = J.reshape(-1, motion.size)
+        H = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat
+        g = flat.T @ (w[:, None] * z).ravel()
+        if prior:
+            _, gp, hp = prior_terms(motion)
+            H, g = H + np.diag(hp), g + gp
+        for _ in range(8):
+            step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.trace(H) * np.eye(len(H)), g)
+            tried = motion.moved(_bounded(step))
+            after = _objective(tried, tried.residuals(track, tried.configurations(track, sigma)), sigma, prior)
+            if after <= before:
+                motion, damping = tried, max(damping * 0.2, 1e-9)
+                break
+            damping = max(damping * 8.0, 1e-6)
+    return _State(motion, sigma, cost)
+
+
+def _bounded(step: Array) -> Array:
+    """No step turns a frame, or scales a radius, by more than half a radian or that share."""
+    largest = float(np.abs(step).max())
+    return step if largest < 0.5 else step * (0.5 / largest)
+
+
+def _told(track: Track, state: _State, prior: bool) -> Fit:
+    motion, sigma = state.motion, state.sigma
+    a = motion.configurations(track, sigma)
+    z, J = whitened(motion, track, a, sigma)
+    d = _dims(motion, z.shape[1])
+    chi = (z**2).sum(axis=1)
+    w = (NU + d) / (NU + chi)
+    covariance = _covariance(motion, z, J, w, d, prior)
+    gradients = motion.gradients()
+    named = {name: g @ covariance @ g.T for name, g in gradients.items()}
+    if "point" in named:
+        named["centre"] = named["point"]
+    log_likelihood = prior_terms(motion)[0] * prior - state.cost + len(z) * _log_constant(d)
+    spread = _spread(w, chi, d)
+    first = float(a[0]) if motion.kind != "rigid" else 0.0
+    rotation = sigma[1] * spread if z.shape[1] == 6 else np.nan
+    return Fit(motion.model(first), a - first, named, float(log_likelihood), np.minimum(w * NU / (NU + d), 1.0),
+               sigma[0] * spread, rotation, motion, covariance)  # fmt: skip
+
+
+def _log_constant(d: int) -> float:
+    """Logarithm of the density of Student's t in d dimensions at its middle."""
+    from scipy.special import gammaln
+
+    return float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
+
+
+def _spread(w: Array, chi: Array, d: int) -> float:
+    """What to multiply a scale of Student's t with to get the standard deviation of samples that are no outliers."""
+    inside = chi < 4.0 * d
+    return float(np.sqrt(chi[inside].sum() / (d * max(int(inside.sum()), 1)))) if inside.any() else 1.0
+
+
+def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:
+    n = len(z)
+    chi = (z**2).sum(axis=1)
+    flat = J.reshape(-1, motion.size)
+    free = max(n * d - motion.size, 1)
+    scatter = float((w**2 * chi).sum()) / free
+    slope = float((w - 2.0 * w**2 * chi / ((NU + d) * d)).mean())
+    information = flat.T @ flat * (slope**2 / max(scatter, 1e-12) / _agreement(z * w[:, None]))
+    if prior:
+        information = information + np.diag(prior_terms(motion)[2])
+    return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=float)
+
+
+def _agreement(z: Array) -> float:
+    """How many samples count as one: 1 + 2 Σ autocorrelation of residuals over time, while it is positive.
+
+    Geyer's initial positive sequence (Statistical Science 1992): pairs of lags, as far as both together are above zero.
+    """
+    n = len(z)
+    power = float((z * z).sum())
+    if power <= 0.0 or n < 8:
+        return 1.0
+    # Residuals of a fit lean to negative correlation by about parameters / n, which no one needs to correct.
+    rho = np.array([1.0] + [float((z[k:] * z[:-k]).sum()) / power for k in range(1, min(n // 2, 200))])
+    total = -1.0
+    for k in range(0, len(rho) - 1, 2):
+        pair = rho[k] + rho[k + 1]
+        if pair <= 0.0 or (k > 0 and pair < 2.0 / np.sqrt(n)):
+            break
+        total += 2.0 * pair
+    return max(total, 1.0)

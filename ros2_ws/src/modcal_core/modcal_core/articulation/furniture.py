@@ -1,0 +1,32 @@
+"""What is known of furniture before any of it is seen. Physical sizes, from what people build, not from any recording.
+
+* Hinges lie about a forearm from the handle: a knob has 3 cm, a cupboard door 30 to 60 cm, a room door 80 cm, a garage
+  door 2 m. log r is normal about log 0.4 m with 0.7, so 95 % lie between 0.10 and 1.6 m.
+* A screw that a person would call one rises by millimetres to decimetres in a radian: a jar 1 to 2, a rising hinge 5
+  to 10, a spiral slide 100 and more. log |pitch| is normal about log 20 mm/rad with 1.2, so 95 % lie between 2 and 200.
+* Screws are rare: 2 in 100 of what has a handle. Sliding and turning are equally likely.
+* Nothing moves ideally. A handle has play, a hand settles in it, a tracker's bias changes with place, an oven door
+  bends.
+  So what is seen departs from the ideal path by an amount that is alike in neighbouring places. Its size is not known:
+  log-normal about 2 mm with a factor of 2.2 for positions, and about 1.4° with a factor of 2.5 for rotations; how far
+  "neighbouring" reaches is a hand's width, 10 cm of path.
+* What measures is itself distorted: an arm that is not calibrated, or a camera that sees a marker, errs by about 2
+  mm and 0.6°, alike over some 30 cm. How smooth a departure is says nothing of how large a smooth one may be.
+* Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten, and then they are off by half a
+  radian.
+"""
+
+from __future__ import annotations
+
+from math import log
+
+RADIUS = (log(0.4), 0.7)
+PITCH = (log(0.02), 1.2)
+SHARE = {"prismatic": 0.49, "revolute": 0.49, "screw": 0.02}
+PLAY = (log(2e-3), log(2.2))  # of positions [m]
+SWAY = (log(0.025), log(2.5))  # of rotations [rad]
+LOOSE = (log(0.5), log(2.0), 0.1)  # rotations of a grasp that turns [rad], and how often that is so
+REACH = 0.1  # m of path over which a departure stays alike
+DISTORTION = (2e-3, 0.01)  # m, rad
+DISTORTION_REACH = 0.3  # m
+SPAN = 1.0  # m over which a handle may move: uniform prior of its configurations

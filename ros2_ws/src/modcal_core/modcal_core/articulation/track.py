@@ -1,0 +1,127 @@
+"""A track: what was seen of a handle, pose by pose or point by point, in the order in which it was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+
+FEWEST = 6  # samples; a circle in space has six parameters
+_FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
+
+
+@dataclass(frozen=True)
+class Track:
+    """positions: (n, 3) [m]. rotations: R_world_handle (n, 3, 3), or None. stamps: (n,) [s], or None.
+
+    Raises NotEnoughData for fewer than six samples, and BadRecording for what cannot be a handle's track: a number that
+    is not finite, millimetres, matrices that are no rotations, stamps that go back.
+    """
+
+    positions: Array
+    rotations: Array | None = None
+    stamps: Array | None = None
+
+    def __post_init__(self) -> None:
+        p = _frozen(self.positions)
+        n = len(p) if p.ndim else 0
+        if p.ndim != 2 or p.shape[1] != 3:
+            raise BadRecording("track, positions", f"have shape {p.shape}, not (n, 3)", "give one position a row")
+        if n < FEWEST:
+            raise NotEnoughData("track", f"{n} samples, {FEWEST} are needed", "record while the handle moves")
+        _finite("positions", p)
+        farthest = float(np.abs(p).max())
+        if farthest > _FARTHEST:
+            raise BadRecording("track, positions", f"{farthest:.4g} m from the origin, {_FARTHEST:g} m is allowed",
+                               "give metres, not millimetres")  # fmt: skip
+        object.__setattr__(self, "positions", p)
+        if self.rotations is not None:
+            object.__setattr__(self, "rotations", _rotations(self.rotations, n))
+        if self.stamps is not None:
+            t = _frozen(self.stamps)
+            if t.shape != (n,):
+                raise BadRecording("track, stamps", f"have shape {t.shape}, not ({n},)", "give one stamp a sample")
+            _finite("stamps", t)
+            if (np.diff(t) < 0.0).any():
+                raise BadRecording("track, stamps", f"go back at sample {int(np.argmin(np.diff(t))) + 1}",
+                                   "give samples in the order of time")  # fmt: skip
+            object.__setattr__(self, "stamps", t)
+
+    @classmethod
+    def of_poses(cls, poses: ArrayLike, stamps: ArrayLike | None = None) -> Track:
+        """The track of poses x y z qx qy qz qw (n, 7), or of positions (n, 3) [m].
+
+        Raises what Track raises, and BadRecording for a quaternion whose length is off 1 by more than 2 %.
+        """
+        poses = np.asarray(poses, dtype=float)
+        times = None if stamps is None else np.asarray(stamps, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] not in (3, 7):
+            raise BadRecording("track", f"has shape {poses.shape}, not (n, 3) or (n, 7)",
+                               "give x y z or x y z qx qy qz qw")  # fmt: skip
+        if poses.shape[1] == 3:
+            return cls(poses, None, times)
+        _finite("quaternions", poses[:, 3:])
+        length = np.linalg.norm(poses[:, 3:], axis=1)
+        worst = int(np.argmax(np.abs(length - 1.0))) if len(length) else 0
+        if len(length) and abs(length[worst] - 1.0) > 0.02:
+            raise BadRecording(f"track, quaternion of sample {worst}", f"has length {length[worst]:.4g}, not 1",
+                               "give unit quaternions x y z w")  # fmt: skip
+        return cls(poses[:, :3], so3.from_quaternion(poses[:, 3:]) if len(poses) else None, times)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def oriented(self) -> bool:
+        """Whether rotations were seen."""
+        return self.rotations is not None
+
+    def part(self, rows: ArrayLike) -> Track:
+        """The track of these samples, a mask or indices."""
+        rows = np.asarray(rows)
+        return Track(
+            self.positions[rows],
+            None if self.rotations is None else self.rotations[rows],
+            None if self.stamps is None else self.stamps[rows],
+        )
+
+    def points(self) -> Track:
+        """The same track without its rotations."""
+        return Track(self.positions, None, self.stamps)
+
+    def extent(self) -> float:
+        """How far the handle came [m]: largest distance from the median position, without the last 2 % of samples."""
+        away = np.linalg.norm(self.positions - np.median(self.positions, axis=0), axis=1)
+        return float(np.quantile(away, 0.98)) if len(away) > 50 else float(away.max())
+
+
+def _frozen(values: ArrayLike) -> Array:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise BadRecording("track", f"is no array of numbers ({error})", "give numbers") from error
+    array.flags.writeable = False
+    return array
+
+
+def _finite(what: str, array: Array) -> None:
+    if not np.isfinite(array).all():
+        row = int(np.argmin(np.isfinite(array.reshape(len(array), -1)).all(axis=1)))
+        raise BadRecording(f"track, {what}, sample {row}", "is not finite", "leave such samples out")
+
+
+def _rotations(rotations: ArrayLike, n: int) -> Array:
+    R = _frozen(rotations)
+    if R.shape != (n, 3, 3):
+        raise BadRecording("track, rotations", f"have shape {R.shape}, not ({n}, 3, 3)", "give one rotation a sample")
+    _finite("rotations", R)
+    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
+    if off.max() > 1e-3:
+        raise BadRecording(f"track, rotation of sample {int(off.argmax())}", "is no rotation matrix",
+                           "give proper orthonormal matrices")  # fmt: skip
+    return R
