@@ -13,6 +13,31 @@ from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES
 
 _JUMP = 1.0  # s
+_OVERTAKEN = 500  # messages by which one topic may be ahead of another
+
+
+class _Piece:
+    """Messages of one stretch of time. joints_from, joints_to: stamps of joint states [s]. last: of every source."""
+
+    def __init__(self) -> None:
+        self.joints_from = self.joints_to = math.nan
+        self.last: dict[tuple[str, str], float] = {}
+        self.count = 0
+        self._builder = RecordingBuilder("live")
+
+    def add(self, source: tuple[str, str], stamp: float, message: tuple[str, str, Any, float]) -> None:
+        """Take a message."""
+        self._builder.add(*message)
+        self.last[source] = stamp
+        self.count += 1
+
+    def goes_on(self, source: tuple[str, str], stamp: float) -> bool:
+        """Whether this stamp may be the next of this source, in this piece."""
+        return stamp >= self.last.get(source, self.joints_from) - _JUMP
+
+    def recording(self) -> Recording:
+        """What was taken so far."""
+        return self._builder.recording()
 
 
 class Memory:
@@ -29,27 +54,55 @@ class Memory:
         """Forget everything."""
         self.forgotten += 1
         self._pieces: list[Recording] = []
-        self._builder = RecordingBuilder("live")
-        self._first = self._last = math.nan
+        self._before: _Piece | None = None
+        self._now = _Piece()
+        self._early: list[tuple[tuple[str, str], float, tuple[str, str, Any, float]]] = []
         self.samples = None
         self._names: frozenset[str] = frozenset()
 
     def add(self, topic: str, type_name: str, message: Any, received: float) -> None:
         """Take one message. Raises BadRecording for one that contradicts itself."""
+        stamp = seconds(message.header.stamp) or received
+        source = (topic, str(message.header.frame_id))
         if topic.endswith(JOINT_STATES):
-            stamp = seconds(message.header.stamp)
-            if stamp < self._last - _JUMP or stamp - self._first > self._longest:
-                self._close_piece()
-            self._first = stamp if math.isnan(self._first) else self._first
-            self._last = stamp
+            self._follow_clock(stamp)
             if not self._names.issuperset(message.name):
                 self._names |= set(message.name)
-        self._builder.add(topic, type_name, message, received)
+        elif self._before is not None and self._before.goes_on(source, stamp) and source not in self._now.last:
+            self._before.add(source, stamp, (topic, type_name, message, received))
+            return
+        elif stamp < self._now.last.get(source, stamp) - _JUMP:
+            self._early.append((source, stamp, (topic, type_name, message, received)))
+            if len(self._early) > _OVERTAKEN:  # the clock of the joint states was not set back
+                self._take_early()
+            return
+        self._now.add(source, stamp, (topic, type_name, message, received))
+        if self._before is not None and self._now.count > _OVERTAKEN:
+            self._finish(self._before)
+            self._before = None
 
-    def _close_piece(self) -> None:
-        self._pieces.append(self._builder.recording())
-        self._builder = RecordingBuilder("live")
-        self._first = self._last = math.nan
+    def _follow_clock(self, stamp: float) -> None:
+        """Begin a new piece where a joint state's stamp asks for one."""
+        if stamp < self._now.joints_to - _JUMP:
+            if self._before is not None:
+                self._finish(self._before)
+            # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. What
+            # was read before the clock was set back may come yet, and what was read since may have come already.
+            self._before, self._now = self._now, _Piece()
+            self._take_early()
+        elif stamp - self._now.joints_from > self._longest:
+            self._finish(self._now)
+            self._now = _Piece()
+        self._now.joints_from = stamp if math.isnan(self._now.joints_from) else self._now.joints_from
+        self._now.joints_to = stamp
+
+    def _take_early(self) -> None:
+        for early in self._early:
+            self._now.add(*early)
+        self._early.clear()
+
+    def _finish(self, piece: _Piece) -> None:
+        self._pieces.append(piece.recording())
 
     @property
     def full(self) -> bool:
@@ -58,9 +111,9 @@ class Memory:
 
     def heard(self) -> Heard:
         """Everything remembered."""
-        now = self._builder.recording()
-        pieces = (*self._pieces, now) if now.joints else tuple(self._pieces)
-        return Heard(pieces, self.samples)
+        self._take_early()
+        open_pieces = [piece.recording() for piece in (self._before, self._now) if piece is not None]
+        return Heard((*self._pieces, *(piece for piece in open_pieces if piece.joints)), self.samples)
 
     def finished(self) -> Heard:
         """Everything but the present piece."""
