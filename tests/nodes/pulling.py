@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,22 +21,22 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.stamps import seconds
 from modcal_nodes.simulation.furniture import Furniture
 
 PANDA = ROOT / "examples" / "robots" / "panda.urdf"
 WORLD, ESTIMATOR, SETPOINT = "simulated_furniture", "articulation_estimator", "impedance_setpoint"
-_STILL_S = 2.0  # s without a setpoint after which a pull is over
+PULL = f"/{SETPOINT}: pull"
 Wait = Callable[[Callable[[], Any], float], Any]
 
 
 @dataclass
 class Told:
-    """What the world and the setpoints said, with the times at which it arrived [s]."""
+    """What the world and the setpoints said, with the world's own time [s]."""
 
     forces: list[tuple[float, float]] = field(default_factory=list)
     opened: list[tuple[float, float]] = field(default_factory=list)
     setpoints: list[float] = field(default_factory=list)
-    begun: float = 0.0
 
     def listen(self, node: Node) -> None:
         node.create_subscription(WrenchStamped, f"{WORLD}/contact_force", self._force, RELIABLE)
@@ -46,21 +45,18 @@ class Told:
 
     def _force(self, message: WrenchStamped) -> None:
         f = message.wrench.force
-        self.forces.append((time.monotonic(), float(np.linalg.norm([f.x, f.y, f.z]))))
+        self.forces.append((seconds(message.header.stamp), float(np.linalg.norm([f.x, f.y, f.z]))))
 
     def _truth(self, message: JointState) -> None:
-        self.opened.append((time.monotonic(), float(message.position[0])))
+        self.opened.append((seconds(message.header.stamp), float(message.position[0])))
 
     def _setpoint(self, _: JointTrajectoryPoint) -> None:
-        self.setpoints.append(time.monotonic())
+        # it bears no stamp
+        self.setpoints.append(self.forces[-1][0] if self.forces else 0.0)
 
-    def over(self) -> bool:
-        """Whether setpoints came and have ended."""
-        return bool(self.setpoints) and time.monotonic() - self.setpoints[-1] > _STILL_S
 
-    def since_begun(self, series: list[tuple[float, float]]) -> Array:
-        """Times since the pull was asked for, and values, (n, 2)."""
-        return np.array([(t - self.begun, value) for t, value in series if t >= self.begun]).reshape(-1, 2)
+def _since(begun: float, series: list[tuple[float, float]]) -> Array:
+    return np.array([(t - begun, value) for t, value in series if t >= begun]).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -98,10 +94,11 @@ def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any]
     def remap(**names: str) -> list[str]:
         return [word for old, new in names.items() for word in ("-r", f"{old}:={new}")]
 
+    paced = {"use_sim_time": bool(world.get("publish_clock"))}
     heard = {f"object_{what}": f"{ESTIMATOR}/object_{what}" for what in ("description", "state", "status")}
     return (
         Process(WORLD, domain, folder, urdf=PANDA, **world),
-        Process(ESTIMATOR, domain, folder),
+        Process(ESTIMATOR, domain, folder, **paced),
         Process(
             SETPOINT,
             domain,
@@ -111,7 +108,7 @@ def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any]
             "~/joint_references:=joint_references",
             tool_mass=scene.tool_mass,
             tool_centre=[float(x) for x in scene.tool_com],
-            goal=float(scene.goal),
+            **paced,
             **setpoint,
         ),
     )
@@ -127,21 +124,27 @@ def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: flo
         change(node, wait, SETPOINT, Transition.TRANSITION_CONFIGURE)
         change(node, wait, SETPOINT, Transition.TRANSITION_ACTIVATE)
         wait(lambda: told.forces and told.opened, 30.0)
-        told.begun = time.monotonic()
+        _until_heard(node, wait)
+        begun = told.forces[-1][0]
         answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
         assert answer.success, answer.message
-        wait(told.over, patience)
-        said = health.last.get(f"/{SETPOINT}: pull")
-        forces, opened = told.since_begun(told.forces), told.since_begun(told.opened)
+        wait(lambda: health.value(PULL, "phase"), 30.0)
+        wait(lambda: not health.value(PULL, "phase"), patience)
+        said = health.last[PULL].message
+        ended = told.forces[-1][0]
         for process in made:
             process.stop()
-    gaps = np.diff(told.setpoints)
-    # a message holds the largest force since the one before, so this mean is never too small
-    pull = Pull(
-        float(forces[:, 1].max()),
-        float(forces[forces[:, 0] <= told.setpoints[-1] - told.begun, 1].mean()),
-        float(opened[:, 1].max()),
-        scene.goal,
-        said.message if said is not None else "",
-    )
-    return Opening(pull, forces, opened, told.setpoints[-1] - told.begun, float(gaps.max(initial=0.0)))
+    forces, opened = _since(begun, told.forces), _since(begun, told.opened)
+    moving = [t for t in told.setpoints if t >= begun]
+    # a message holds the largest force since the one before, so this mean is never too small; while the tool is tared
+    # nothing pulls
+    pulled = forces[forces[:, 0] >= (moving[0] - begun if moving else 0.0), 1]
+    pull = Pull(float(forces[:, 1].max()), float(pulled.mean()), float(opened[:, 1].max()), float(scene.goal), said)
+    return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)))
+
+
+def _until_heard(node: Node, wait: Wait) -> None:
+    """Wait until everybody has found whom to talk to: what is said before is lost."""
+    for topic, listeners in (("joint_references", 2), ("joint_states", 2), ("wrench", 1)):
+        wait(lambda topic=topic, least=listeners: node.count_subscribers(topic) >= least, 30.0)
+        wait(lambda topic=topic: node.count_publishers(topic) == 1, 30.0)

@@ -80,6 +80,20 @@ CORRECTOR = {
     "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
 }
 
+ARTICULATION_ESTIMATOR = {
+    "input": Parameter("joint_states", "What shows the handle: joint_states, tool_pose, tracker/pose, tracker/point."),
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the link behind most joints that are heard."),
+    "rate_hz": Parameter(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
+    "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "tolerance_m": Parameter(4e-3, "How well a model must predict to be trusted [m].", 1e-4, 0.05),
+    "ahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
+    "still_m": Parameter(3e-3, "What a pulled handle moves by in a second while it counts as stuck [m].", 1e-4, 0.05),
+    "pull_n": Parameter(15.0, "Force beyond that of the beginning from which somebody pulls [N].", 0.5, 500.0),
+}
+
 SIMULATED_CELL = {
     "urdf": Parameter("", "URDF file of the nominal arm."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
@@ -144,8 +158,65 @@ SIMULATED_FURNITURE = {
     "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
     "wrench_rate_hz": Parameter(250.0, "Rate of the wrist's sensor [Hz].", 10.0, 1000.0),
     "truth_rate_hz": Parameter(100.0, "Rate of ~/contact_force and ~/object_truth [Hz].", 1.0, 1000.0),
+    "publish_clock": Parameter(
+        False, "Whether to publish a simulated time on /clock, which waits where the machine does not keep up."
+    ),
+    "clock_rate_hz": Parameter(500.0, "How often a simulated second that is done [Hz].", 10.0, 2000.0),
+    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 10.0),
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
+}
+
+
+IMPEDANCE_SETPOINT = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
+    "calibrated": Parameter(False, "Whether the tool is where tool_pose (the corrector's ~/pose) says it is."),
+    "autostart": Parameter(False, "Whether it configures and activates itself."),
+    "mode": Parameter(
+        "admittance", "admittance (the stack that follows is stiff), or expected (it is compliant itself)."
+    ),
+    "direction": Parameter([0.0, 0.0, -1.0], "Believed direction of the pull, seen from the tool."),
+    "goal": Parameter(0.0, "How far to open it [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
+    "goal_rad": Parameter(1.0472, "How far to open what turns [rad].", 0.01, 3.0),
+    "goal_m": Parameter(0.3, "How far to open what slides [m].", 0.005, 2.0),
+    "exploring_m_s": Parameter(0.03, "Speed of the pull while the way is unknown [m/s].", 0.001, 0.2),
+    "speed_m_s": Parameter(0.06, "Speed once it is known [m/s].", 0.001, 0.5),
+    "explore_m": Parameter(0.25, "Longest way that is gone unknown [m].", 0.01, 1.0),
+    "mass": Parameter([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
+    "damping": Parameter([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
+    "stiffness": Parameter([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
+    "stack_stiffness": Parameter([3000.0, 200.0], "What a stiff stack is asked for, way and turning [N/m; N m/rad]."),
+    "blend_s": Parameter(0.5, "How long other gains take to come in [s].", 0.0, 10.0),
+    "slow_force_n": Parameter(15.0, "Force from which the pace falls [N].", 0.1, 500.0),
+    "slow_moment_nm": Parameter(6.0, "The same of the moment [N m].", 0.01, 100.0),
+    "stand_force_n": Parameter(35.0, "Force at which it stands [N].", 0.2, 500.0),
+    "stand_moment_nm": Parameter(14.0, "The same of the moment [N m].", 0.02, 100.0),
+    "most_force_n": Parameter(50.0, "Force at which the pull ends at once [N].", 1.0, 500.0),
+    "most_moment_nm": Parameter(20.0, "The same of the moment [N m].", 0.1, 100.0),
+    "most_speed_m_s": Parameter(0.25, "No setpoint moves the tool faster [m/s].", 0.001, 2.0),
+    "most_acceleration_m_s2": Parameter(2.5, "Nor changes its speed faster [m/s2].", 0.01, 50.0),
+    "most_turning_rad_s": Parameter(1.5, "No setpoint turns the tool faster [rad/s].", 0.01, 10.0),
+    "most_turning_rad_s2": Parameter(15.0, "Nor changes that faster [rad/s2].", 0.1, 300.0),
+    "most_displacement_m": Parameter(0.1, "No setpoint lies farther from where the tool is [m].", 0.001, 1.0),
+    "most_turn_rad": Parameter(0.5, "No setpoint is turned farther from it [rad].", 0.01, 3.0),
+    "joint_speed_rad_s": Parameter(1.5, "Speed of turning joints that no setpoint exceeds [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.3, "Speed of sliding joints that no setpoint exceeds [m/s].", 0.0001, 5.0),
+    "joint_acceleration_rad_s2": Parameter(15.0, "How fast that speed may change [rad/s2].", 0.01, 200.0),
+    "joint_acceleration_m_s2": Parameter(3.0, "The same of sliding joints [m/s2].", 0.001, 100.0),
+    "least_gain": Parameter(0.02, "Smallest gain of the joints that is not taken for singular [m; rad].", 1e-4, 1.0),
+    "tool_mass": Parameter(0.0, "Mass beyond the force sensor, where it is known [kg]; 0: only the tare.", 0.0, 100.0),
+    "tool_centre": Parameter([0.0, 0.0, 0.0], "Its centre, in the sensor's frame [m]."),
+    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "wrench_frame": Parameter("", "A link fixed to the tool that wrenches may be in, beside the tool's own."),
+    "wrench_by_tool": Parameter(False, "Whether the sensor says what the tool does, not what is done to it."),
+    "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
+    "tare_s": Parameter(0.5, "How long the tool is weighed [s].", 0.1, 10.0),
+    "stale_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
+    "patience_s": Parameter(1.0, "How long a pull waits for an input that is late before it ends [s].", 0.0, 60.0),
+    "rate_hz": Parameter(250.0, "Setpoints a second [Hz].", 10.0, 1000.0),
+    "horizon_s": Parameter(0.02, "When a trajectory's point is to be reached [s].", 0.001, 1.0),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -31,7 +33,9 @@ from modcal_nodes.simulation.spoken import States, stamp
 _LOOK_AFTER = 0.2  # s
 _MOST_AT_ONCE = 0.1  # s of physics between two looks at what came in
 _LOST = 5.0  # s that are not made up for: the node's clock was set
+_LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
 _DEPTH = 100
+_START = 1000.0  # s that a simulated time begins with
 HANDLE = "handle"  # frame of the true grasp
 # a servo goes where it was last sent: an older reference is of no use
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -64,16 +68,23 @@ class SimulatedFurniture(Node):
         self._states, self._truths = States(chain.names), States(self._world.object_joints)
         self._felt, self._grasp = WrenchStamped(), WrenchStamped()
         self._felt.header.frame_id, self._grasp.header.frame_id = chain.tip, HANDLE
+        simulated, self._factor = chosen["publish_clock"], chosen["time_factor"]
+        if simulated and self.get_parameter("use_sim_time").value:
+            raise BadTable("publish_clock with use_sim_time", "it would wait for itself", "leave one of them out")
+        self._clock_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
         self._speakers: list[tuple[Grid, Callable[[tuple[int, int]], None]]] = [
             (Grid(chosen["joint_rate_hz"]), self._send_joints),
             (Grid(chosen["wrench_rate_hz"]), self._send_wrench),
             (Grid(chosen["truth_rate_hz"]), self._send_truth),
         ]
         self._rates = Rates({"joint_states": self._speakers[0][0], "wrench": self._speakers[1][0]}, 1.0)
-        self._time, self._begun, self._done, self._offset = CellTime(self, 0.0, False), False, 0.0, 0.0
+        if simulated:
+            self._speakers.insert(0, (Grid(chosen["clock_rate_hz"]), self._send_clock))
+        self._time, self._begun, self._done, self._offset = CellTime(self, 0.0, simulated, _START), False, 0.0, 0.0
+        self._wall, self._own = time.monotonic(), 0.0
         Health(self, lambda: [self._rates.status()])
         fastest = max(chosen["joint_rate_hz"], chosen["wrench_rate_hz"])
-        self._beat = Beat(1.0 / fastest, self._go_on)
+        self._beat = Beat(1.0 / (fastest * (self._factor if simulated else 1.0)), self._go_on)
         self.create_subscription(JointTrajectoryPoint, "joint_references", self._refer, _NEWEST)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, _NEWEST)
         self.create_timer(_LOOK_AFTER, self._look_after_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -92,12 +103,21 @@ class SimulatedFurniture(Node):
         if self._beat.failure is not None and self.context.ok():
             raise self._beat.failure
 
+    def _now(self) -> float:
+        """Seconds since it began: the clock's, or simulated ones, which wait for a machine that is busy."""
+        if self._clock_topic is None:
+            return self._time.now()
+        wall = time.monotonic()
+        self._own += min(wall - self._wall, _LONGEST) * self._factor
+        self._wall = wall
+        return self._own
+
     def _go_on(self) -> None:
         """Let the world come up to the clock, and say what falls due on the way."""
         if not self._begun:
             self._begun = self._time.begin()
             return
-        now = self._time.now()
+        now = self._now()
         if not -_LOST < now - self._done < _LOST:
             self.get_logger().warning(f"the clock jumped by {now - self._done:.3f} s: going on from there")
             self._offset += now - self._done
@@ -133,6 +153,12 @@ class SimulatedFurniture(Node):
             self._refused = error.limit
 
     # what it says
+
+    def _send_clock(self, when: tuple[int, int]) -> None:
+        assert self._clock_topic is not None
+        message = ClockMessage()
+        message.clock.sec, message.clock.nanosec = when
+        self._clock_topic.publish(message)
 
     def _send_joints(self, when: tuple[int, int]) -> None:
         q, v = self._world.joints()

@@ -1,0 +1,46 @@
+"""Furniture opened through the real nodes: gently, to the goal, or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nodes.pulling import PANDA, Opening, open_it
+
+from modcal_core.robots.urdf import read_chain
+from modcal_nodes.simulation.furniture import draw
+
+CHAIN = read_chain(PANDA.read_text())
+# simulated time, slower than the machine could go: the physics must not depend on what else it is doing
+PACED = {"publish_clock": True, "time_factor": 0.4}
+
+pytestmark = pytest.mark.dds
+
+
+def opened(folder: Path, seed: int, **chosen: Any) -> Opening:
+    scene = draw(CHAIN, np.random.default_rng(seed), chosen)
+    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0)
+    print(f"{scene.kind}, {scene.grasp}, radius {scene.radius:.2f} m, {opening.seconds:.1f} s: {opening.pull}")
+    return opening
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "grasp", "seed"), [("door", "weld", 1), ("drawer", "ball", 0)])
+def test_furniture_opens_gently(tmp_path: Path, kind: str, grasp: str, seed: int) -> None:
+    """Of bench/pulling.py a part; the stiff, straight pull takes 100 to 800 N there."""
+    pull = opened(tmp_path, seed, kind=kind, grasp=grasp).pull
+    assert pull.done, pull
+    assert pull.peak <= 40.0
+    assert pull.mean <= 12.0
+
+
+@pytest.mark.slow
+def test_a_locked_door_is_let_alone(tmp_path: Path) -> None:
+    opening = opened(tmp_path, 1, kind="door", grasp="weld", stop=0.0)
+    assert "does not move" in opening.pull.said
+    assert opening.pull.opened < 0.01
+    assert 5.0 < opening.pull.peak < 60.0
+    # and then it does not hang on
+    assert opening.forces[-10:, 1].mean() < 0.7 * opening.pull.peak
