@@ -134,3 +134,21 @@ def twists(frames: Array, revolute: np.ndarray) -> Array:
     w, p = frames[:, :3, 2], frames[:, :3, 3]
     turning = np.concatenate([np.cross(p, w), w], axis=1)
     return np.where(np.asarray(revolute)[:, None], turning, np.concatenate([w, np.zeros_like(w)], axis=1))
+
+
+def module_frames(assembly: Assembly, library: Library, q: Array | None = None) -> Array:
+    """Where every module is at a posture q (n,) [rad, m], default zero: (modules + 1, 4, 4) [m] in the base.
+
+    Of each module the input frame, of a joint after its motion; then the gripper's output frame.
+    """
+    T, out, k = np.eye(4), [], 0
+    for module in assembly.modules:
+        kind = library.types[module.kind]
+        T = T @ TURN[module.turn]
+        if kind.role == JOINT:
+            motion = np.zeros(6)
+            motion[5 if kind.revolute else 2] = 0.0 if q is None else q[k]
+            T, k = T @ se3.exp(motion), k + 1
+        out.append(T)
+        T = T @ kind.T_in_out[module.size]
+    return np.stack([*out, T])

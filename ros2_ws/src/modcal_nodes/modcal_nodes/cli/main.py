@@ -14,6 +14,7 @@ import click
 
 import modcal_core
 from modcal_core.errors import ModcalError
+from modcal_nodes.cli.assemble import assemble_command, modules_command
 from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
 from modcal_nodes.cli.plan import plan_command
 from modcal_nodes.cli.recordings import import_command, info_command
@@ -29,7 +30,16 @@ def modcal() -> None:
     """
 
 
-for _command in (calibrate_command, evaluate_command, plan_command, import_command, info_command, repair_command):
+for _command in (
+    calibrate_command,
+    evaluate_command,
+    plan_command,
+    import_command,
+    info_command,
+    repair_command,
+    assemble_command,
+    modules_command,
+):
     modcal.add_command(_command)
 
 

@@ -1,0 +1,135 @@
+"""``modcal assemble`` and ``modcal modules learn``: files, refusals, and the way from one to the other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from modules.arms import LIBRARY, five_joints
+from modules.workshop import Arm, Made, shelf_of
+
+from modcal_core.geometry import se3
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.library_data import published_text
+from modcal_core.modules.poe import chain_of
+from modcal_core.modules.spec import assembly_to_data
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.assemblies import read_assembly
+from modcal_nodes.cli.main import run
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"
+
+
+def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) -> None:
+    for name in ("five_joints", "five_joints_aim"):
+        assert run(["assemble", str(EXAMPLES / f"{name}.yaml"), "--out", str(tmp_path / name)]) == 0
+        assert {p.name for p in (tmp_path / name).iterdir()} == {"robot.urdf", "assembly.yaml", "assembly.svg"}
+    robots = [(tmp_path / name / "robot.urdf").read_text() for name in ("five_joints", "five_joints_aim")]
+    assert robots[0] == robots[1]
+    assert np.array_equal(read_chain(robots[0]).origins, read_chain(robots[1]).origins)
+    assert read_chain(robots[0]).names == tuple(f"joint_{k}" for k in range(1, 6))
+    assert np.abs(read_chain(robots[0]).origins - chain_of(five_joints(), LIBRARY).origins).max() < 1e-15
+    assert (tmp_path / "five_joints" / "assembly.svg").read_text().startswith("<svg")
+
+
+def test_what_it_writes_it_reads(tmp_path: Path) -> None:
+    assert run(["assemble", str(EXAMPLES / "five_joints.yaml"), "--out", str(tmp_path / "one")]) == 0
+    assert run(["assemble", str(tmp_path / "one" / "assembly.yaml"), "--out", str(tmp_path / "two")]) == 0
+    for name in ("robot.urdf", "assembly.yaml", "assembly.svg"):
+        assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
+
+
+def test_a_library_of_ones_own(tmp_path: Path) -> None:
+    mine = yaml.safe_load(published_text())
+    mine["modules"]["G"]["output"]["xyz"] = [0, 0, 0.2]
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(mine))
+    spec = yaml.safe_load((EXAMPLES / "five_joints.yaml").read_text())
+    (tmp_path / "spec.yaml").write_text(yaml.safe_dump({**spec, "library": "mine.yaml"}))
+    for arguments in (["spec.yaml"], ["plain.yaml", "--library", str(tmp_path / "mine.yaml")]):
+        (tmp_path / "plain.yaml").write_text(yaml.safe_dump(spec))
+        out = tmp_path / arguments[0].removesuffix(".yaml")
+        assert run(["assemble", str(tmp_path / arguments[0]), *arguments[1:], "--out", str(out)]) == 0
+        nominal = chain_of(five_joints(), LIBRARY)
+        longer = se3.inverse(nominal.home) @ read_chain((out / "robot.urdf").read_text()).home
+        assert np.abs(longer - se3.transform(p=[0, 0, 0.08])).max() < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("modules: [", "is not YAML"),
+        ("[]", "is not an assembly"),
+        ("{modcal_assembly: 1, modules: [{module: B}, {module: JR}, {module: LC}]}", "it ends in a link"),
+        ("{modcal_assembly: 1, library: none.yaml, modules: []}", "library none.yaml: is not beside it"),
+    ],
+)
+def test_refusals(text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "spec.yaml").write_text(text)
+    assert run(["assemble", str(tmp_path / "spec.yaml"), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator) -> Path:
+    """A recording of 60 stations, read by the tracker."""
+    q = rng.uniform(-2.0, 2.0, (60, assembly.n))
+    t = 1.7e9 + 2.0 * np.arange(len(q))
+    unknown = np.full_like(q, np.nan)
+    readings = ReadingTrack("point", "tracker", t, arm.readings(q, rng), t)
+    write_recording(
+        Recording(
+            (JointTrack(assembly.joint_names, t, q, unknown, unknown, t),),
+            (readings,),
+            robot_description=None,
+            source="made",
+        ),
+        folder,
+    )
+    return folder
+
+
+def test_from_recordings_to_a_better_start(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The bag's own assembly, built again from what was learned of it, is nearer the truth than the drawing."""
+    assembly, library = read_assembly(EXAMPLES / "five_joints.yaml")
+    made = Made()
+    shelf = shelf_of(assembly.modules, made, rng)
+    arm = Arm(assembly, shelf, made, rng)
+    store = tmp_path / "modules.yaml"
+    one = bag(tmp_path / "bag", assembly, arm, rng)
+    assert run(["modules", "learn", str(EXAMPLES / "five_joints.yaml"), str(one), "--modules", str(store)]) == 0
+    assert (
+        run(["assemble", str(EXAMPLES / "five_joints.yaml"), "--modules", str(store), "--out", str(tmp_path / "arm")])
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert "9 of 12 modules are known" in said
+    assert "not known: B1, C1, G1" in said  # one with where the base stands and where the ball sits
+    learned = read_chain((tmp_path / "arm" / "robot.urdf").read_text())
+    nominal = chain_of(assembly, library)
+
+    def spread(chain: object) -> float:
+        """How far poses miss when the last posture's pose is made to fit, so that base and tool drop out."""
+        q = np.random.default_rng(3).uniform(-1.0, 1.0, (40, 5))
+        A, T = forward(chain, q), arm.poses(q)  # type: ignore[arg-type]
+        gap = se3.inverse(A[:1]) @ A @ se3.inverse(se3.inverse(T[:1]) @ T)
+        return float(np.linalg.norm(se3.log(gap)[:, :3], axis=1).mean())
+
+    assert spread(learned) < spread(nominal)
+    # the same recording again changes nothing; the same name for another arm is refused
+    before = store.read_text()
+    assert run(["modules", "learn", str(EXAMPLES / "five_joints.yaml"), str(one), "--modules", str(store)]) == 0
+    assert store.read_text() == before
+    other = assembly_to_data(five_joints().with_serials([m.serial for m in reversed(assembly.modules)]), library)
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump({**other, "name": "five_joints"}))
+    assert run(["modules", "learn", str(tmp_path / "other.yaml"), str(one), "--modules", str(store)]) == 2
+    assert "is another assembly in this store" in capsys.readouterr().err
+    assert store.read_text() == before
