@@ -43,6 +43,7 @@ SWAYS = np.concatenate([
     _LOOSE_STEPS)
 ])  # fmt: skip
 _LOG_SWAYS = np.concatenate([_LOG_PLAYS + np.log1p(-furniture.LOOSE[2]), np.full(2, np.log(0.5 * furniture.LOOSE[2]))])
+_HOLDS = 0.3
 LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)
 
 
@@ -127,7 +128,7 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
         rest = np.delete(np.arange(len(SWAYS)), list(columns))
         logs[rest] += shift
     best = int(np.argmax(logs + _LOG_SWAYS)) if scene.track.oriented else 0
-    shrink = min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+    shrink = min(1.0, _HOLDS / max(float(np.abs(step).max()), 1e-12))
     return Row(before.motion.moved(shrink * step), logs, best)
 
 
@@ -201,10 +202,12 @@ class _Terms:
         squares, g, H, log_det = self._system(scene, play, column)
         L = np.linalg.cholesky(H + 1e-12 * np.trace(H) * np.eye(len(H)))
         left = dtrtrs(L, g, lower=1)[0]
-        # A quadratic that promises much is far from its middle, and not to be believed.
-        gain = min(0.5 * float(left @ left), 3.0)
+        step = -dtrtrs(L, left, lower=1, trans=1)[0]
+        # What a quadratic promises is believed as far as it holds: to where a frame turns by a third of a radian.
+        held = min(1.0, _HOLDS / max(float(np.abs(step).max()), 1e-12))
+        gain = 0.5 * float(left @ left) * held * (2.0 - held)
         volume = 0.5 * len(g) * np.log(2.0 * np.pi) - np.log(np.diag(L)).sum()
-        return float(gain - squares - log_det + volume + _log_prior(self.motion)), -dtrtrs(L, left, lower=1, trans=1)[0]
+        return float(gain - squares - log_det + volume + _log_prior(self.motion)), step
 
     def evidence(self, scene: Scene, play: float) -> Array:
         """Log evidence for each sway."""

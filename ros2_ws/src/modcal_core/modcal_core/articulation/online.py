@@ -1,13 +1,8 @@
 """The object while it is moved: what it is, whether to trust that, whether it still behaves; constant time a pose.
 
-Poses are pooled into a bounded number of nodes. Each update weighs one kind at one play of the evidence's table anew,
-beginning where it was left, so that the whole table is never older than its size in updates.
-
-Trust is earned by predicting, not by a parameter that settles: a hinge's centre may be 50 mm off while the next ten
-degrees are right. Every few millimetres of new path the model is kept, with how far the handle had come. When the
-handle is ``ahead`` beyond that (5 cm or 10°, whichever is less), it is asked how far the path that it told is from
-where the handle is. Two answers in a row within tolerance make trust; one far outside, or a handle that leaves the
-path, ends it.
+Poses are pooled into a bounded number of nodes, and thought over a little at each (``belief``). Trust is earned by
+predicting (``foresight``), and lost by a prediction far off or a handle that leaves the path. Then learning goes on;
+when the model cannot be mended in three rounds of thought either, what is held is not what it was, and all begins anew.
 """
 
 from __future__ import annotations
@@ -19,12 +14,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
-from modcal_core.articulation.joints import KINDS, JointModel, Kind
+from modcal_core.articulation.belief import Belief
+from modcal_core.articulation.foresight import Foresight
+from modcal_core.articulation.joints import JointModel, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.seeds import rough
-from modcal_core.articulation.track import FEWEST, Track
+from modcal_core.articulation.track import Track
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 
@@ -69,18 +64,10 @@ class State:
     follows: bool = True
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept:
-    """A model as it was when the handle had come to a frontier, and the configuration at which to ask it."""
-
-    motion: Motion
-    side: float  # direction in which the frontier was passed
-    until: float  # path beyond which to ask, in this motion's own configuration
-
-
-FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
-_SURELY_MOVED = 0.05  # m from which nothing is rigid
-_EVEN: dict[Kind, float] = {"rigid": 0.98, "prismatic": 0.0098, "revolute": 0.0098, "screw": 0.0004}
+_JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
+_BESIDE = 6  # poses beside the path after which it has been left
+_MENDING = 3  # rounds of thought that a model gets to follow a handle that has left its path
+_HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
 class Tracker:
@@ -93,31 +80,24 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget everything."""
+        chosen = self.settings
         self._oriented = self._wanted
         self._nodes: Nodes | None = None
-        self._rows: dict[tuple[Kind, int], Row] = {}
-        self._left: list[tuple[Kind, int, bool]] = []
-        self._scene: Scene | None = None
-        self._round = 0
-        self._turn = 0
-        self._jitter: deque[tuple[float, float]] = deque(maxlen=48)
-        self._last: tuple[Array, Array | None, float] | None = None
-        self._residual: tuple[Motion, Array] | None = None
-        self._kept: deque[_Kept] = deque(maxlen=6)
-        self._checks: deque[float] = deque(maxlen=3)
-        self._range = [0.0, 0.0]
-        self._pulled: deque[tuple[float, Array]] = deque(maxlen=400)
-        self._recent: deque[tuple[Array, Array | None]] = deque(maxlen=24)
-        self._beside = 0
-        self._moved = 0.0
-        self._first: Array | None = None
-        self._best: tuple[Kind, Motion, bool] | None = None
-        self._zero: tuple[Motion, JointModel] | None = None
-        self._probabilities = dict(_EVEN)
-        self._scale = (1e-3, 0.01)
-        self._trusted = False
-        self._play, self._column, self._level = FEW[1], 0, np.zeros(1)
+        self._belief = Belief()
+        self._foresight = Foresight(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m)
         self._samples = 0
+        self._stamp = -np.inf
+        self._first: Array | None = None
+        self._moved = 0.0
+        self._known: tuple[Array, Array | None] | None = None  # the last pose that was learned from
+        self._waiting: tuple[Array, Array | None] | None = None  # one that jumped, and waits for another
+        self._recent: deque[tuple[Array, Array | None]] = deque(maxlen=_BESIDE)
+        self._pulled: deque[tuple[float, Array]] = deque(maxlen=400)
+        self._residual: tuple[Motion, Array] | None = None
+        self._zero: tuple[Motion, JointModel] | None = None
+        self._beside = 0
+        self._credit = 0
+        self._doubt: int | None = None
 
     def update(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float, pulled: bool = False) -> State:
         """What is believed after one more pose: position (3,) [m], rotation (3, 3) or None, stamp [s].
@@ -127,18 +107,16 @@ class Tracker:
         """
         p, R = self._checked(position, rotation, stamp)
         self._samples += 1
-        jump = 0.0 if self._last is None else float(np.linalg.norm(p - self._last[0]))
-        self._last = p, R, stamp
+        self._stamp = stamp
         self._recent.append((p, R))
-        if self._first is None:
-            self._first = p
-        self._moved = max(self._moved, float(np.linalg.norm(p - self._first)))
-        if self._nodes is None:
-            self._nodes = Nodes(bool(self._oriented), self.settings.nodes)
-        off, event = self._compare(p, R)
-        if not self._is_gross(off, jump):
-            self._nodes.add(p, R)
-            self._think()
+        if self._first is None or self._nodes is None:
+            self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
+        off, twisted, event = self._compare(p, R)
+        for q, S in self._accepted(p, R, off, twisted):
+            self._moved = max(self._moved, float(np.linalg.norm(q - self._first)))
+            self._nodes.add(q, S)
+            if self._belief.think(self._nodes, self._moved):
+                self._foresight.begin(*self._reached())
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
@@ -158,7 +136,7 @@ class Tracker:
             R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-3
         ):
             raise BadCommand("pose of the handle", "its rotation is no rotation matrix", "give a unit quaternion")
-        if not np.isfinite(stamp) or (self._last is not None and stamp < self._last[2]):
+        if not np.isfinite(stamp) or stamp < self._stamp:
             raise BadCommand(
                 "pose of the handle", f"its stamp {stamp:g} s is older than the last", "give poses in order"
             )
@@ -166,68 +144,62 @@ class Tracker:
 
     # what the model that is believed says of this pose
 
-    def _compare(self, p: Array, R: Array | None) -> tuple[float, Event | None]:
-        """Distance from the believed path [m], and whether that path has been left."""
-        if self._best is None:
-            return 0.0, None
-        _, motion, follows = self._best
-        few = _one(p, R)
-        used = (1.0, 0.05) if follows else (1.0, 1e9)
-        a = motion.configurations(few, (1e-2, used[1]))
-        e = motion.residuals(few, a)[0]
-        off = float(np.linalg.norm(e[:3]))
+    def _compare(self, p: Array, R: Array | None) -> tuple[float, float, Event | None]:
+        """Distance from the believed path [m], rotation against it [rad], and whether that path has been left."""
+        motion, follows = self._belief.motion, self._belief.follows
+        if motion is None:
+            return 0.0, 0.0, None
+        here = _one(p, R)
+        a = motion.configurations(here, (1e-2, 0.05 if follows else 1e9))
+        e = motion.residuals(here, a)[0]
+        off, twisted = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])) if follows else 0.0
         if self._residual is not None and self._residual[0] is motion and off < 0.05:
-            step = e - self._residual[1]
-            turn = float(step[3:] @ step[3:]) if len(step) == 6 else 0.0
-            self._jitter.append((float(step[:3] @ step[:3]), turn))
+            self._belief.jitter(e - self._residual[1])
         self._residual = motion, e
         if motion.kind == "rigid":
-            return off, None
-        length = float(np.linalg.norm(motion.tangent[:3]))
-        self._ask(motion, float(a[0]), few, length)
-        wide = max(3.0 * self.settings.tolerance_m, 6.0 * self._scale[0])
+            return off, twisted, None
+        self._foresight.look(motion, float(a[0]), here)
+        self._credit = _HELD if self._foresight.trusted else self._credit - 1
+        wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._belief.scale[0])
         self._beside = self._beside + 1 if off > wide else max(self._beside - 2, 0)
-        if self._trusted and self._beside >= 6:
+        if self._beside == 0:
+            self._doubt = None
+        elif self._beside >= _BESIDE and self._doubt is None and self._credit > 0:
+            self._foresight.doubt(motion, float(a[0]))
+            self._credit, self._doubt = 0, self._belief.rounds
+        elif self._beside >= _BESIDE and self._doubt is not None and self._belief.rounds >= self._doubt + _MENDING:
             self._forget()
-            return off, "changed"
-        return off, None
+            return off, twisted, "changed"
+        return off, twisted, None
 
-    def _ask(self, motion: Motion, a: float, few: Track, length: float) -> None:
-        """Ask the models that were kept and whose time has come; keep this one when the handle has come further."""
-        ahead = min(self.settings.ahead_m, self.settings.ahead_rad * length if motion.turns else np.inf)
-        for kept in list(self._kept):
-            b = float(kept.motion.configurations(few, (1.0, 1e9))[0])
-            if kept.side * (b - kept.until) < 0.0:
-                continue
-            self._kept.remove(kept)
-            error = float(np.linalg.norm(kept.motion.residuals(few, np.array([b]))[0][:3]))
-            if error > 25.0 * self.settings.tolerance_m:
-                continue  # a gross outlier says nothing of the model
-            self._checks.append(error)
-            if error > 2.0 * self.settings.tolerance_m:
-                self._trusted = False
-            elif len(self._checks) >= 2 and max(list(self._checks)[-2:]) <= self.settings.tolerance_m:
-                self._trusted = True
-        for side, end in ((1.0, 1), (-1.0, 0)):
-            if side * (a * length - self._range[end]) > 0.2 * ahead:
-                self._range[end] = a * length
-                if not any(k.motion is motion and k.side == side for k in self._kept):
-                    self._kept.append(_Kept(motion, side, a + side * ahead / max(length, 1e-6)))
+    def _accepted(self, p: Array, R: Array | None, off: float, twisted: float) -> list[tuple[Array, Array | None]]:
+        """What is to be learned from: this pose; nothing, if it jumps; or it and the one before, if both jumped alike.
 
-    def _is_gross(self, off: float, jump: float) -> bool:
-        """Whether a pose is off by more than play and noise may do, and far from where the handle was just before."""
-        return self._best is not None and min(off, jump) > max(0.02, 8.0 * self._scale[0])
+        A gross outlier stands alone, while a handle that moves fast is followed by where it goes.
+        """
+        if self._credit > 0 and self._beside:
+            return []  # a path that is trusted is not bent until it is clear that it has been left
+        along = self._belief.motion is not None and self._belief.kind != "rigid"
+        on_path = along and off < _JUMP[0] and twisted < _JUMP[1]
+        here = (p, R)
+        if self._known is not None and not on_path:
+            far, turn = _between(*self._known, p, R)
+            if far > _JUMP[0] or turn > _JUMP[1]:
+                waiting, self._waiting = self._waiting, here
+                if waiting is None or _between(*waiting, p, R)[0] > far or _between(*waiting, p, R)[1] > turn + 0.1:
+                    return []
+                self._known, self._waiting = here, None
+                return [waiting, here]
+        self._known, self._waiting = here, None
+        return [here]
 
     def _forget(self) -> None:
-        """Begin anew with the latest poses: what came before was another object, or another grasp."""
-        latest = list(self._recent)[-6:]
-        samples, last, first = self._samples, self._last, latest[0][0]
+        """Begin anew from here: what came before was another object, or another grasp."""
+        samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
         self.reset()
-        self._oriented = latest[0][1] is not None
-        self._samples, self._last, self._first = samples, last, first
-        self._nodes = Nodes(bool(self._oriented), self.settings.nodes)
-        for p, R in latest:
-            self._recent.append((p, R))
+        self._samples, self._stamp, self._oriented = samples, stamp, oriented
+        self._recent.extend(latest)
+        self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
 
     def _stuck(self, p: Array, stamp: float, pulled: bool) -> Event | None:
         if not pulled:
@@ -241,111 +213,39 @@ class Tracker:
             return None
         return "locked" if self._moved < 3.0 * self.settings.still_m else "jammed"
 
-    # thinking, a little at a time
-
-    def _think(self) -> None:
-        """One slot of the round on the nodes as they were when it began; and now and then a step on those of now."""
-        nodes = self._nodes
+    def _reached(self) -> tuple[float, float]:
+        """Path [m] that the nodes have reached, in the believed motion's configuration."""
+        motion, nodes = self._belief.motion, self._nodes
+        assert motion is not None
         assert nodes is not None
-        if self._left:
-            self._slot(*self._left.pop())
-            if not self._left:
-                self._conclude()
-        elif nodes.k >= FEWEST:
-            self._begin(nodes)
-        self._turn += 1
-        if self._best is not None and self._turn % 2 and nodes.k >= FEWEST:
-            kind, motion, follows = self._best
-            live = glance(
-                self._now(nodes), Row(motion, self._level, self._column), float(PLAYS[self._play]), self._turn
-            )
-            self._best = kind, live.motion, follows
-
-    def _now(self, nodes: Nodes) -> Scene:
-        if len(self._jitter) >= 12:
-            jitter = np.median(np.array(self._jitter), axis=0)
-            self._scale = float(np.sqrt(jitter[0] / 2.77)), float(np.sqrt(jitter[1] / 4.73))
         track = nodes.track()
         assert track is not None
-        return Scene.of(track, nodes.apart(), nodes.counts[: nodes.k], self._scale)
-
-    def _begin(self, nodes: Nodes) -> None:
-        """A new round, on the nodes of now."""
-        self._scene = self._now(nodes)
-        self._round += 1
-        fresh = [(kind, FEW[self._round % len(FEW)], True) for kind in KINDS[1:]]
-        slots = [(kind, i, False) for kind in KINDS[1:3] for i in FEW]
-        slots += [("screw", FEW[(self._round + k) % len(FEW)], False) for k in range(2)]
-        if self._moved < _SURELY_MOVED:
-            slots.append(("rigid", FEW[1], False))
-        self._left = list(reversed(slots + fresh))
-
-    def _slot(self, kind: Kind, i: int, fresh: bool) -> None:
-        """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
-        scene = self._scene
-        assert scene is not None
-        level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
-        known = self._rows.get((kind, i))
-        if known is not None and not fresh:
-            self._rows[kind, i] = glance(scene, known, float(PLAYS[i]), self._round)
-            return
-        other = self._rows.get(("revolute", i))
-        guess = rough(scene.track, kind, None if other is None else other.motion, self._round)
-        if guess is None:
-            return
-        found = glance(scene, Row(guess, level, 2 if scene.track.oriented else 0), float(PLAYS[i]), self._round)
-        if known is None or found.evidence.max() > known.evidence.max() + 1.0:
-            self._rows[kind, i] = found
-            if known is not None:
-                for j in FEW:
-                    self._rows[kind, j] = Row(found.motion, found.evidence, found.column)
-
-    def _conclude(self) -> None:
-        scene = self._scene
-        assert scene is not None
-        known: dict[Kind, list[Row]] = {}
-        for kind in KINDS:
-            rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
-            if rows and not (kind == "rigid" and self._moved >= _SURELY_MOVED):
-                known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
-        if not {"prismatic", "revolute"} <= set(known):
-            return
-        logs, best, i, j = weigh(known, len(scene.track), FEW)
-        total = float(np.logaddexp.reduce(list(logs.values())))
-        self._probabilities = {kind: float(np.exp(logs[kind] - total)) if kind in logs else 0.0 for kind in KINDS}
-        follows = not (scene.track.oriented and bool(LOOSE[j]))
-        chosen = known[best][i]
-        self._play, self._column, self._level = FEW[i], j, chosen.evidence
-        other = self._best is None or self._best[0] != best
-        self._best = best, chosen.motion, follows
-        if other:
-            self._range = self._reached(chosen.motion)
-
-    def _reached(self, motion: Motion) -> list[float]:
-        """Path [m] that the nodes have reached, in this motion's configuration."""
-        assert self._nodes is not None
-        track = self._nodes.track()
-        assert track is not None
         path = motion.configurations(track, (1.0, 1e9)) * float(np.linalg.norm(motion.tangent[:3]))
-        return [float(path.min()), float(path.max())]
+        return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> State:
-        ahead = self._checks[-1] if self._checks else np.nan
-        if self._best is None:
-            return State("rigid", dict(self._probabilities), None, 0.0, False, ahead, off, event, self._samples)
-        kind, motion, follows = self._best
+        belief, ahead = self._belief, self._foresight.error
+        probabilities = dict(belief.probabilities)
+        motion = belief.motion
+        if motion is None:
+            return State("rigid", probabilities, None, 0.0, False, ahead, off, event, self._samples)
         if self._zero is None or self._zero[0] is not motion:
-            assert self._nodes is not None
-            begin = float(motion.configurations(_one(self._nodes.means()[0, :3], None), (1.0, 1e9))[0])
+            assert self._first is not None
+            begin = float(motion.configurations(_one(self._first, None), (1.0, 1e9))[0])
             self._zero = motion, motion.model(begin)
-        model = self._zero[1]
-        seen = p
-        if R is not None and follows:
+        model, seen = self._zero[1], p
+        if R is not None and belief.follows:
             seen = np.eye(4)
             seen[:3, :3], seen[:3, 3] = R, p
+        trusted = self._foresight.trusted and belief.kind != "rigid"
         a = float(model.configuration(seen))
-        return State(kind, dict(self._probabilities), model, a, self._trusted and kind != "rigid", ahead, off, event,
-                     self._samples, follows)  # fmt: skip
+        return State(belief.kind, probabilities, model, a, trusted, ahead, off, event, self._samples, belief.follows)
+
+
+def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses."""
+    turn = 0.0 if R is None or S is None else float(np.linalg.norm(R - S)) / np.sqrt(2.0)
+    return float(np.linalg.norm(q - p)), turn
 
 
 def _one(p: Array, R: Array | None) -> Track:

@@ -64,7 +64,10 @@ def rough(track: Track, kind: Kind, circle: Motion | None, turn: int) -> Motion 
         return Motion(kind, p[between], _frame(d, None), hold) if np.linalg.norm(d) > 1e-6 else None
     if kind == "revolute":
         of_poses = None if R is None or turn % 2 else _of_poses(p[first], R[first], p[last], R[last])
-        return of_poses or _of_points(p[first], p[between], p[last], hold)
+        circle = of_poses or _of_points(p[first], p[between], p[last], hold)
+        d = p[last] - p[first]
+        # three on a line lie on no circle, but on many that are wide
+        return circle or (Motion(kind, p[between], _frame(d, None), hold) if np.linalg.norm(d) > 1e-6 else None)
     if circle is None:
         return None
     slope = _SLOPES[turn % len(_SLOPES)]

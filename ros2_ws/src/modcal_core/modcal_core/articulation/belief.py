@@ -1,0 +1,139 @@
+"""What joint it probably is, thought over a little with every pose, so that no pose has to wait for the whole thought.
+
+A round weighs every kind at several plays on the nodes as they were when it began, one of them a pose; only what was
+weighed on the same nodes is compared. Between rounds the best motion is improved on the nodes of now. Another kind is
+believed when it has won two rounds in a row: the first may have caught the old one on its way to where the nodes went.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
+from modcal_core.articulation.joints import KINDS, Kind
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.seeds import rough
+from modcal_core.articulation.track import FEWEST
+from modcal_core.geometry.so3 import Array
+
+FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
+SURELY_MOVED = 0.05  # m from which nothing is rigid
+EVEN: dict[Kind, float] = {"rigid": 0.98, "prismatic": 0.0098, "revolute": 0.0098, "screw": 0.0004}
+
+
+class Belief:
+    """kind, motion: the most probable; motion None at first. follows: whether rotations are the handle's.
+
+    probabilities: of kinds. scale: noise of one pose that the next does not share [m, rad]. rounds: how many began.
+    """
+
+    def __init__(self) -> None:
+        self.kind: Kind = "rigid"
+        self.motion: Motion | None = None
+        self.follows = True
+        self.probabilities = dict(EVEN)
+        self.scale = (1e-3, 0.01)
+        self.rounds = 0
+        self._rows: dict[tuple[Kind, int], Row] = {}
+        self._left: list[tuple[Kind, int, bool]] = []
+        self._scene: Scene | None = None
+        self._play, self._column, self._level = FEW[1], 0, np.zeros(1)
+        self._turn = 0
+        self._won: Kind = "rigid"
+        self._jitter: deque[tuple[float, float]] = deque(maxlen=48)
+
+    def jitter(self, step: Array) -> None:
+        """Take the change (3,) or (6,) of a residual from one pose to the next, which tells of noise."""
+        turn = float(step[3:] @ step[3:]) if len(step) == 6 else 0.0
+        self._jitter.append((float(step[:3] @ step[:3]), turn))
+
+    def think(self, nodes: Nodes, moved: float) -> bool:
+        """One slot of the round, and now and then a step on the nodes of now; whether another kind is believed now.
+
+        moved: how far the handle has been from where it began [m].
+        """
+        other = False
+        if self._left:
+            self._slot(*self._left.pop())
+            if not self._left:
+                other = self._conclude(moved)
+        elif nodes.k >= FEWEST:
+            self._begin(nodes, moved)
+        self._turn += 1
+        if self.motion is not None and self._turn % 2 and nodes.k >= FEWEST:
+            now = Row(self.motion, self._level, self._column)
+            self.motion = glance(self._now(nodes), now, float(PLAYS[self._play]), self._turn).motion
+        return other
+
+    def _now(self, nodes: Nodes) -> Scene:
+        if len(self._jitter) >= 12:
+            jitter = np.median(np.array(self._jitter), axis=0)
+            self.scale = float(np.sqrt(jitter[0] / 2.77)), float(np.sqrt(jitter[1] / 4.73))
+        track = nodes.track()
+        assert track is not None
+        return Scene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
+
+    def _begin(self, nodes: Nodes, moved: float) -> None:
+        """A new round, on the nodes of now."""
+        self._scene = self._now(nodes)
+        self.rounds += 1
+        fresh = [(kind, FEW[self.rounds % len(FEW)], True) for kind in KINDS[1:]]
+        slots = [(kind, i, False) for kind in KINDS[1:3] for i in FEW]
+        slots += [("screw", FEW[(self.rounds + k) % len(FEW)], False) for k in range(2)]
+        if moved < SURELY_MOVED:
+            slots.append(("rigid", FEW[1], False))
+        self._left = list(reversed(slots + fresh))
+
+    def _slot(self, kind: Kind, i: int, fresh: bool) -> None:
+        """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
+        scene = self._scene
+        assert scene is not None
+        level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
+        known = self._rows.get((kind, i))
+        if known is not None and not fresh:
+            self._rows[kind, i] = glance(scene, known, float(PLAYS[i]), self.rounds)
+            return
+        other = self._rows.get(("revolute", i))
+        guess = rough(scene.track, kind, None if other is None else other.motion, self.rounds)
+        if guess is None:
+            return
+        found = glance(scene, Row(guess, level, 2 if scene.track.oriented else 0), float(PLAYS[i]), self.rounds)
+        found = glance(scene, found, float(PLAYS[i]), self.rounds)
+        if known is None or found.evidence.max() > known.evidence.max() + 1.0:
+            self._rows[kind, i] = found
+            if known is not None:
+                for j in FEW:
+                    self._rows[kind, j] = Row(found.motion, found.evidence, found.column)
+
+    def _conclude(self, moved: float) -> bool:
+        scene = self._scene
+        assert scene is not None
+        known: dict[Kind, list[Row]] = {}
+        for kind in KINDS:
+            rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
+            if rows and not (kind == "rigid" and moved >= SURELY_MOVED):
+                known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
+        if not {"prismatic", "revolute"} <= set(known):
+            return False
+        logs, best, i, j = weigh(known, len(scene.track), FEW)
+        total = float(np.logaddexp.reduce(list(logs.values())))
+        self.probabilities = {kind: float(np.exp(logs[kind] - total)) if kind in logs else 0.0 for kind in KINDS}
+        won, self._won = self._won, best
+        if self.motion is not None and best not in (self.kind, won) and self.kind in known:
+            # the old kind, at its own best play
+            best, (i, j) = self.kind, _best(known[self.kind])
+        self.follows = not (scene.track.oriented and bool(LOOSE[j]))
+        chosen = known[best][i]
+        self._play, self._column, self._level = FEW[i], j, chosen.evidence
+        other = self.motion is None or self.kind != best
+        self.kind, self.motion = best, chosen.motion
+        return other
+
+
+def _best(rows: list[Row]) -> tuple[int, int]:
+    """The best play and the best sway."""
+    i = int(np.argmax([row.evidence.max() for row in rows]))
+    return i, int(np.argmax(rows[i].evidence))

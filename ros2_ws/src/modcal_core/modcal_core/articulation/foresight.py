@@ -1,0 +1,81 @@
+"""Whether a model predicts: kept as it was, and asked again when the handle has come as far ahead as it must be right.
+
+A parameter that settles proves nothing: a hinge's centre may be 50 mm off while the next ten degrees are right, and
+a line settles nicely on the first centimetres of a circle.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.track import Track
+
+_POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
+_OFTEN = 0.2  # of the distance ahead: how often a model is kept
+_MOST = 6
+_ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """A model as it was when the handle had come to a frontier. until: its configuration at which to ask."""
+
+    motion: Motion
+    side: float  # direction in which the frontier was passed
+    until: float
+
+
+class Foresight:
+    """trusted: the last two predictions were right. error: of the last one [m], nan before."""
+
+    def __init__(self, ahead_m: float, ahead_rad: float, tolerance_m: float) -> None:
+        self._ahead_m, self._ahead_rad, self._tolerance = ahead_m, ahead_rad, tolerance_m
+        self._kept: deque[_Kept] = deque(maxlen=_MOST)
+        self._checks: deque[float] = deque(maxlen=2)
+        self._range = [0.0, 0.0]
+        self.trusted = False
+        self.error = np.nan
+
+    def begin(self, low: float, high: float) -> None:
+        """Call the path between low and high [m] known: beyond it, models are kept and asked."""
+        self._range = [low, high]
+
+    def doubt(self, motion: Motion, a: float) -> None:
+        """Trust no more; what is told from configuration a on will be asked again, either way."""
+        self.trusted = False
+        self._kept.clear()
+        self._checks.clear()
+        path = a * float(np.linalg.norm(motion.tangent[:3]))
+        self._range = [path, path]
+
+    def look(self, motion: Motion, a: float, here: Track) -> None:
+        """Ask the models whose time has come with the pose that is here, and keep this one if the handle came further.
+
+        a: this motion's configuration of the pose. here: the pose as a track.
+        """
+        length = float(np.linalg.norm(motion.tangent[:3]))
+        ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else np.inf)
+        for kept in list(self._kept):
+            b = kept.motion.configurations(here, _POSITIONS)
+            if kept.side * (float(b[0]) - kept.until) >= 0.0:
+                self._kept.remove(kept)
+                self._learn(float(np.linalg.norm(kept.motion.residuals(here, b)[0][:3])))
+        for side, end in ((1.0, 1), (-1.0, 0)):
+            if side * (a * length - self._range[end]) > _OFTEN * ahead:
+                self._range[end] = a * length
+                if not any(k.motion is motion and k.side == side for k in self._kept):
+                    self._kept.append(_Kept(motion, side, a + side * ahead / max(length, 1e-6)))
+
+    def _learn(self, error: float) -> None:
+        if error > _ABSURD * self._tolerance:
+            return
+        self.error = error
+        self._checks.append(error)
+        if error > 2.0 * self._tolerance:
+            self.trusted = False
+        elif len(self._checks) == 2 and max(self._checks) <= self._tolerance:
+            self.trusted = True

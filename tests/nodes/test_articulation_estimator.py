@@ -1,0 +1,189 @@
+"""The estimator as a process: a door is shown to it, and what it says of the door is read by others' means."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from articulation.objects import Seen, ideal, noisy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, PoseStamped
+from nodes.processes import Process, fresh_domain, listener, running
+from nodes.talking import LATCHED, Diagnostics
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from modcal_core.articulation.urdf import read
+from modcal_core.geometry import se3
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.stamps import seconds, set_seconds
+
+pytestmark = pytest.mark.dds
+UR10 = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
+NAME = "articulation_estimator"
+STEP = 0.02  # s between poses, by their stamps
+
+
+class Told:
+    """Everything that the estimator says."""
+
+    def __init__(self, node: Node) -> None:
+        self.description, self.state, self.expected, self.markers = "", None, None, None
+        self.status: dict[str, str] = {}
+        self.ever: dict[str, set[str]] = {}
+        node.create_subscription(String, f"{NAME}/object_description", self._describe, LATCHED)
+        node.create_subscription(JointState, f"{NAME}/object_state", lambda m: setattr(self, "state", m), 10)
+        node.create_subscription(PoseStamped, f"{NAME}/expected_pose", lambda m: setattr(self, "expected", m), 10)
+        node.create_subscription(MarkerArray, f"{NAME}/object_axis", lambda m: setattr(self, "markers", m), 10)
+        node.create_subscription(DiagnosticArray, f"{NAME}/object_status", self._note, 100)
+
+    def _describe(self, message: String) -> None:
+        self.description = message.data
+
+    def _note(self, message: DiagnosticArray) -> None:
+        self.status = {pair.key: pair.value for pair in message.status[0].values}
+        for key, value in self.status.items():
+            self.ever.setdefault(key, set()).add(value)
+
+
+def shown(seen: Seen, frame: str, begin: float) -> list[PoseStamped]:
+    messages = []
+    for i, pose in enumerate(se3.to_pose(se3.transform(seen.rotations, seen.positions))):
+        message = PoseStamped()
+        message.header.frame_id = frame
+        set_seconds(message.header.stamp, begin + STEP * i)
+        p, q = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z, q.x, q.y, q.z, q.w = (float(v) for v in pose)
+        messages.append(message)
+    return messages
+
+
+def say(publisher: Any, messages: list[Any], wait: Callable[[Callable[[], Any], float], Any], told: Told) -> None:
+    """Publish one after the other, each when the one before has been answered."""
+    before = int(told.status.get("samples", "0"))
+    for k, message in enumerate(messages):
+        publisher.publish(message)
+        if k % 5 == 4:
+            wait(lambda k=k: int(told.status.get("samples", "0")) >= before + k - 2, 10.0)
+
+
+def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    domain = fresh_domain()
+    estimator = Process(NAME, domain, tmp_path, input="tracker/pose")
+    with running(estimator), listener(domain) as (node, wait):
+        told, diagnostics = Told(node), Diagnostics(node)
+        publisher = node.create_publisher(PoseStamped, "tracker/pose", 100)
+        wait(lambda: publisher.get_subscription_count() and diagnostics.last, 15.0)
+        seen = noisy(ideal("revolute", np.linspace(0.0, 1.0, 200), rng, 0.4), rng, 5e-4, 2e-3)
+        begin = time.time()
+        messages = shown(seen, "camera", begin)
+        say(publisher, messages, wait, told)
+        wait(lambda: told.status.get("trusted") == "true" and told.status["kind"] == "revolute", 10.0)
+        model = read(told.description)
+        assert model.kind == "revolute"
+        assert model.radius == pytest.approx(0.4, abs=0.01)
+        assert abs(model.axis @ seen.axis) == pytest.approx(1.0, abs=2e-3)
+        wait(lambda: round((seconds(told.state.header.stamp) - begin) / STEP) >= 195, 10.0)
+        model = read(told.description)
+        at = round((seconds(told.state.header.stamp) - begin) / STEP)
+        assert model.position(told.state.position[0]) == pytest.approx(seen.positions[at], abs=5e-3)
+        assert list(told.state.name) == ["object_joint"]
+        assert told.state.header.frame_id == "camera"
+        # 5 cm further along the circle, by trigonometry
+        e = told.expected.pose.position
+        arm = np.array([e.x, e.y, e.z]) - seen.point
+        last = seen.positions[at] - seen.point
+        assert np.linalg.norm(arm) == pytest.approx(0.4, abs=0.01)
+        assert np.arccos(arm @ last / np.linalg.norm(arm) / np.linalg.norm(last)) == pytest.approx(0.05 / 0.4, abs=0.03)
+        arrow = told.markers.markers[0].points
+        along = np.array([arrow[1].x - arrow[0].x, arrow[1].y - arrow[0].y, arrow[1].z - arrow[0].z])
+        assert abs(along @ seen.axis) / np.linalg.norm(along) == pytest.approx(1.0, abs=2e-3)
+
+        bad = shown(seen, "camera", time.time() + 100.0)[:3]
+        bad[0].pose.position.x = float("nan")
+        bad[1].pose.orientation.w += 2.0
+        bad[2].header.frame_id = "elsewhere"
+        for message, words in zip(bad, ("is not finite", "quaternion has length", "is in frame"), strict=True):
+            publisher.publish(message)
+            wait(lambda words=words: diagnostics.said(f"/{NAME}: inputs", words), 10.0)
+        assert told.status["trusted"] == "true"
+
+        reset = node.create_client(Trigger, f"{NAME}/reset")
+        assert reset.wait_for_service(15.0)
+        answer = reset.call_async(Trigger.Request())
+        wait(answer.done, 15.0)
+        wait(lambda: told.description == "", 10.0)
+        drawer = noisy(ideal("prismatic", np.linspace(0.0, 0.35, 200), rng), rng, 5e-4, 2e-3)
+        told.status.clear()
+        say(publisher, shown(drawer, "table", time.time() + 50.0), wait, told)
+        wait(lambda: told.status.get("kind") == "prismatic" and told.status["trusted"] == "true", 10.0)
+        assert told.state.header.frame_id == "table"
+        assert estimator.stop() == 0
+
+
+def test_points_alone_are_enough(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    domain = fresh_domain()
+    estimator = Process(NAME, domain, tmp_path, input="tracker/point")
+    with running(estimator), listener(domain) as (node, wait):
+        told = Told(node)
+        publisher = node.create_publisher(PointStamped, "tracker/point", 100)
+        wait(publisher.get_subscription_count, 15.0)
+        seen = noisy(ideal("prismatic", np.linspace(0.0, 0.35, 200), rng), rng, 5e-4)
+        messages = []
+        for i, p in enumerate(seen.positions):
+            message = PointStamped()
+            message.header.frame_id = "camera"
+            set_seconds(message.header.stamp, 1e9 + STEP * i)
+            message.point.x, message.point.y, message.point.z = (float(v) for v in p)
+            messages.append(message)
+        say(publisher, messages, wait, told)
+        wait(lambda: told.status.get("kind") == "prismatic" and told.status["trusted"] == "true", 10.0)
+        assert not read(told.description).oriented
+
+
+def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
+    """The arm turns about its first joint, whose axis is z of the base: that is the hinge which must be found."""
+    domain = fresh_domain()
+    text = UR10.read_text()
+    estimator = Process(NAME, domain, tmp_path)
+    with running(estimator), listener(domain) as (node, wait):
+        told, diagnostics = Told(node), Diagnostics(node)
+        publisher = node.create_publisher(JointState, "joint_states", 100)
+        wait(lambda: diagnostics.said(f"/{NAME}: object", "robot_description"), 15.0)
+        describing = node.create_publisher(String, "robot_description", LATCHED)
+        describing.publish(String(data=text))
+        chain = read_chain(text, None, None, None)
+        q = np.tile([0.0, -1.2, 1.9, -0.7, -1.57, 0.0], (1, 1))[0]
+        angles = iter(np.linspace(0.0, 1.0, 4000))
+        names = list(chain.names)[::-1]
+
+        def turn() -> bool:
+            q[0] = next(angles)
+            message = JointState(name=[*names, "gripper"], position=[*q[::-1].tolist(), 0.3])
+            message.header.stamp = node.get_clock().now().to_msg()
+            publisher.publish(message)
+            return told.status.get("trusted") == "true" and told.status["kind"] == "revolute"
+
+        wait(turn, 60.0)
+        model = read(told.description)
+        tip = forward(chain, q[None])[0, :3, 3]
+        assert model.radius == pytest.approx(np.hypot(tip[0], tip[1]), abs=0.02)
+        assert abs(model.axis[2]) == pytest.approx(1.0, abs=1e-3)
+        assert told.state.header.frame_id == chain.base
+
+
+def test_an_input_that_does_not_exist_ends_it(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    estimator = Process(NAME, domain, tmp_path, input="thoughts")
+    assert estimator.popen.wait(60.0) == 2
+    assert "parameter input 'thoughts'" in estimator.output
