@@ -1,0 +1,149 @@
+"""Inverse kinematics from many starts, for many poses, at once.
+
+The method is that of :mod:`modcal_core.robots.inverse`: damped Newton steps on the error seen from the tip, joints held
+at the limits that they would leave. Here a row is one start for one pose, every row has its own damping, and rows that
+have arrived or can get no nearer drop out, so the work shrinks with them. Two hundred rows take about a tenth of the
+time of two hundred single descents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.inverse import ALL_SIX, TOLERANCE
+from modcal_core.robots.kinematics import frames
+
+_MOST_STEPS = 100  # accepted or not
+_LONGEST = 0.6  # rad or m, of one joint in one step
+_DAMPING = 1e-3  # times the squared error
+_MOST_REFUSED = 6  # steps in a row that made it worse
+
+
+@dataclass(frozen=True)
+class Postures:
+    """What the rows came to; leading axes are those of the poses and starts, broadcast.
+
+    q: joint positions (..., n) [rad, m], within the limits. error: (..., 6) [m, rad] seen from the tip, zero where the
+    mask wants nothing. met: whether all that is wanted is met, (...).
+    """
+
+    q: Array
+    error: Array
+    met: np.ndarray
+
+    @property
+    def position(self) -> Array:
+        """Distances left [m], (...)."""
+        return np.linalg.norm(self.error[..., :3], axis=-1)
+
+    @property
+    def rotation(self) -> Array:
+        """Angles left [rad], (...)."""
+        return np.linalg.norm(self.error[..., 3:], axis=-1)
+
+    def best(self) -> Postures:
+        """For each pose the start, along the last batch axis, that came nearest; the first of those that arrived."""
+        size = np.where(self.met, -1.0, np.linalg.norm(self.error, axis=-1))
+        k = np.argmin(size, axis=-1)[..., None]
+        q, error = (np.take_along_axis(a, k[..., None], axis=-2)[..., 0, :] for a in (self.q, self.error))
+        return Postures(q, error, np.take_along_axis(self.met, k, axis=-1)[..., 0])
+
+
+def inverse_batch(
+    chain: Chain,
+    T_base_tip: ArrayLike,
+    starts: ArrayLike,
+    mask: ArrayLike = ALL_SIX,
+    weights: ArrayLike | None = None,
+    tolerance: float = TOLERANCE,
+) -> Postures:
+    """Where damped Newton steps lead from every start towards its pose; a start that gets nowhere is no error.
+
+    T_base_tip: poses (..., 4, 4) in the base [m]; starts: (..., n) [rad, m], put within the limits; their leading axes
+    are broadcast: poses (K, 1, 4, 4) and starts (S, n) try S starts for each of K poses. mask, weights: of x y z rx ry
+    rz, along and about the axes of the tip. tolerance: largest error [m and rad] of what must be met.
+    """
+    goal, start = np.asarray(T_base_tip, dtype=float), np.asarray(starts, dtype=float)
+    shape = np.broadcast_shapes(goal.shape[:-2], start.shape[:-1])
+    goal = np.broadcast_to(goal, (*shape, 4, 4)).reshape(-1, 4, 4)
+    q = np.clip(np.broadcast_to(start, (*shape, chain.n)).reshape(-1, chain.n), chain.lower, chain.upper)
+    wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
+    weight = (np.ones(6) if weights is None else np.asarray(weights, dtype=float))[wanted]
+    q, error = _descend(chain, goal, q, wanted, weight, tolerance)
+    out = np.zeros((len(q), 6))
+    out[:, wanted] = error[:, wanted]
+    met = np.abs(out).max(axis=1, initial=0.0) <= tolerance
+    return Postures(q.reshape(*shape, chain.n), out.reshape(*shape, 6), met.reshape(shape))
+
+
+def _descend(
+    chain: Chain, goal: Array, q: Array, wanted: np.ndarray, weight: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """Postures (N, n) that the steps from q end in, and the errors (N, 6) there."""
+    q = q.copy()
+    e, J = _linearised(chain, goal, q)
+    cost = np.sum((weight * e[:, wanted]) ** 2, axis=1)
+    damping = _DAMPING * cost + 1e-14
+    refused = np.zeros(len(q), int)
+    alive = np.abs(e[:, wanted]).max(axis=1, initial=0.0) > tolerance
+    for _ in range(_MOST_STEPS):
+        rows = np.flatnonzero(alive)
+        if not len(rows):
+            break
+        A, r = weight[:, None] * J[rows][:, wanted], weight * e[rows][:, wanted]
+        new = q[rows] + _steps(chain, q[rows], A, r, damping[rows])
+        e_new, J_new = _linearised(chain, goal[rows], new)
+        cost_new = np.sum((weight * e_new[:, wanted]) ** 2, axis=1)
+        better = cost_new < cost[rows]
+        stalled = better & (cost_new > 0.9999 * cost[rows])
+        good, bad = rows[better], rows[~better]
+        q[good], e[good], J[good], cost[good] = new[better], e_new[better], J_new[better], cost_new[better]
+        damping[good], refused[good] = _DAMPING * cost[good] + 1e-14, 0
+        damping[bad], refused[bad] = np.maximum(30.0 * damping[bad], 1e-6), refused[bad] + 1
+        arrived = np.abs(e[rows][:, wanted]).max(axis=1, initial=0.0) <= tolerance
+        alive[rows[arrived | stalled | (refused[rows] >= _MOST_REFUSED)]] = False
+    return q, e
+
+
+def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
+    """Errors (N, 6) seen from the tips, and what they lose per unit of each joint, (N, 6, n)."""
+    f = frames(chain, q)
+    R, p = f.rotation(-1), f.p[-1].T
+    axis, at = f.axes[:-1, 2].transpose(2, 0, 1), f.p[:-1].transpose(2, 0, 1)  # (N, n, 3)
+    turning = chain.revolute[:, None]
+    v = np.where(turning, np.cross(axis, p[:, None] - at), axis) @ R
+    w = np.where(turning, axis, 0.0) @ R
+    Rt = np.swapaxes(R, 1, 2)
+    e = np.concatenate([(Rt @ (goal[:, :3, 3] - p)[..., None])[..., 0], so3.log(Rt @ goal[:, :3, :3])], axis=1)
+    J = np.empty((len(q), 6, chain.n))
+    J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
+    J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
+    return e, J
+
+
+def _steps(chain: Chain, q: Array, A: Array, r: Array, damping: Array) -> Array:
+    """Damped steps (N, n) within the limits: joints they would push out are held there, and the rest is done anew."""
+    free = np.ones(q.shape, bool)
+    step = np.zeros_like(q)
+    todo = np.arange(len(q))
+    eye = np.eye(A.shape[1])
+    for _ in range(chain.n):
+        B = A[todo] * free[todo, None]
+        Bt = np.swapaxes(B, 1, 2)
+        solved = np.linalg.solve(B @ Bt + damping[todo, None, None] * eye, r[todo, :, None])
+        s = (Bt @ solved)[..., 0]
+        s *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(s).max(axis=1, keepdims=True), 1e-300))
+        step[todo] = s
+        at, new = q[todo], q[todo] + s
+        held = free[todo] & (((new < chain.lower) & (at <= chain.lower)) | ((new > chain.upper) & (at >= chain.upper)))
+        free[todo] &= ~held
+        todo = todo[held.any(axis=1)]
+        if not len(todo):
+            break
+    return np.clip(q + step, chain.lower, chain.upper) - q
