@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,14 @@ from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library_data import published_text
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.spec import assembly_to_data
+from modcal_core.modules.urdf import urdf_of
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.main import run
+from modcal_nodes.simulation.world import World
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"
 
@@ -77,9 +81,9 @@ def test_refusals(text: str, words: str, tmp_path: Path, capsys: pytest.CaptureF
     assert not (tmp_path / "out").exists()
 
 
-def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator) -> Path:
-    """A recording of 60 stations, read by the tracker."""
-    q = rng.uniform(-2.0, 2.0, (60, assembly.n))
+def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator, stations: int = 60) -> Path:
+    """A recording of these many stations, read by the tracker."""
+    q = rng.uniform(-2.0, 2.0, (stations, assembly.n))
     t = 1.7e9 + 2.0 * np.arange(len(q))
     unknown = np.full_like(q, np.nan)
     readings = ReadingTrack("point", "tracker", t, arm.readings(q, rng), t)
@@ -133,3 +137,31 @@ def test_from_recordings_to_a_better_start(
     assert run(["modules", "learn", str(tmp_path / "other.yaml"), str(one), "--modules", str(store)]) == 2
     assert "is another assembly in this store" in capsys.readouterr().err
     assert store.read_text() == before
+
+
+def test_other_verbs_take_the_robot(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Assembled, recorded, calibrated: the corrected URDF is the assembled one with other origins."""
+    assembly, _ = read_assembly(EXAMPLES / "five_joints.yaml")
+    arm = Arm(assembly, shelf_of(assembly.modules, Made(), rng), Made(), rng)
+    one = bag(tmp_path / "bag", assembly, arm, rng, 100)
+    assert run(["assemble", str(EXAMPLES / "five_joints.yaml"), "--out", str(tmp_path / "arm")]) == 0
+    urdf = str(tmp_path / "arm" / "robot.urdf")
+    assert run(["info", str(one), "--urdf", urdf]) == 0
+    assert run(["calibrate", str(one), "--urdf", urdf, "--geometry-only", "--out", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    error = report["error_mm"]
+    assert error["final"]["mean"] < 0.06 < 0.25 * error["nominal"]["mean"]
+    assert report["identifiability"]["rank"] == 4 * 5 + 3
+    before, after = (Path(p).read_text().splitlines() for p in (urdf, tmp_path / "out" / "calibrated.urdf"))
+    differing = [a for a, b in zip(before, after, strict=True) if a != b]
+    assert differing
+    assert all("<origin" in line for line in differing)
+
+
+def test_the_simulated_cell_takes_the_robot(rng: np.random.Generator) -> None:
+    """MuJoCo, given the chain and its bodies, stands where the chain says."""
+    text = urdf_of(five_joints(), LIBRARY)
+    chain = read_chain(text)
+    world = World(chain, rng, 0.0, 0.0, inertias=read_inertias(text, chain))
+    q = rng.uniform(-2.0, 2.0, (20, chain.n))
+    assert np.abs(world.tool_in_base(q) - forward(chain, q)).max() < 1e-9

@@ -192,17 +192,17 @@ class DhFit:
         return float(values[0] / values[4 * self.start.chain.n + 2])
 
     def newton(self, steps: int) -> float:
-        """Best mean error on the way of undamped steps, as the twists are given them."""
+        """Best mean error on the way of undamped steps, such as the twists take."""
         x, best = self.x0, np.inf
         for _ in range(steps):
             best = min(best, mean_error(self.model(x), self.samples))
             x = x - np.linalg.lstsq(self.jacobian(x), self.residual(x), rcond=1e-6)[0]
         return best
 
-    def marquardt(self, steps: int) -> float:
-        """Mean error that damped steps come to."""
+    def fitted(self, steps: int) -> Model:
+        """Where damped steps lead."""
         found = least_squares(self.residual, self.x0, self.jacobian, method="trf", x_scale="jac", max_nfev=steps)
-        return mean_error(self.model(found.x), self.samples)
+        return self.model(found.x)
 
 
 def test_dh_fails_where_axes_are_nearly_parallel() -> None:
@@ -218,8 +218,8 @@ def test_dh_fails_where_axes_are_nearly_parallel() -> None:
     dh = DhFit(chain, start, samples)
     assert np.abs(forward(from_dh(dh.table), samples.q) - forward(chain, samples.q)).max() < 1e-9
     assert dh.condition() > 1e6
-    assert dh.newton(6) > 20.0 * mean_error(fit.model, samples)
-    assert dh.marquardt(30) > 5.0 * mean_error(fit.model, samples)
+    for best in (dh.newton(6), mean_error(dh.fitted(30), samples)):
+        assert best > 10.0 * mean_error(fit.model, samples)
 
 
 def test_the_same_dh_fit_works_where_no_axes_are_parallel() -> None:
