@@ -33,7 +33,7 @@ def error_histogram(report: Report) -> str:
     axes.set_xlabel("position error of held-out samples, mm")
     axes.set_ylabel("samples")
     axes.legend(frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def error_by_joint(report: Report) -> str:
@@ -57,7 +57,7 @@ def error_by_joint(report: Report) -> str:
     axes[0].legend(frameon=False, fontsize=7, markerscale=4, ncols=3)
     figure.supylabel("left over, mm", fontsize=9)
     figure.supxlabel("joint position, rad or m", fontsize=9)
-    return _svg(figure)
+    return svg(figure)
 
 
 def effect_shapes(report: Report) -> str | None:
@@ -78,7 +78,7 @@ def effect_shapes(report: Report) -> str | None:
         ax.set_ylabel("mrad", fontsize=8)
         ax.tick_params(labelsize=7)
     axes[-1].set_xlabel("joint position, rad", fontsize=9)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _follows_one_joint(finding: Finding) -> bool:
@@ -89,7 +89,8 @@ def _follows_one_joint(finding: Finding) -> bool:
     )
 
 
-def _svg(figure: Figure) -> str:
+def svg(figure: Figure) -> str:
+    """The figure as SVG text, the same bytes for the same figure."""
     import matplotlib
 
     # fixed ids and no date: the same report gives the same bytes

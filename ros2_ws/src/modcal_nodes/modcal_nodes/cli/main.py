@@ -14,6 +14,7 @@ import click
 
 import modcal_core
 from modcal_core.errors import ModcalError
+from modcal_nodes.cli.articulate import articulate_command
 from modcal_nodes.cli.assemble import assemble_command, modules_command
 from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
 from modcal_nodes.cli.plan import plan_command
@@ -39,6 +40,7 @@ for _command in (
     repair_command,
     assemble_command,
     modules_command,
+    articulate_command,
 ):
     modcal.add_command(_command)
 

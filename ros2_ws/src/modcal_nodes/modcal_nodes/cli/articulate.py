@@ -1,0 +1,150 @@
+"""``modcal articulate``: which joint moved the handle that was recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from modcal_core.articulation.choice import choose
+from modcal_core.articulation.track import Track
+from modcal_core.articulation.urdf import describe
+from modcal_core.errors import BadRecording, BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
+from modcal_core.report.articulation import Articulation, to_html, to_json_data
+from modcal_core.robots.kinematics import forward
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.files import read_calibration, to_json, write_folder
+
+_EXISTING = click.Path(exists=True, path_type=Path)
+_MOST = 2000  # samples; of more, evenly chosen ones say the same
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, and the frame they are in."""
+
+    values: Array
+    stamps: Array | None
+    frame: str
+
+
+@click.command("articulate")
+@click.argument("bag", type=_EXISTING)
+@click.option("--topic", default=None, help="Poses or points of the handle, or joint_states. Default: the first found.")
+@click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for joint states. Default: the bag's.")
+@click.option("--calibration", type=_EXISTING, default=None, help="For joint states: the arm as it was calibrated.")
+@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+@click.option("--tip", default=None, metavar="LINK", help="The link that holds the handle.")
+@click.option("--points", is_flag=True, help="Make nothing of rotations.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the samples that first guesses are made from.")
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+def articulate_command(
+    bag: Path,
+    topic: str | None,
+    urdf: Path | None,
+    calibration: Path | None,
+    base: str | None,
+    tip: str | None,
+    points: bool,
+    seed: int,
+    out: Path | None,
+) -> None:
+    """Say how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
+
+    BAG is a bag with tracker poses or points, or joint states of the arm that holds the handle; or a text file with
+    x y z, or x y z qx qy qz qw, in every line [m].
+    """
+    if bag.is_file() and bag.suffix != ".mcap":
+        read = _Read(_text_track(bag), None, "")
+    else:
+        read = _of_bag(read_bag(bag), topic, urdf, calibration, base, tip)
+    rows = (
+        np.unique(np.linspace(0, max(len(read.values) - 1, 0), _MOST).round().astype(int)) if len(read.values) else []
+    )
+    values = read.values[rows]
+    track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
+    choice = choose(track, np.random.default_rng(seed))
+    found = Articulation(bag.name, read.frame, track, choice)
+    data = to_json_data(found)
+    model, reach = choice.fit.model, data["configuration"]
+    limits = None if model.kind == "rigid" else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
+    out = out or Path(f"{bag.resolve().stem}_articulation")
+    files = {
+        "articulation.json": to_json(data),
+        "object.urdf": describe(model, read.frame or "world", "object_handle", limits),
+        "report.html": to_html(found),
+    }
+    write_folder(out, files)
+    click.echo(data["verdict"])
+    click.echo(f"Report: {out / 'report.html'}")
+
+
+def _text_track(path: Path) -> Array:
+    """Numbers (m, 3) or (m, 7) of a text file; separators are blanks, commas or semicolons, # begins a comment."""
+    rows: list[list[float]] = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTable(str(path), "is neither a bag nor text", "give a bag, or lines of x y z [qx qy qz qw]") from error
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError as error:
+            raise BadTable(f"{path}, line {number}", "is not numbers", "give x y z, or x y z qx qy qz qw") from error
+        if len(rows[-1]) not in (3, 7) or len(rows[-1]) != len(rows[0]):
+            raise BadTable(f"{path}, line {number}", f"has {len(rows[-1])} numbers", "give 3 or 7 in every line")
+    if not rows:
+        raise BadTable(str(path), "holds no numbers", "give lines of x y z [qx qy qz qw]")
+    return np.array(rows)
+
+
+def _of_bag(
+    recording: Recording,
+    topic: str | None,
+    urdf: Path | None,
+    calibration: Path | None,
+    base: str | None,
+    tip: str | None,
+) -> _Read:
+    """What a bag shows of the handle: the named topic, else poses, else points, else the arm's joints."""
+    wanted = None if topic is None else "/" + topic.strip("/")
+    shown = [r for kind in (POSE, POINT) for r in recording.readings if r.kind == kind and len(r.stamps)]
+    of_arm = wanted is not None and any(track.topic == wanted for track in recording.joints)
+    if wanted is not None and not of_arm:
+        named = [r for r in shown if r.topic == wanted]
+        if not named:
+            had = sorted({r.topic for r in shown} | {t.topic for t in recording.joints})
+            raise BadRecording(
+                f"topic {wanted}", "shows no poses, points or joint states here", f"use {', '.join(had)}"
+            )
+        return _reading(named[0])
+    if shown and not of_arm and urdf is None and calibration is None:
+        return _reading(shown[0])
+    if not recording.joints:
+        raise BadRecording(recording.source, "shows no handle: no poses, points or joint states", "record one of them")
+    if calibration is not None:
+        chain = read_calibration(calibration).calibrated.chain
+    else:
+        chain, _ = robot_of(recording, urdf, base, tip)
+    stamps, q = joint_stamps_and_positions(recording, chain.names)
+    good = np.isfinite(q).all(axis=1)
+    if not good.any():
+        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()]
+        raise BadRecording(
+            f"{recording.source}, joint_states", f"say nothing of {', '.join(missing)}", "give another --tip"
+        )
+    return _Read(se3.to_pose(forward(chain, q[good])), stamps[good], chain.base)
+
+
+def _reading(reading: ReadingTrack) -> _Read:
+    order = np.argsort(reading.stamps, kind="stable")
+    return _Read(reading.values[order], reading.stamps[order], reading.frame)

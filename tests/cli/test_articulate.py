@@ -1,0 +1,122 @@
+"""``modcal articulate``: from bags, joints and plain text to a joint that others can read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from articulation.objects import Seen, ideal, noisy
+from cli.recordings import URDF
+
+from modcal_core.articulation.urdf import frames, read
+from modcal_core.geometry import se3
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.main import run
+
+
+def door(kind: str = "revolute", count: int = 80) -> Seen:
+    rng = np.random.default_rng(5)
+    a = np.linspace(0.0, 0.4 if kind == "prismatic" else 1.2, count)
+    return noisy(ideal(kind, a, rng, 0.4), rng, 1e-3, 5e-3)
+
+
+def poses(seen: Seen) -> np.ndarray:
+    return se3.to_pose(se3.transform(seen.rotations, seen.positions))
+
+
+def told(folder: Path) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads((folder / "articulation.json").read_text())
+    return data
+
+
+def test_a_door_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen, stamps = door(), 1.7e9 + 0.05 * np.arange(80)
+    write_recording(
+        Recording(readings=(ReadingTrack("pose", "camera", stamps, poses(seen), stamps),)), tmp_path / "bag"
+    )
+    assert run(["articulate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
+    assert "turned 6" in capsys.readouterr().out
+    data = told(tmp_path / "out")
+    assert (data["kind"], data["enough"], data["measurement"], data["frame"]) == ("revolute", True, "pose", "camera")
+    assert data["joint"]["radius"] == pytest.approx(0.4, abs=0.005)
+    assert data["probabilities"]["revolute"] > 0.9
+    text = (tmp_path / "out" / "object.urdf").read_text()
+    assert frames(text) == ("camera", "object_handle")
+    assert abs(read(text).axis @ seen.axis) == pytest.approx(1.0, abs=1e-4)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<svg" in page
+    assert "src=" not in page
+
+
+@pytest.mark.parametrize(("columns", "separator"), [(3, " "), (7, ";"), (3, ", ")])
+def test_a_drawer_in_a_text_file(columns: int, separator: str, tmp_path: Path) -> None:
+    lines = [separator.join(f"{v:.9f}" for v in row[:columns]) for row in poses(door("prismatic"))]
+    (tmp_path / "track.log").write_text("# seen by hand\n" + "\n".join(lines) + "\n\n")
+    assert run(["articulate", str(tmp_path / "track.log"), "--out", str(tmp_path / "out")]) == 0
+    data = told(tmp_path / "out")
+    assert data["kind"] == "prismatic"
+    assert data["measurement"] == ("point" if columns == 3 else "pose")
+    assert data["configuration"]["upper"] - data["configuration"]["lower"] == pytest.approx(0.4, abs=0.01)
+
+
+def test_an_arm_that_turns_about_its_first_joint(tmp_path: Path) -> None:
+    text = URDF.read_text()
+    chain = read_chain(text)
+    q = np.tile([0.0, -1.2, 1.9, -0.7, -1.57, 0.0], (60, 1))
+    q[:, 0] = np.linspace(0.0, 1.0, 60)
+    t = 1.7e9 + 0.05 * np.arange(60)
+    none = np.full_like(q, np.nan)
+    joints = (JointTrack(chain.names, t, q, none, none, t),)
+    write_recording(Recording(joints=joints, robot_description=text), tmp_path / "bag")
+    assert run(["articulate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
+    data = told(tmp_path / "out")
+    tip = forward(chain, q[:1])[0, :3, 3]
+    assert data["kind"] == "revolute"
+    assert data["frame"] == chain.base
+    assert data["joint"]["radius"] == pytest.approx(np.hypot(tip[0], tip[1]), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "holds no numbers"),
+        ("1 2 3\n1 2\n", "line 2: has 2 numbers"),
+        ("a b c\n", "line 1: is not numbers"),
+        ("nan 0 0\n" * 9, "is not finite"),
+        ("0 0 0\n" * 3, "6 are needed"),
+        ("400 0 0\n" * 9, "not millimetres"),
+        ("0 0 0 0 0 0 3\n" * 9, "unit quaternions"),
+    ],
+)
+def test_unusable_text_is_refused_in_one_line(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "track.txt").write_text(text)
+    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stamps = 1.7e9 + 0.05 * np.arange(80)
+    write_recording(
+        Recording(readings=(ReadingTrack("pose", "camera", stamps, poses(door()), stamps),)), tmp_path / "bag"
+    )
+    assert run(["articulate", str(tmp_path / "bag"), "--topic", "handle"]) == 2
+    assert "use /tracker/pose" in capsys.readouterr().err
+
+
+def test_nothing_moved_is_an_answer(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    np.savetxt(tmp_path / "still.txt", 0.3 + 3e-4 * rng.standard_normal((50, 3)))
+    assert run(["articulate", str(tmp_path / "still.txt"), "--out", str(tmp_path / "out")]) == 0
+    assert told(tmp_path / "out")["kind"] == "rigid"
+    assert read((tmp_path / "out" / "object.urdf").read_text()).kind == "rigid"
