@@ -126,11 +126,13 @@ def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: flo
         wait(lambda: told.forces and told.opened, 30.0)
         _until_heard(node, wait)
         begun = told.forces[-1][0]
-        answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
-        assert answer.success, answer.message
+        _begin(node, wait)
         wait(lambda: health.value(PULL, "phase"), 30.0)
-        wait(lambda: not health.value(PULL, "phase"), patience)
-        said = health.last[PULL].message
+        try:
+            wait(lambda: not health.value(PULL, "phase"), patience)
+            said = health.last[PULL].message
+        except AssertionError:
+            said = f"no end within {patience:g} s: {health.last[PULL].message}"
         ended = told.forces[-1][0]
         for process in made:
             process.stop()
@@ -141,6 +143,17 @@ def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: flo
     pulled = forces[forces[:, 0] >= (moving[0] - begun if moving else 0.0), 1]
     pull = Pull(float(forces[:, 1].max()), float(pulled.mean()), float(opened[:, 1].max()), float(scene.goal), said)
     return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)))
+
+
+def _begin(node: Node, wait: Wait) -> None:
+    """Ask for a pull until it begins: at first the arm may not be known yet."""
+    for _ in range(20):
+        answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
+        if answer.success:
+            return
+        with contextlib.suppress(AssertionError):
+            wait(lambda: False, 0.5)
+    raise AssertionError(answer.message)
 
 
 def _until_heard(node: Node, wait: Wait) -> None:
