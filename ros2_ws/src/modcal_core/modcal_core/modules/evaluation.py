@@ -1,0 +1,251 @@
+"""What each of many candidates is worth: requirements in the order of what they cost to check, the cheap ones first.
+
+A genome that breaks a rule of structure is not built. An arm that cannot be long enough is not sent anywhere. Descents
+(see :mod:`modcal_core.modules.reaching`) begin from a few postures and only a few steps, and go on where they may get
+there. What reaches every target is looked for again from more postures, and of all that are found the best is taken for
+each target, by what the other requirements say of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.modules.catalogue import Arms, Catalogue
+from modcal_core.modules.coding import Coding
+from modcal_core.modules.library import Library
+from modcal_core.modules.postures import Postures
+from modcal_core.modules.reaching import reach, starts
+from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options
+from modcal_core.modules.targets import Target
+
+MET = -1  # no requirement is broken
+_MORE = 10  # starts of the second look at what reaches everything
+_KEPT = 3  # starts that go on after the first steps
+_FIRST_STEPS, _STEPS = 10, 40
+_HOPELESS = 0.2  # m and rad; who is farther off after the first steps is not followed
+
+
+@dataclass(frozen=True)
+class Use:
+    """A requirement in use. hard: whether to reject; weight: of its cost, 0: none; options: its own."""
+
+    name: str
+    hard: bool
+    weight: float
+    options: Options
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard the inverse kinematics tries: starts (1: from zero), and whether it keeps the limits on its way."""
+
+    starts: int = 6
+    within_limits: bool = True
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What N candidates are worth. Rows belong to the genomes in the order given.
+
+    broken: index of the first requirement that is broken among those in use, or MET, (N,). level: 0 where all are met,
+    1 where all targets are reached but something else is broken, 2 unreached, 3 not built. amount: by how much, (N,);
+    of unreached targets the error that is left [m and rad]. cost: weighted sum, (N,), inf where not all is met. terms:
+    costs before weighting, (N, requirements), NaN where not known. q: chosen postures, (N, K, n). descents: how many.
+    """
+
+    broken: np.ndarray
+    level: np.ndarray
+    amount: Array
+    cost: Array
+    terms: Array
+    q: Array
+    descents: np.ndarray
+
+    @property
+    def met(self) -> np.ndarray:
+        """Which meet all that is hard, (N,)."""
+        return self.level == 0
+
+    @classmethod
+    def joined(cls, parts: Sequence[Verdicts]) -> Verdicts:
+        """Those of several batches, one after the other."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+    def order(self) -> np.ndarray:
+        """Indices from the best to the worst: cost among those that meet everything, then level, then amount."""
+        return np.lexsort((self.cost, self.amount, self.level))
+
+
+class Evaluator:
+    """Judges genomes of one task. Equal genomes get equal verdicts, whatever stands beside them."""
+
+    def __init__(
+        self, library: Library, targets: Sequence[Target], uses: Sequence[Use], seed: int, effort: Effort | None = None
+    ) -> None:
+        self.coding = Coding(library)
+        self.catalogue = Catalogue(self.coding)
+        self.targets = tuple(targets)
+        self.uses = tuple(uses)
+        self.effort = effort or Effort()
+        self._seed = seed
+        self._index = {use.name: i for i, use in enumerate(self.uses)}
+        self._tolerance = float(self.uses[self._index[REACH]].options["tolerance"])
+
+    def _at(self, looks_at: str) -> list[tuple[int, Use]]:
+        return [(i, use) for i, use in enumerate(self.uses) if REQUIREMENTS[use.name].looks_at == looks_at]
+
+    def __call__(self, genomes: np.ndarray) -> Verdicts:
+        """Verdicts on genomes (N, n + 1)."""
+        count, n = len(genomes), genomes.shape[1] - 1
+        out = Verdicts(
+            broken=np.full(count, MET),
+            level=np.zeros(count, int),
+            amount=np.zeros(count),
+            cost=np.full(count, np.inf),
+            terms=np.full((count, len(self.uses)), np.nan),
+            q=np.full((count, len(self.targets), n), np.nan),
+            descents=np.zeros(count, int),
+        )
+        left = np.arange(count)
+        for i, use in self._at(CODE):
+            left = self._reject(out, left, i, _measure(use)(genomes[left], self.coding, use.options), 3)
+        if len(left):
+            left = self._reach(out, left, genomes)
+        if len(left):
+            self._judge(out, left, genomes)
+        return out
+
+    def _reject(self, out: Verdicts, which: np.ndarray, requirement: int, amount: Array, level: int) -> np.ndarray:
+        """Enters who breaks a requirement; who does not is given back."""
+        bad = amount > 0.0
+        out.broken[which[bad]], out.level[which[bad]], out.amount[which[bad]] = requirement, level, amount[bad]
+        return which[~bad]
+
+    def _reach(self, out: Verdicts, which: np.ndarray, genomes: np.ndarray) -> np.ndarray:
+        """Fills in postures; gives back who reaches every target."""
+        at = self._index[REACH]
+        arms = self._arms(genomes[which])
+        short = np.max([too_short(arms, t) for t in self.targets], axis=0)
+        left = self._reject(out, which, at, np.where(short > 0.0, short + _HOPELESS, 0.0), 2)
+        if not len(left):
+            return left
+        arms = self._arms(genomes[left])
+        q, miss = self._descend(arms, self._unit(arms.n, self.effort.starts))
+        out.descents[left] = self.effort.starts * len(self.targets)
+        out.q[left] = q
+        return self._reject(out, left, at, np.where(miss > self._tolerance, miss, 0.0), 2)
+
+    def _arms(self, genomes: np.ndarray) -> Arms:
+        arms = self.catalogue.arms(genomes)
+        if self.effort.within_limits:
+            return arms
+        return Arms(arms.origins, arms.revolute, np.full_like(arms.lower, -np.inf), np.full_like(arms.upper, np.inf))
+
+    def _unit(self, n: int, count: int, skip: int = 0) -> Array:
+        """Starts in the unit cube; the same for all arms of n joints, so that a verdict depends on the arm alone."""
+        if self.effort.starts == 1:
+            return np.full((1, n), 0.5)
+        return np.random.default_rng([self._seed, n]).random((skip + count, n))[skip:]
+
+    def _descend(self, arms: Arms, unit: Array) -> tuple[Array, Array]:
+        """The best posture for each target (N, K, n), and what the worst target is missed by, (N,)."""
+        first = [reach(arms, t, starts(arms, unit), _FIRST_STEPS) for t in self.targets]
+        left = np.stack([f.left.min(axis=1) for f in first], axis=1)
+        q = np.stack([np.take_along_axis(f.q, f.left.argmin(axis=1)[:, None, None], 1)[:, 0] for f in first], axis=1)
+        on = np.flatnonzero((left.max(axis=1) < _HOPELESS) & (left.max(axis=1) > self._tolerance))
+        for k, target in enumerate(self.targets):
+            # once one target is out of reach the others do not matter
+            on = on[(left[on] < _HOPELESS).all(axis=1)]
+            if not len(on):
+                break
+            best = np.argsort(first[k].left[on], axis=1, kind="stable")[:, :_KEPT]
+            more = reach(arms.take(on), target, np.take_along_axis(first[k].q[on], best[..., None], 1), _STEPS)
+            pick = more.left.argmin(axis=1)
+            left[on, k] = np.take_along_axis(more.left, pick[:, None], 1)[:, 0]
+            q[on, k] = np.take_along_axis(more.q, pick[:, None, None], 1)[:, 0]
+            on = on[left[on, k] <= self._tolerance] if k + 1 < len(self.targets) else on
+        return q, left.max(axis=1)
+
+    def _judge(self, out: Verdicts, which: np.ndarray, genomes: np.ndarray) -> None:
+        """Fills in everything else, for those who reach every target."""
+        arms = self._arms(genomes[which])
+        q = out.q[which][:, :, None]
+        found = np.ones(q.shape[:3], bool)
+        if self.effort.starts > 1:
+            more = [
+                reach(arms, t, starts(arms, self._unit(arms.n, _MORE, self.effort.starts)), _STEPS)
+                for t in self.targets
+            ]
+            q = np.concatenate([q, np.stack([m.q for m in more], axis=1)], axis=2)
+            found = np.concatenate([found, np.stack([m.left <= self._tolerance for m in more], axis=1)], axis=2)
+            out.descents[which] += _MORE * len(self.targets)
+        else:  # turned on its way without limits: of equal postures the one nearest zero
+            q = np.where(arms.revolute[:, None, None], np.angle(np.exp(1j * q)), q)
+        limits = self.catalogue.arms(genomes[which])
+        self._choose(out, which, Postures(limits, self.catalogue.bodies(genomes[which]), self.targets, q), found)
+
+    def _choose(self, out: Verdicts, which: np.ndarray, postures: Postures, found: np.ndarray) -> None:
+        measured = {i: _measure(use)(postures, use.options) for i, use in self._at(POSTURE)}
+        over, cost = np.zeros(found.shape), np.zeros(found.shape)
+        for i, (amount, soft) in measured.items():
+            over += amount if self.uses[i].hard else 0.0
+            cost += self.uses[i].weight * soft
+        # the best posture for each target: nothing broken before all, then the cost
+        score = np.where(found, 1e6 * np.minimum(over, 1e6) + cost, np.inf)
+        best = score.argmin(axis=2)[..., None]
+
+        def chosen(x: Array) -> Array:
+            return np.take_along_axis(x, best, 2)[..., 0]
+
+        out.q[which] = np.take_along_axis(postures.q, best[..., None], 2)[:, :, 0]
+        soft_of: dict[int, Array] = {}
+        hard_of: dict[int, Array] = {}
+        for i, (amount, soft) in measured.items():
+            costs = chosen(soft)
+            soft_of[i] = costs.max(axis=1) if REQUIREMENTS[self.uses[i].name].worst else costs.sum(axis=1)
+            hard_of[i] = chosen(amount).max(axis=1)
+        for i, use in self._at(ARM):
+            hard_of[i], soft_of[i] = _measure(use)(postures.arms, use.options)
+        total, over_all = np.zeros(len(which)), np.zeros(len(which))
+        first = np.full(len(which), MET)
+        for i in sorted(soft_of):
+            out.terms[which, i] = soft_of[i]
+            total += self.uses[i].weight * soft_of[i]
+            if self.uses[i].hard:
+                over_all += hard_of[i]
+                first = np.where((first == MET) & (hard_of[i] > 0.0), i, first)
+        out.broken[which], out.level[which], out.amount[which] = first, (first != MET).astype(int), over_all
+        out.cost[which] = np.where(first == MET, total, np.inf)
+
+
+def _measure(use: Use) -> Callable[..., Any]:
+    measure = REQUIREMENTS[use.name].measure
+    assert measure is not None, use.name
+    return measure
+
+
+def too_short(arms: Arms, target: Target) -> Array:
+    """By how much a target is farther from the first joint than all modules in a line [m], (N,); 0 where it is not."""
+    if not target.mask[3:].all():
+        return np.zeros(len(arms.lower))
+    slides = np.where(arms.revolute, 0.0, np.maximum(np.abs(arms.lower), np.abs(arms.upper)))
+    longest = np.linalg.norm(arms.origins[:, 1:, :3, 3], axis=-1).sum(axis=1) + slides.sum(axis=1)
+    away = np.linalg.norm(target.T[:3, 3] - arms.origins[:, 0, :3, 3], axis=-1)
+    return np.maximum(0.0, away - longest)
+
+
+def uses_of(stated: Mapping[str, Mapping[str, float]]) -> tuple[Use, ...]:
+    """Requirements in use, in the order of the table, from options by name; ``weight`` and ``hard`` among them."""
+    out = []
+    for name, known in REQUIREMENTS.items():
+        if name in stated:
+            options = {**known.options, **stated[name]}
+            hard = bool(options.pop("hard", known.hard))
+            weight = float(options.pop("weight", known.weight))
+            out.append(Use(name, hard, weight, options))
+    return tuple(out)

@@ -1,0 +1,223 @@
+"""Topology synthesis: the assembly with the fewest joints that does a task (Gao et al. 2014).
+
+    for n = first … last:
+        search over assemblies of n joints
+        if one of them meets everything that is hard: stop
+
+The fewest that can do is the number of constraints Σm of the most demanding target. Candidates are judged in batches of
+a fixed size, in as many processes as wanted: which process judges a batch changes nothing, so a seed gives the same
+result on any machine with the same arithmetic.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+
+import numpy as np
+
+from modcal_core.errors import BadTable, NotReachable
+from modcal_core.geometry.so3 import Array
+from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.coding import Coding
+from modcal_core.modules.evaluation import MET, Evaluator, Use, Verdicts
+from modcal_core.modules.genetic import Archive, Generation, Settings, evolve
+from modcal_core.modules.library import JOINT, LINK, Library
+from modcal_core.modules.poe import chain_of
+from modcal_core.modules.requirements import REACH
+from modcal_core.modules.targets import Target
+from modcal_core.robots.kinematics import forward
+
+_BATCH = 32  # candidates; must not depend on the number of workers
+Watch = Callable[[Generation], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an arm is wanted for.
+
+    first, last: numbers of joints to be tried; modules: kinds of joints and links that may be used, all where it is
+    empty; listed: how many results.
+    """
+
+    targets: tuple[Target, ...]
+    uses: tuple[Use, ...]
+    first: int
+    last: int = 7
+    settings: Settings = field(default_factory=Settings)
+    listed: int = 10
+    modules: tuple[str, ...] = ()
+    name: str = "task"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A result. code: in bits; cost: weighted sum; terms: by requirement, before weighting.
+
+    postures: (K, n) [rad, m], one for each target; error: the published measure there, (K, 6) [1, m]; miss: way [m] and
+    angle [rad] to each target, (K, 2).
+    """
+
+    assembly: Assembly
+    code: str
+    cost: float
+    terms: dict[str, float]
+    postures: Array
+    error: Array
+    miss: Array
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What became of the candidates of so many joints: how many were judged, met everything, and broke what first."""
+
+    joints: int
+    judged: int
+    met: int
+    rejected: dict[str, int]
+    generations: int
+    descents: int
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """The results, best first; of assemblies of the same kinds of modules in the same order only the best."""
+
+    task: Task
+    ranking: tuple[Candidate, ...]
+    tallies: tuple[Tally, ...]
+    seed: int
+
+
+def synthesize(task: Task, library: Library, seed: int = 0, workers: int = 1, watch: Watch | None = None) -> Synthesis:
+    """The best assemblies of the library for a task, of as few joints as can be.
+
+    watch: called after every generation. Raises NotReachable where none of up to ``task.last`` joints was found.
+    """
+    library = allowed(library, task.modules)
+    coding = Coding(library)
+    tallies: list[Tally] = []
+    nearest = np.inf, 0
+    with Judges(library, task, seed, workers) as judge:
+        for joints in range(task.first, task.last + 1):
+            rng = np.random.default_rng([seed, joints])
+            count = [0]
+
+            def told(generation: Generation, count: list[int] = count) -> None:
+                count[0] = generation.number + 1
+                if watch:
+                    watch(generation)
+
+            archive = evolve(coding, joints, judge, rng, task.settings, told)
+            tallies.append(_tally(archive, task, joints, count[0]))
+            if tallies[-1].met:
+                return Synthesis(task, _ranking(archive, task, coding), tuple(tallies), seed)
+            lead = archive.verdicts.order()[0]
+            if archive.verdicts.level[lead] == 2:
+                nearest = min(nearest, (float(archive.verdicts.amount[lead]), joints))
+    raise _none_found(task, tallies, *nearest)
+
+
+def allowed(library: Library, modules: tuple[str, ...]) -> Library:
+    """The library with no joints and links but these; as it is where none are named. Raises BadTable."""
+    if not modules:
+        return library
+    named = {library.type(name).name for name in modules}
+    types = {k: t for k, t in library.types.items() if k in named or t.role not in (JOINT, LINK)}
+    for role in (JOINT, LINK):
+        if not any(t.role == role for t in types.values()):
+            kinds = ", ".join(t.name for t in library.of_role(role))
+            raise BadTable("modules of the task", f"there is no {role} among them", f"add one of {kinds}")
+    return replace(library, types=types)
+
+
+class Judges:
+    """Processes that judge candidates; with one worker it is done here. A context manager."""
+
+    def __init__(self, library: Library, task: Task, seed: int, workers: int) -> None:
+        self._arguments = library, task.targets, task.uses, seed
+        self._workers = workers
+        self._pool: ProcessPoolExecutor | None = None
+        self._here: Evaluator | None = None
+
+    def __enter__(self) -> Judges:
+        if self._workers > 1:
+            # a fresh interpreter each: what forks while threads run, such as those of a progress bar, may hang
+            spawn = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._workers, spawn, initializer=_begin, initargs=self._arguments)
+        else:
+            self._here = Evaluator(*self._arguments)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+
+    def __call__(self, genomes: np.ndarray) -> Verdicts:
+        """Verdicts on genomes (N, n + 1), in their order."""
+        batches = [genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH)]
+        if self._pool:
+            return Verdicts.joined(list(self._pool.map(_judged, batches)))
+        assert self._here is not None
+        return Verdicts.joined([self._here(batch) for batch in batches])
+
+
+_evaluator: Evaluator | None = None  # of a worker process; tables are made once in each
+
+
+def _begin(library: Library, targets: tuple[Target, ...], uses: tuple[Use, ...], seed: int) -> None:
+    global _evaluator
+    _evaluator = Evaluator(library, targets, uses, seed)
+
+
+def _judged(genomes: np.ndarray) -> Verdicts:
+    assert _evaluator is not None
+    return _evaluator(genomes)
+
+
+def _tally(archive: Archive, task: Task, joints: int, generations: int) -> Tally:
+    broken = archive.verdicts.broken
+    rejected = {use.name: int((broken == i).sum()) for i, use in enumerate(task.uses) if use.hard}
+    met, descents = int((broken == MET).sum()), int(archive.verdicts.descents.sum())
+    return Tally(joints, archive.judged, met, rejected, generations, descents)
+
+
+def _ranking(archive: Archive, task: Task, coding: Coding) -> tuple[Candidate, ...]:
+    out: list[Candidate] = []
+    seen = set()
+    for i in archive.verdicts.order():
+        if not archive.verdicts.met[i] or len(out) == task.listed:
+            break
+        fields = coding.fields(archive.genomes[i, 1:])
+        kinds = (*fields[0], *fields[2])
+        if kinds not in seen:
+            seen.add(kinds)
+            out.append(_candidate(archive, int(i), task, coding, len(out) + 1))
+    return tuple(out)
+
+
+def _candidate(archive: Archive, i: int, task: Task, coding: Coding, rank: int) -> Candidate:
+    genome, at = archive.genomes[i], archive.verdicts
+    assembly = coding.assembly(genome, f"{task.name}_{rank}")
+    # not what the search says: the arm as every other part of the suite sees it
+    T = forward(chain_of(assembly, coding.library), at.q[i])
+    misses = [target.miss(T[k]) for k, target in enumerate(task.targets)]
+    terms = {u.name: float(x) for u, x in zip(task.uses, at.terms[i], strict=True) if np.isfinite(x)}
+    error = np.stack([target.error(T[k]) for k, target in enumerate(task.targets)])
+    return Candidate(assembly, coding.text(genome), float(at.cost[i]), terms, at.q[i], error, np.array(misses, float))
+
+
+def _none_found(task: Task, tallies: list[Tally], missing: float, joints: int) -> NotReachable:
+    judged = sum(t.judged for t in tallies)
+    counts = [(name, sum(t.rejected.get(name, 0) for t in tallies)) for name in tallies[-1].rejected]
+    reasons = ", ".join(f"{name} {count}" for name, count in counts if count)
+    said = f"none of {judged} assemblies of {task.first} to {task.last} joints meets all requirements ({reasons})"
+    if np.isfinite(missing) and dict(counts)[REACH]:
+        said += f"; the nearest, of {joints} joints, misses a target by {missing:.3g} (m and rad)"
+    remedy = "ask for less, allow more joints or generations, or give other modules"
+    return NotReachable(task.name, said, remedy, position=missing)

@@ -1,0 +1,241 @@
+"""From a task to an arm: the published one in a few seeds, and everything between the task's file and the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from finite_differences import assert_jacobian
+from modules.arms import LIBRARY, random_assembly
+
+from modcal_core.errors import BadTable, NotReachable
+from modcal_core.geometry import se3, so3
+from modcal_core.modules import reaching
+from modcal_core.modules.catalogue import Catalogue
+from modcal_core.modules.coding import Coding
+from modcal_core.modules.evaluation import Evaluator
+from modcal_core.modules.genetic import Archive, Settings, evolve, valid
+from modcal_core.modules.poe import chain_of
+from modcal_core.modules.ranking import to_data, to_markdown
+from modcal_core.modules.requirements import structure
+from modcal_core.modules.synthesis import Judges, Task, allowed, synthesize
+from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.modules.targets import Target
+from modcal_core.robots.kinematics import forward
+
+CODING = Coding(LIBRARY)
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "synthesis" / "two_poses.yaml"
+MASKS = ([1, 1, 1, 1, 1, 1], [1, 1, 0, 1, 1, 1], [0, 1, 1, 1, 0, 1], [0, 0, 1, 1, 1, 1], [0, 0, 0, 1, 1, 1])
+
+
+def example(**changes: Any) -> Task:
+    return task_from_data({**yaml.safe_load(EXAMPLE.read_text()), **changes}, "two_poses.yaml")
+
+
+def first_met(task: Task, seed: int, joints: int = 5) -> Archive:
+    """A search that ends with the first candidate that meets everything."""
+    evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
+    rng = np.random.default_rng([seed, joints])
+    return evolve(CODING, joints, evaluator, rng, Settings(), enough=lambda a: bool(a.verdicts.met.any()))
+
+
+# targets
+
+
+@pytest.mark.parametrize("mask", MASKS)
+def test_rows_are_zero_where_the_mask_is_met_and_only_there(mask: list[int], rng: np.random.Generator) -> None:
+    goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask)
+    A, b = goal.rows
+    free = 1.0 - np.array(mask)
+    turns = free[:3] * rng.uniform(-3.0, 3.0, 3) if free[:3].sum() != 2 else np.zeros(3)
+    met = goal.T @ se3.transform(so3.exp(turns), free[3:] * rng.normal(size=3))
+    assert np.abs(A @ met[:3].ravel() - b).max() < 1e-13
+    assert max(goal.miss(met)) < 1e-7
+    assert goal.error(met) == pytest.approx(np.zeros(6), abs=1e-13)
+    for i in np.flatnonzero(mask):
+        way, turn = np.zeros(3), np.zeros(3)
+        (turn if i < 3 else way)[i % 3] = 1e-3
+        left = np.linalg.norm(A @ (goal.T @ se3.transform(so3.exp(turn), way))[:3].ravel() - b)
+        assert left == pytest.approx(1e-3, rel=1e-5)
+
+
+def test_error_as_printed(rng: np.random.Generator) -> None:
+    goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3))
+    T = se3.transform(so3.exp(rng.normal(size=3)), rng.normal(size=3))
+    n, o, a = T[:3, :3].T
+    N, O, A = goal.T[:3, :3].T  # noqa: E741
+    e = np.concatenate([0.5 * (np.cross(n, N) + np.cross(o, O) + np.cross(a, A)), goal.T[:3, 3] - T[:3, 3]])
+    R = goal.T[:3, :3]
+    assert goal.error(T) == pytest.approx(np.concatenate([R.T @ e[:3], R.T @ e[3:]]), abs=1e-14)
+
+
+def test_a_tool_upside_down_is_no_solution() -> None:
+    """The printed measure of a half turn is zero; rows and miss are not taken in."""
+    goal = Target.build(np.eye(3), np.zeros(3), [1, 1, 0, 1, 1, 1])
+    upside_down = se3.transform(np.diag([1.0, -1.0, -1.0]))
+    assert np.abs(goal.error(upside_down)).max() < 1e-15
+    assert goal.miss(upside_down)[1] == pytest.approx(np.pi)
+    A, b = goal.rows
+    assert np.linalg.norm(A @ upside_down[:3].ravel() - b) == pytest.approx(2.0)
+
+
+# inverse kinematics
+
+
+@pytest.mark.parametrize("mask", MASKS)
+def test_derivatives_of_the_rows(mask: list[int], rng: np.random.Generator) -> None:
+    goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask)
+    for _ in range(3):
+        arms = Catalogue(CODING).arms(CODING.genome(random_assembly(rng, 4))[None])
+        fleet = reaching._Fleet.of(arms, np.zeros(1, int))
+        q = rng.uniform(arms.lower[0], arms.upper[0])
+        J = reaching._rows(fleet, goal, q[:, None])[1][..., 0].T
+        assert_jacobian(lambda x, fleet=fleet: reaching._rows(fleet, goal, x[:, None])[0][:, 0], J, q)
+
+
+@pytest.mark.parametrize("mask", MASKS)
+def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Generator) -> None:
+    """Targets are taken from postures of the arms; what is said to be reached is, for the chain of the assembly."""
+    reached = 0
+    for _ in range(10):
+        assembly = random_assembly(rng, 6)
+        chain = chain_of(assembly, LIBRARY)
+        arms = Catalogue(CODING).arms(CODING.genome(assembly)[None])
+        T = forward(chain, 0.8 * rng.uniform(chain.lower, chain.upper))
+        goal = Target.build(T[:3, :3], T[:3, 3], mask)
+        found = reaching.reach(arms, goal, reaching.starts(arms, rng.random((30, 6))), 60)
+        good = found.left[0] < 1e-8
+        assert (found.q[0] >= chain.lower - 1e-12).all()
+        assert (found.q[0] <= chain.upper + 1e-12).all()
+        for q in found.q[0, good]:
+            assert np.abs(goal.error(forward(chain, q))).max() < 2e-8
+        reached += int(good.any())
+    assert reached >= 9
+
+
+# the search
+
+
+def test_the_published_task() -> None:
+    """All 20 seeds are in bench/synthesis.py; three here."""
+    task = example()
+    assert task.first == 5
+    for seed in (100, 101, 102):
+        archive = first_met(task, seed)
+        i = archive.verdicts.order()[0]
+        assert archive.verdicts.met[i]
+        chain = chain_of(CODING.assembly(archive.genomes[i]), LIBRARY)
+        T = forward(chain, archive.verdicts.q[i])
+        printed = np.array([[-0.3332, 0.2524, 0.9085], [0.1572, 0.5110, 0.8451]])
+        assert np.abs(T[:, :3, 3] - [[-0.33, 0.25, 0.83], [0.2, 0.65, 0.65]]).max() < 1e-6
+        z = printed / np.linalg.norm(printed, axis=1, keepdims=True)
+        assert np.abs(T[:, :3, 2] - z).max() < 1e-6
+        assert (np.abs(archive.verdicts.q[i]) <= chain.upper + 1e-12).all()
+        assert len({g.tobytes() for g in archive.genomes}) == archive.judged
+
+
+def test_the_search_makes_nothing_that_breaks_the_rules(rng: np.random.Generator) -> None:
+    for joints in (1, 3, 7):
+        genomes = valid(CODING, joints, 50, rng)
+        assert genomes.shape == (50, joints + 1)
+        assert not structure(genomes, CODING, {}).any()
+
+
+def near_task(**changes: Any) -> Task:
+    """Two positions that take an arm of three joints, quickly found."""
+    targets = [{"position_m": p, "mask": "000111"} for p in ([0.3, 0.2, 0.4], [-0.25, 0.25, 0.45])]
+    search = {"population": 48, "generations": 12, "patience": 2}
+    data = {"modcal_synthesis": 1, "name": "near", "targets": targets, "search": search, "listed": 4}
+    return task_from_data({**data, **changes}, "near.yaml")
+
+
+def test_fewest_joints_and_the_same_again_with_other_workers() -> None:
+    task = near_task(joints={"first": 1, "last": 4}, requirements={"joint_range": {}, "payload": {"mass_kg": 0.5}})
+    here = synthesize(task, LIBRARY, seed=3)
+    assert [t.joints for t in here.tallies] == [1, 2, 3]
+    assert [t.met > 0 for t in here.tallies] == [False, False, True]
+    for tally in here.tallies:
+        assert tally.judged == tally.met + sum(tally.rejected.values())
+    costs = [c.cost for c in here.ranking]
+    assert costs == sorted(costs)
+    assert all(c.miss.max() < 1e-6 for c in here.ranking)
+    others = synthesize(task, LIBRARY, seed=3, workers=2)
+    assert to_data(here, LIBRARY) == to_data(others, LIBRARY)
+    assert to_data(here, LIBRARY) != to_data(synthesize(task, LIBRARY, seed=4), LIBRARY)
+    assert "Why others were rejected" in to_markdown(here, LIBRARY)
+
+
+def test_a_requirement_rejects_and_says_so() -> None:
+    """A sphere around a target leaves nothing; the reasons are counted."""
+    sphere = {"center_m": [0.3, 0.2, 0.4], "radius_m": 0.1}
+    task = near_task(joints={"first": 3, "last": 3}, requirements={"obstacles": {"spheres": [sphere]}})
+    with pytest.raises(
+        NotReachable, match=r"none of \d+ assemblies of 3 to 3 joints .*reachability \d+, obstacles \d+"
+    ):
+        synthesize(replace(task, settings=Settings(48, 3)), LIBRARY)
+    far = near_task(targets=[{"position_m": [0.0, 0.0, 5.0], "mask": "000111"}], joints={"first": 3, "last": 3})
+    with pytest.raises(NotReachable, match="misses a target by") as refusal:
+        synthesize(replace(far, settings=Settings(48, 2)), LIBRARY)
+    assert 3.0 < refusal.value.position < 5.0
+
+
+def test_only_modules_that_are_allowed() -> None:
+    task = near_task(modules=["JR", "LP", "LR-I"], requirements={"joint_range": {}})
+    for candidate in synthesize(task, LIBRARY).ranking:
+        assert {m.kind for m in candidate.assembly.modules} <= {"B", "JR", "LP", "LR-I", "G"}
+    with pytest.raises(BadTable, match="no joint among them: add one of JR, JP"):
+        allowed(LIBRARY, ("LP",))
+
+
+def test_verdicts_do_not_depend_on_the_company(rng: np.random.Generator) -> None:
+    task = example()
+    genomes = valid(CODING, 5, 40, rng)
+    with Judges(LIBRARY, task, 0, 1) as judge:
+        together, alone = judge(genomes), [judge(g[None]) for g in genomes[:5]]
+    for i, one in enumerate(alone):
+        assert one.level[0] == together.level[i]
+        assert one.amount[0] == pytest.approx(together.amount[i], rel=1e-6)
+
+
+# the task's file
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"modcal_synthesis": 2}, "is not a task of synthesis"),
+        ({"goals": []}, "'goals' does not belong there"),
+        ({"targets": []}, "targets: is not a list of poses"),
+        ({"targets": [{"position_m": [300, 200, 400], "mask": "000111"}]}, "target 1: position_m: is 539 m away"),
+        ({"targets": [{"position_m": [0, 0, 1], "mask": 111}]}, "mask 111: is not six"),
+        ({"targets": [{"position_m": [0, 0, 1]}]}, "has 0 rotations"),
+        ({"targets": [{"position_m": [0, 0, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}]}, "is no rotation"),
+        ({"targets": [{"position_m": [0, 0, 1], "z_axis": [0, 0, 1]}]}, "leaves the turn about z open"),
+        ({"requirements": {"payloads": {}}}, "'payloads': is no requirement: use payload"),
+        ({"requirements": {"payload": {}}}, "payload: mass_kg is not given"),
+        ({"requirements": {"payload": {"mass_kg": -1}}}, "mass_kg: is -1"),
+        ({"requirements": {"upright": {"hard": True}}}, "'hard' does not belong there"),
+        ({"requirements": {"obstacles": {"spheres": [{"radius_m": 1}]}}}, "center_m: needs 3 finite numbers"),
+        ({"joints": {"first": 6, "last": 5}}, "joints: run from 6 to 5"),
+        ({"search": {"population": 4}}, "population: is 4"),
+        ({"modules": "JR"}, "modules: is not a list"),
+        ({"name": "two poses"}, "is not a plain word"),
+    ],
+)
+def test_tasks_that_cannot_be_used(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadTable) as refusal:
+        example(**changes)
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("two_poses.yaml")
+
+
+def test_a_rounded_rotation_keeps_the_axis_that_counts() -> None:
+    for target in example().targets:
+        assert np.abs(target.T[:3, :3] @ target.T[:3, :3].T - np.eye(3)).max() < 1e-15
+    z = example().targets[0].T[:3, 2]
+    printed = np.array([-0.3332, 0.2524, 0.9085])
+    assert z == pytest.approx(printed / np.linalg.norm(printed), abs=1e-15)
