@@ -20,6 +20,7 @@ from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
 from modcal_nodes.cli.plan import plan_command
 from modcal_nodes.cli.recordings import import_command, info_command
 from modcal_nodes.cli.repair import repair_command
+from modcal_nodes.cli.synthesize import synthesize_command
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -41,6 +42,7 @@ for _command in (
     assemble_command,
     modules_command,
     articulate_command,
+    synthesize_command,
 ):
     modcal.add_command(_command)
 

@@ -1,0 +1,110 @@
+"""``modcal synthesize``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from modcal_core.modules.genetic import Generation
+from modcal_core.modules.library import Library
+from modcal_core.modules.picture import picture
+from modcal_core.modules.ranking import described, sentence, to_data, to_markdown
+from modcal_core.modules.spec import assembly_to_data
+from modcal_core.modules.synthesis import Synthesis, Task, Watch, synthesize
+from modcal_core.modules.synthesis_data import task_from_data
+from modcal_nodes.assemblies import read_library
+from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.files import read_yaml, to_json, to_yaml, write_folder
+
+_PICTURES = 5  # of the ranking; the best gets one at each target
+
+
+@click.command("synthesize")
+@click.argument("task_file", type=EXISTING, metavar="TASK")
+@click.option(
+    "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
+    help="YAML of the modules there are. Default: the published ones.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the search.")
+@click.option(
+    "--workers", type=click.IntRange(min=1, max=256), default=None, help="Processes. Default: one a processor."
+)
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+def synthesize_command(
+    task_file: Path, library_file: Path | None, seed: int, workers: int | None, out: Path | None
+) -> None:
+    """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
+    task = task_from_data(read_yaml(task_file), str(task_file))
+    library = read_library(library_file)
+    console = Console()
+    with _progress(task) as watch:
+        result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), watch)
+    out = out or Path(f"{task.name}_synthesis")
+    write_folder(out, synthesis_files(result, library, library_file))
+    console.print(sentence(result), highlight=False)
+    console.print(_table(result, library))
+    click.echo(f"Best: {out / 'best.yaml'}")
+
+
+def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:
+    """Names and texts of everything a synthesis leaves behind."""
+    best = assembly_to_data(result.ranking[0].assembly, library)
+    if library_file:
+        best["library"] = "library.yaml"
+    files = {
+        "best.yaml": to_yaml(best),
+        "ranking.json": to_json(to_data(result, library)),
+        "ranking.md": to_markdown(result, library),
+    }
+    if library_file:  # a copy, so that the folder can be moved
+        files["library.yaml"] = library_file.read_text(encoding="utf-8")
+    for k, target in enumerate(result.task.targets):
+        candidate = result.ranking[0]
+        title = f"{candidate.assembly.name} at {target.name}"
+        files[f"best_target_{k + 1}.svg"] = picture(candidate.assembly, library, candidate.postures[k], title)
+    for i, candidate in enumerate(result.ranking[:_PICTURES]):
+        title = f"{candidate.assembly.name} at zero, cost {candidate.cost:.3g}"
+        files[f"rank_{i + 1}.svg"] = picture(candidate.assembly, library, title=title)
+    return files
+
+
+@contextmanager
+def _progress(task: Task) -> Iterator[Watch | None]:
+    """Something to call after every generation; nothing is shown where nobody looks."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as progress:
+        bars: dict[int, object] = {}
+
+        def watch(generation: Generation) -> None:
+            n = generation.joints
+            if n not in bars:
+                bars[n] = progress.add_task(f"{n} joints", total=task.settings.generations, said="")
+            said = f"{generation.judged} judged, {generation.met} meet all"
+            said += f", cost {generation.cost:.3g}" if generation.met else f", nearest {generation.missing:.2g}"
+            progress.update(bars[n], completed=generation.number + 1, said=said)  # type: ignore[arg-type]
+
+        yield watch
+
+
+def _table(result: Synthesis, library: Library) -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("rank", justify="right")
+    table.add_column("cost", justify="right")
+    table.add_column("worst miss", justify="right")
+    table.add_column("modules", overflow="fold")
+    for i, candidate in enumerate(result.ranking):
+        way, angle = candidate.miss.max(axis=0)
+        miss = f"{1e3 * way:.0e} mm, {angle:.0e} rad"
+        table.add_row(str(i + 1), f"{candidate.cost:.3g}", miss, " · ".join(described(candidate, library)))
+    return table
