@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.doubts import require_plausible
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import DIRECTIONS, Parameter
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.errors import NotEnoughData
+from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -27,6 +28,7 @@ from modcal_core.modules.library import Library
 from modcal_core.modules.poe import chain_of
 from modcal_core.robots.chain import Chain
 
+_FARTHEST, _MOST_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named
 _ANYWHERE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # m, rad: base and tool are free
 
 
@@ -49,7 +51,8 @@ class Witness:
 def witness(assembly: Assembly, library: Library, samples: Samples) -> Witness:
     """What these samples, whose joints are those of the assembly's chain, say of it; its geometry is fitted first.
 
-    Raises NotEnoughData where there are too few, or where the arm has one joint only and so nothing between joints.
+    Raises NotEnoughData where there are too few, or where the arm has one joint only and so nothing between joints;
+    BadRecording where it is not of this assembly.
     """
     chain = chain_of(assembly, library)
     if chain.n < 2:
@@ -61,11 +64,27 @@ def witness(assembly: Assembly, library: Library, samples: Samples) -> Witness:
     start = fit_cell(chain, samples, Cell())
     choice = choose_parameters(start.model, views_of(samples))
     fit = identify(start.model, samples, choice.parameters)
+    require_plausible(start, fit, samples)
     gap = samples.position - fit.model.predict_samples(samples)[:, :3, 3]
     inner = slice(1, chain.n)
     deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.chain.origins[inner])
+    _require_as_described(assembly, deviation)
     residual = float(np.sqrt(np.average(np.sum(gap**2, axis=1), weights=fit.weights)))
     return Witness(assembly, deviation, _information(fit, samples, chain), samples.stations, residual)
+
+
+def _require_as_described(assembly: Assembly, deviation: Array) -> None:
+    """Raises BadRecording where some constant is farther from the drawing than any module is badly made."""
+    shift, turn = (np.linalg.norm(deviation[:, at], axis=1) for at in (slice(0, 3), slice(3, 6)))
+    k = int(np.argmax(np.maximum(shift / _FARTHEST, turn / _MOST_TURNED)))
+    if shift[k] <= _FARTHEST and turn[k] <= _MOST_TURNED:
+        return
+    raise BadRecording(
+        f"assembly {assembly.name}",
+        f"between {assembly.joint_names[k]} and {assembly.joint_names[k + 1]} the recording differs from it by "
+        f"{1e3 * shift[k]:.0f} mm and {np.degrees(turn[k]):.0f} degrees",
+        "correct the modules, lengths and turns there, or give this assembly's recording",
+    )
 
 
 def _information(fit: Fit, samples: Samples, chain: Chain) -> Array:
