@@ -10,10 +10,11 @@ import pytest
 from compliance.toy import PANDA, PERIOD, READY, T_READY, Belief, Pulled, Toy, door, drawer, limits, pull
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.course import Course
+from modcal_core.compliance.course import Course, Pull
 from modcal_core.compliance.guard import Setpoint
-from modcal_core.compliance.operation import Joints, Operation, Stop, Task, Wait
+from modcal_core.compliance.operation import Operation
 from modcal_core.compliance.pace import Pace, Patience
+from modcal_core.compliance.task import Joints, Stop, Task, Wait
 from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -243,6 +244,37 @@ def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip
     assert course.left(course.at) == pytest.approx(-0.05)  # never farther than that beyond
     path = course.path()
     assert np.abs(path[-1] - model.pose(goal)).max() < 1e-9
+
+
+def test_a_model_from_positions_leaves_a_tool_that_did_not_turn_as_it_is() -> None:
+    """Held by a ball, or by a finger behind the handle: the position follows the arc, the orientation stays."""
+    truth = door()
+    model = JointModel("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
+    now = se3.transform(T_READY[:3, :3], truth.pose(0.2)[:3, 3])
+    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    for T in course.path():
+        assert np.abs(T[:3, :3] - T_READY[:3, :3]).max() < 1e-9
+        assert np.linalg.norm(T[:3, 3] - truth.pose(truth.configuration(T[:3, 3]))[:3, 3]) < 1e-9
+    assert np.linalg.norm(course.path()[-1][:3, 3] - truth.pose(1.0)[:3, 3]) < 1e-9
+
+
+def test_what_seems_to_turn_about_an_axis_far_off_slides() -> None:
+    """A drawer taken for a circle of 8 m is opened by 30 cm, not by 60° of that circle."""
+    truth = door(8.0)
+    course = Course(truth, T_READY, T_READY, np.array([-1.0, 0, 0]), 1.0, 0.3, 0.05)
+    assert course.way == pytest.approx(0.3)
+
+
+def test_a_pull_turns_towards_where_the_tool_is_led() -> None:
+    """Along an arc, held so that the tool need not turn: the direction follows the tangent within some degrees."""
+    truth, pulled = door(0.3), Pull(T_READY, BACK)
+    for a in np.arange(0.0, 0.8, 0.001):
+        T = se3.transform(T_READY[:3, :3], truth.pose(a)[:3, 3])
+        pulled.advance(0.0003, T, PERIOD)
+    tangent = truth.pose(0.8)[:3, 3] - truth.pose(0.799)[:3, 3]
+    assert pulled.moved @ tangent / np.linalg.norm(tangent) > np.cos(0.15)
+    assert np.abs(pulled.pose[:3, :3] - T_READY[:3, :3]).max() < 1e-9
+    assert np.linalg.norm(pulled.pose[:3, 3] - truth.pose(0.8)[:3, 3]) < 0.02
 
 
 def test_a_model_from_positions_turns_the_tool_with_it() -> None:

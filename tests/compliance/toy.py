@@ -13,7 +13,8 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.compliance.guard import Limits, Setpoint
-from modcal_core.compliance.operation import Joints, Operation, Stop
+from modcal_core.compliance.operation import Operation
+from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.compliance.poses import along_screw, crossed, turned
@@ -14,11 +17,16 @@ from modcal_core.robots.posture import rotation_vector
 
 _LED = 0.9  # share of what the tool was led aside that is expected to go on; below one, or nothing would bring it back
 _LED_AFTER = 0.1  # s
+_HARDLY = 0.05  # rad that say nothing of whether the tool turns along
+_TRAIL_STEP, _TRAIL = 0.003, 6  # m, and how many of them the direction is taken from
 _STEP_M, _STEP_RAD = 0.015, 0.05  # between poses of a path
+# m; no door is this wide. What seems to turn about an axis farther off slides, for all that can be told, and is opened
+# as far as what slides: a drawer that is taken for a circle of 8 m for a moment must not be opened by 60° of it
+_SLIDES_BEYOND = 1.5
 
 
 class Pull:
-    """The expected pose while the way is unknown: along the believed direction, which turns with the tool.
+    """The expected pose while the way is unknown: along the believed direction at first, then where the tool is led.
 
     What leads the tool aside or turns it is followed, so that a hinge need not fight the arm: a door that turns the
     hand by 10° over 10 cm would otherwise have to turn it against the damping of the impedance law.
@@ -32,6 +40,8 @@ class Pull:
             raise BadCommand(f"direction {np.asarray(direction).tolist()}", "has no length", "give x y z of the pull")
         self.direction = np.asarray(direction, dtype=float) / length
         self.way = 0.0  # m that it has gone on
+        self._d = self.start[:3, :3] @ self.direction
+        self._trail = [self.start[:3, 3].copy()]  # of the tool, every few millimetres
         self._line = self.start[:3, 3].copy()
         self._aside, self._turn = np.zeros(3), np.zeros(3)
 
@@ -42,7 +52,7 @@ class Pull:
         turn = rotation_vector(T_measured[:3, :3] @ R0.T)
         self._turn = self._turn + share * (_LED * turn - self._turn)
         R = turned(self._turn) @ R0
-        d = R @ self.direction
+        d = self._towards(T_measured[:3, 3], share)
         self.way += ds
         self._line = self._line + ds * d
         off = T_measured[:3, 3] - self._line
@@ -53,6 +63,17 @@ class Pull:
         self.pose[:3, 3] = self._line + self._aside
         return self.pose
 
+    def _towards(self, p: Array, share: float) -> Array:
+        """The direction (3,) in the base: the one in which the tool came the last centimetres, once it has come."""
+        if math.dist(p, self._trail[-1]) >= _TRAIL_STEP:
+            self._trail = [*self._trail[-_TRAIL:], p.copy()]
+        chord = p - self._trail[0]
+        far = math.sqrt(chord @ chord)
+        if len(self._trail) > _TRAIL and far > 0.5 * _TRAIL * _TRAIL_STEP:
+            d = self._d + share * (chord / far - self._d)
+            self._d = d / math.sqrt(d @ d)
+        return self._d
+
     def progress(self, T_measured: Array) -> float:
         """How far the tool has come [m], at the pose (4, 4) it is measured at."""
         return float(np.linalg.norm(T_measured[:3, 3] - self.start[:3, 3]))
@@ -60,7 +81,7 @@ class Pull:
     @property
     def moved(self) -> Array:
         """The direction (3,) in the base in which it pulls now."""
-        return self.pose[:3, :3] @ self.direction
+        return self._d
 
 
 class Course:
@@ -87,13 +108,16 @@ class Course:
             raise BadCommand(f"model of the object ({model.kind})", said, "see whether it is locked")
         self.model = model
         self._twist = model.twist()
-        self._reference = expected if not model.oriented else None
-        self._reference_at = float(model.configuration(expected[:3, 3])) if not model.oriented else 0.0
         at = self.configuration(expected)
+        # where only positions were seen, the tool's own orientation is turned along, or kept
+        self._origin, self._origin_at = (model.start, 0.0) if model.oriented else (expected, at)
+        self._turns = model.oriented or self._turned_along(expected, at)
         v = self._twist[:3] + crossed(self._twist[3:], expected[:3, 3])
         self.sign = 1.0 if v @ self._ahead >= 0.0 else -1.0
         self.closed_at = self.configuration(self._closed)
-        self.goal_at = self.closed_at + self.sign * self._goals[0 if model.turns else 1]
+        turns = model.turns and model.radius < _SLIDES_BEYOND
+        goal = self._goals[0] if turns else self._goals[1] / self.per_unit
+        self.goal_at = self.closed_at + self.sign * goal
         self.at = at
         return self.pose(self.at)
 
@@ -103,9 +127,13 @@ class Course:
 
     def pose(self, a: float) -> Array:
         """The expected tool (4, 4) at a configuration."""
-        if self._reference is None:
-            return along_screw(self.model.start, a * self._twist)
-        return along_screw(self._reference, (a - self._reference_at) * self._twist)
+        return _posed(self._origin, (a - self._origin_at) * self._twist, self._turns)
+
+    def _turned_along(self, T: Array, at: float) -> bool:
+        """Whether the tool has turned with the object so far, as a firm grasp does, rather than stayed as it was."""
+        moved = at - self.configuration(self._closed)
+        turn = float(rotation_vector(T[:3, :3] @ self._closed[:3, :3].T) @ self.model.axis)
+        return abs(moved) < _HARDLY or turn / moved > 0.5
 
     def advance(self, ds: float) -> Array:
         """The expected pose (4, 4) after ds [m] more, or as far beyond the goal as it may be."""
@@ -118,6 +146,11 @@ class Course:
         """The way from a configuration to the goal [m], negative beyond it."""
         return self.sign * (self.goal_at - a) * self.per_unit
 
+    @property
+    def way(self) -> float:
+        """The way from closed to the goal [m]."""
+        return abs(self.goal_at - self.closed_at) * self.per_unit
+
     def opened(self, a: float) -> float:
         """How far it is open at a configuration [rad or m]."""
         return self.sign * (a - self.closed_at)
@@ -128,8 +161,32 @@ class Course:
         v = self.sign * (self._twist[:3] + crossed(self._twist[3:], T[:3, 3]))
         return T[:3, :3].T @ (v / np.linalg.norm(v))
 
-    def path(self) -> Array:
-        """Poses (m, 4, 4) from where it is expected now to the goal."""
+    def path(self, T_nominal: ArrayLike | None = None) -> Path:
+        """Poses from where it is expected now to the goal, all multiplied by ``T_nominal`` (4, 4) from the left."""
         span = self.goal_at - self.at
         steps = max(abs(span) * self.per_unit / _STEP_M, abs(span) / _STEP_RAD if self.model.turns else 0.0)
-        return np.array([self.pose(a) for a in np.linspace(self.at, self.goal_at, max(math.ceil(steps), 1) + 1)])
+        configurations = np.linspace(self.at, self.goal_at, max(math.ceil(steps), 1) + 1)
+        left = np.eye(4) if T_nominal is None else np.asarray(T_nominal, dtype=float)
+        return Path(self._origin, self._twist, configurations - self._origin_at, self._turns, left)
+
+
+class Path(Sequence[Array]):
+    """Poses (4, 4) along a way, computed when asked for: a control loop has no time for all of them at once."""
+
+    def __init__(self, origin: Array, twist: Array, configurations: Array, turns: bool, left: Array) -> None:
+        self._origin, self._twist, self._configurations = origin, twist, configurations
+        self._turns, self._left = turns, left
+
+    def __len__(self) -> int:
+        return len(self._configurations)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self._left @ _posed(self._origin, float(self._configurations[k]) * self._twist, self._turns)
+
+
+def _posed(origin: Array, xi: Array, turns: bool) -> Array:
+    """The pose (4, 4) that a screw motion (6,) brings an origin to, turned along or not."""
+    T = along_screw(origin, xi)
+    if not turns:
+        T[:3, :3] = origin[:3, :3]
+    return T

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
 
 import numpy as np
 
@@ -21,101 +19,24 @@ from modcal_core.compliance.course import Course, Pull
 from modcal_core.compliance.following import Follower
 from modcal_core.compliance.guard import Guard, Heard, Late, Limits, Setpoint
 from modcal_core.compliance.impedance import Gains, Impedance
-from modcal_core.compliance.pace import Pace, Patience
-from modcal_core.compliance.poses import speeds
+from modcal_core.compliance.pace import Pace
+from modcal_core.compliance.poses import relative, speeds
 from modcal_core.compliance.reach import Reach, Walk
+from modcal_core.compliance.task import Belief, Joints, Stop, Task, Wait
 from modcal_core.compliance.wrench import Tare, WrenchSensor
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY
 
-Mode = Literal["expected", "admittance"]
 _REST = 0.01  # rad/s or m/s of a joint that still counts as standing
 _STOOD = 2e-3  # m/s at which the tool has arrived
 _TARE_PATIENCE, _CHECK_PATIENCE = 10.0, 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
+_SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
+_STAND_PATIENCE = 2.0  # s
 _RELEASE = 0.6  # s in which the force is let go
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
-
-
-class Belief(Protocol):
-    """What is believed of the object: the state of an articulation Tracker, or the like."""
-
-    @property
-    def model(self) -> JointModel | None:
-        """How the tool moves, in the base."""
-
-    @property
-    def trusted(self) -> bool:
-        """Whether it has predicted."""
-
-    @property
-    def event(self) -> str | None:
-        """What has happened to it."""
-
-
-@dataclass(frozen=True)
-class Joints:
-    """Positions q (n,) of the chain's joints, in its order, and when they were so [s]."""
-
-    q: Array
-    stamp: float
-
-
-@dataclass(frozen=True)
-class Wait:
-    """Nothing may be sent now. why: for a person."""
-
-    why: str
-
-
-@dataclass(frozen=True)
-class Stop:
-    """The end. done: whether the goal was reached. why: for a person. opened: how far [rad or m]."""
-
-    done: bool
-    why: str
-    opened: float = 0.0
-
-
-@dataclass(frozen=True)
-class Task:
-    """What to do and how gently.
-
-    direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
-    be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
-    never both. exploring, speed: of the tool while the way is unknown, and once it is known [m/s]. explore: longest way
-    that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
-    stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
-    down (3,): gravity in the base [m/s²]. patience_s: longest silence of an input before it is the end [s].
-    """
-
-    direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
-    goal_rad: float = math.radians(60.0)
-    goal_m: float = 0.3
-    mode: Mode = "admittance"
-    exploring: float = 0.03
-    speed: float = 0.06
-    explore: float = 0.25
-    mass: tuple[float, float, float] = (10.0, 10.0, 1.0)
-    damping: tuple[float, float, float] = (1000.0, 1000.0, 80.0)
-    stiffness: tuple[float, float, float] = (1000.0, 300.0, 20.0)
-    stack: tuple[float, float] = (3000.0, 200.0)
-    blend: float = 0.5
-    tare_s: float = 0.5
-    down: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
-    patience: Patience = field(default_factory=Patience)
-    patience_s: float = 1.0
-
-    def gains(self, along: Array) -> Gains:
-        """The impedance's gains with their first axis along a direction (3,), seen from the tool."""
-
-        def six(values: tuple[float, float, float]) -> Array:
-            return np.array([values[0], values[1], values[1], values[2], values[2], values[2]])
-
-        return Gains.of(six(self.mass), six(self.damping), six(self.stiffness), _axes(along))
 
 
 class Operation:
@@ -234,8 +155,8 @@ class Operation:
         self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
-        if self.task.mode == "admittance":
-            F = np.concatenate([_seen(self.expected, T, self.force[:3]), _seen(self.expected, T, self.force[3:])])
+        if self.task.mode == "admittance" and self.phase != "arrive":
+            F = np.concatenate([relative(self.expected, T, self.force[:3]), relative(self.expected, T, self.force[3:])])
             self.impedance.step(F, h)
             goal = self.impedance.command(self.expected)
         else:
@@ -294,13 +215,14 @@ class Operation:
         at = course.configuration(T)
         left = course.left(at)
         wanted = self.task.speed if state.trusted else self.task.exploring
-        wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.005)
+        wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
         ds = self.pace.step(wanted, self.force, h)
         self.expected = course.advance(ds)
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
-        if left <= 0.0:
+        if left <= -_SURELY * course.way:
+            self.expected = self.follower.pose
             self._enter("arrive", now)
         elif self._untrusted > 0.05:
             self._let_go(f"it moves otherwise than before ({state.event or 'no model predicts it'})", now)
@@ -309,9 +231,8 @@ class Operation:
 
     def _arrive(self, h: float, T: Array, state: Belief) -> None:
         """Stand where the goal was reached."""
-        self.expected = self.follower.pose if self.task.mode == "admittance" else self.expected
-        self.impedance.settle()
-        if float(np.abs(self.follower.velocity).max()) <= _STOOD:
+        slow = float(np.abs(self.follower.velocity).max()) <= _STOOD
+        if slow or self._last + h - self._since > _STAND_PATIENCE:
             self._stop = Stop(True, f"open to {self._said(T)}", self._opened(T))
             self.guard.close(self._stop.why)
 
@@ -354,7 +275,7 @@ class Operation:
         goal = self.course.pose(self.course.goal_at)
         way, turn = speeds(self._checked, goal)
         if self._walk is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
-            path = _seen_from_arm(self.follower.offset, self.course.path())
+            path = self.course.path(np.linalg.inv(self.follower.offset))
             self._walk = Walk(self.chain, path, self.follower.q, gain=1.5 * self.limits.gain), goal
             self._walked_from = self.course.opened(self.course.at)
 
@@ -408,25 +329,3 @@ class Operation:
 
     def _pushed(self) -> str:
         return f"{math.sqrt(self.force[:3] @ self.force[:3]):.0f} N"
-
-
-def _axes(along: Array) -> Array:
-    """A rotation (3, 3) whose first column is a direction (3,)."""
-    x = np.asarray(along, dtype=float)
-    length = float(np.linalg.norm(x))
-    if not (math.isfinite(length) and length > 1e-6):
-        raise BadCommand(f"direction {x.tolist()}", "has no length", "give x y z of the pull")
-    x = x / length
-    y = np.eye(3)[int(np.argmin(np.abs(x)))]
-    y = y - (y @ x) * x
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)], axis=1)
-
-
-def _seen(T: Array, seen_from: Array, v: Array) -> Array:
-    return T[:3, :3].T @ (seen_from[:3, :3] @ v)
-
-
-def _seen_from_arm(offset: Array, path: Array) -> Array:
-    """Poses (m, 4, 4) of the tool as the chain's own kinematics have them."""
-    return np.linalg.inv(offset) @ path

@@ -6,6 +6,7 @@ turns joints away from their limits. A walk can be taken in pieces, so that a co
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,9 +49,15 @@ class Walk:
     """A walk along poses that goes on when told to."""
 
     def __init__(
-        self, chain: Chain, poses: Array, q0: Array, margin: float = 0.02, gain: float = 0.03, stride: float = 0.35
+        self,
+        chain: Chain,
+        poses: Sequence[Array],
+        q0: Array,
+        margin: float = 0.02,
+        gain: float = 0.03,
+        stride: float = 0.35,
     ) -> None:
-        """poses (m, 4, 4): T_base_tip, close enough to each other that no joint moves by more than ``stride`` between.
+        """poses: m of T_base_tip (4, 4), so close that no joint moves by more than ``stride`` between two.
 
         margin: distance of joints to their limits [rad or m]. gain: least singular value of the Jacobian.
         """
@@ -130,12 +137,12 @@ class Walk:
         self.result = Reach(joints, False, f"{100.0 * k / max(m - 1, 1):.0f} % of the way is reached, then {why}")
 
 
-def reach(chain: Chain, poses: Array, q0: Array, **limits: float) -> Reach:
+def reach(chain: Chain, poses: Sequence[Array], q0: Array, **limits: float) -> Reach:
     """The joints for a path of poses (m, 4, 4) of the tip in the base, from a posture (n,), as far as it is reached.
 
     limits: as of :class:`Walk`.
     """
-    walk = Walk(chain, np.asarray(poses, dtype=float), np.asarray(q0, dtype=float), **limits)
+    walk = Walk(chain, poses, np.asarray(q0, dtype=float), **limits)
     while (done := walk.advance(100)) is None:
         pass
     return done

@@ -1,0 +1,109 @@
+"""What an operation is asked to do, what it is told at every tick, and what it may answer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.compliance.impedance import Gains
+from modcal_core.compliance.pace import Patience
+from modcal_core.compliance.wrench import DOWN
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+
+Mode = Literal["expected", "admittance"]
+
+
+class Belief(Protocol):
+    """What is believed of the object: the state of an articulation Tracker, or the like."""
+
+    @property
+    def model(self) -> JointModel | None:
+        """How the tool moves, in the base."""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether it has predicted."""
+
+    @property
+    def event(self) -> str | None:
+        """What has happened to it."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Positions q (n,) of the chain's joints, in its order, and when they were so [s]."""
+
+    q: Array
+    stamp: float
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Nothing may be sent now. why: for a person."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The end. done: whether the goal was reached. why: for a person. opened: how far [rad or m]."""
+
+    done: bool
+    why: str
+    opened: float = 0.0
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to do and how gently.
+
+    direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
+    be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
+    never both. exploring, speed: of the tool while the way is unknown, and once it is known [m/s]. explore: longest way
+    that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
+    stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
+    down (3,): gravity in the base [m/s²]. patience_s: longest silence of an input before it is the end [s].
+    """
+
+    direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    goal_rad: float = math.radians(60.0)
+    goal_m: float = 0.3
+    mode: Mode = "admittance"
+    exploring: float = 0.03
+    speed: float = 0.06
+    explore: float = 0.25
+    mass: tuple[float, float, float] = (10.0, 10.0, 1.0)
+    damping: tuple[float, float, float] = (1000.0, 1000.0, 80.0)
+    stiffness: tuple[float, float, float] = (1000.0, 300.0, 20.0)
+    stack: tuple[float, float] = (3000.0, 200.0)
+    blend: float = 0.5
+    tare_s: float = 0.5
+    down: Array = field(default_factory=lambda: DOWN.copy())
+    patience: Patience = field(default_factory=Patience)
+    patience_s: float = 1.0
+
+    def gains(self, along: Array) -> Gains:
+        """The impedance's gains with their first axis along a direction (3,), seen from the tool."""
+
+        def six(values: tuple[float, float, float]) -> Array:
+            return np.array([values[0], values[1], values[1], values[2], values[2], values[2]])
+
+        return Gains.of(six(self.mass), six(self.damping), six(self.stiffness), _axes(along))
+
+
+def _axes(along: Array) -> Array:
+    """A rotation (3, 3) whose first column is a direction (3,)."""
+    x = np.asarray(along, dtype=float)
+    length = float(np.linalg.norm(x))
+    if not (math.isfinite(length) and length > 1e-6):
+        raise BadCommand(f"direction {x.tolist()}", "has no length", "give x y z of the pull")
+    x = x / length
+    y = np.eye(3)[int(np.argmin(np.abs(x)))]
+    y = y - (y @ x) * x
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
