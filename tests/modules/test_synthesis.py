@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,11 @@ from modcal_core.geometry import se3, so3
 from modcal_core.modules import reaching
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.evaluation import Evaluator
+from modcal_core.modules.evaluation import Effort, Evaluator
 from modcal_core.modules.genetic import Archive, Settings, evolve, valid
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.ranking import to_data, to_markdown
-from modcal_core.modules.requirements import structure
+from modcal_core.modules.requirements import REQUIREMENTS, structure
 from modcal_core.modules.synthesis import Judges, Task, allowed, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.modules.targets import Target
@@ -239,3 +240,25 @@ def test_a_rounded_rotation_keeps_the_axis_that_counts() -> None:
     z = example().targets[0].T[:3, 2]
     printed = np.array([-0.3332, 0.2524, 0.9085])
     assert z == pytest.approx(printed / np.linalg.norm(printed), abs=1e-15)
+
+
+def test_the_published_answer_turns_its_last_joint_for_nothing() -> None:
+    """In this library: the frames in the modules are not printed. docs/synthesis.md says so."""
+    genome = CODING.parse("00001 0·01·10·100·00 0·00·01·111·10 0·00·01·111·10 0·10·11·111·10 0·01·00·110·01")
+    evaluator = Evaluator(LIBRARY, example().targets, example().uses, 0, Effort(starts=60, hopeless=np.inf))
+    verdict = evaluator(genome[None])
+    assert verdict.level[0] == 2
+    assert verdict.amount[0] > 1e-3
+    chain = chain_of(CODING.assembly(genome), LIBRARY)
+    T = forward(chain, np.array([[0.3, -0.2, 0.4, 0.9, 0.0], [0.3, -0.2, 0.4, 0.9, 1.2]]))
+    assert np.abs(T[0, :3, 2:] - T[1, :3, 2:]).max() < 1e-15
+
+
+def test_the_document(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its task can be read, its code runs, and its table names every requirement."""
+    text = (EXAMPLE.parents[2] / "docs" / "synthesis.md").read_text()
+    task = task_from_data(yaml.safe_load(re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)[0]), "docs")
+    assert [u.name for u in task.uses] == ["structure", "reachability", "joint_range", "payload"]
+    exec(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0], {})
+    assert "LR-II 106.5 mm" in capsys.readouterr().out
+    assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) >= set(REQUIREMENTS)

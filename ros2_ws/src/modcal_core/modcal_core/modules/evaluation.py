@@ -24,10 +24,8 @@ from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREM
 from modcal_core.modules.targets import Target
 
 MET = -1  # no requirement is broken
-_MORE = 10  # starts of the second look at what reaches everything
 _KEPT = 3  # starts that go on after the first steps
 _FIRST_STEPS, _STEPS = 10, 40
-_HOPELESS = 0.2  # m and rad; who is farther off after the first steps is not followed
 
 
 @dataclass(frozen=True)
@@ -42,9 +40,15 @@ class Use:
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard the inverse kinematics tries: starts (1: from zero), and whether it keeps the limits on its way."""
+    """How hard the inverse kinematics tries.
 
-    starts: int = 6
+    starts: of the first look; again: of the second, at what reaches every target. hopeless: who is farther off after
+    the first steps [m and rad] is not followed. within_limits: whether limits are kept on the way.
+    """
+
+    starts: int = 12
+    again: int = 10
+    hopeless: float = 0.2
     within_limits: bool = True
 
 
@@ -131,7 +135,7 @@ class Evaluator:
         at = self._index[REACH]
         arms = self._arms(genomes[which])
         short = np.max([too_short(arms, t) for t in self.targets], axis=0)
-        left = self._reject(out, which, at, np.where(short > 0.0, short + _HOPELESS, 0.0), 2)
+        left = self._reject(out, which, at, np.where(short > 0.0, short + self.effort.hopeless, 0.0), 2)
         if not len(left):
             return left
         arms = self._arms(genomes[left])
@@ -148,8 +152,6 @@ class Evaluator:
 
     def _unit(self, n: int, count: int, skip: int = 0) -> Array:
         """Starts in the unit cube; the same for all arms of n joints, so that a verdict depends on the arm alone."""
-        if self.effort.starts == 1:
-            return np.full((1, n), 0.5)
         return np.random.default_rng([self._seed, n]).random((skip + count, n))[skip:]
 
     def _descend(self, arms: Arms, unit: Array) -> tuple[Array, Array]:
@@ -157,10 +159,10 @@ class Evaluator:
         first = [reach(arms, t, starts(arms, unit), _FIRST_STEPS) for t in self.targets]
         left = np.stack([f.left.min(axis=1) for f in first], axis=1)
         q = np.stack([np.take_along_axis(f.q, f.left.argmin(axis=1)[:, None, None], 1)[:, 0] for f in first], axis=1)
-        on = np.flatnonzero((left.max(axis=1) < _HOPELESS) & (left.max(axis=1) > self._tolerance))
+        on = np.flatnonzero((left.max(axis=1) < self.effort.hopeless) & (left.max(axis=1) > self._tolerance))
         for k, target in enumerate(self.targets):
             # once one target is out of reach the others do not matter
-            on = on[(left[on] < _HOPELESS).all(axis=1)]
+            on = on[(left[on] < self.effort.hopeless).all(axis=1)]
             if not len(on):
                 break
             best = np.argsort(first[k].left[on], axis=1, kind="stable")[:, :_KEPT]
@@ -176,15 +178,15 @@ class Evaluator:
         arms = self._arms(genomes[which])
         q = out.q[which][:, :, None]
         found = np.ones(q.shape[:3], bool)
-        if self.effort.starts > 1:
+        if self.effort.again:
             more = [
-                reach(arms, t, starts(arms, self._unit(arms.n, _MORE, self.effort.starts)), _STEPS)
+                reach(arms, t, starts(arms, self._unit(arms.n, self.effort.again, self.effort.starts)), _STEPS)
                 for t in self.targets
             ]
             q = np.concatenate([q, np.stack([m.q for m in more], axis=1)], axis=2)
             found = np.concatenate([found, np.stack([m.left <= self._tolerance for m in more], axis=1)], axis=2)
-            out.descents[which] += _MORE * len(self.targets)
-        else:  # turned on its way without limits: of equal postures the one nearest zero
+            out.descents[which] += self.effort.again * len(self.targets)
+        if not self.effort.within_limits:  # of postures that are whole turns apart the one nearest zero
             q = np.where(arms.revolute[:, None, None], np.angle(np.exp(1j * q)), q)
         limits = self.catalogue.arms(genomes[which])
         self._choose(out, which, Postures(limits, self.catalogue.bodies(genomes[which]), self.targets, q), found)
