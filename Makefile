@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak doors synthesis modular lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -57,6 +57,15 @@ closed-loop: setup-test build  ## 50 poses commanded through the corrector in th
 
 soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
 	@$(PY) bench/soak.py $(SOAK_ARGS)
+
+doors: setup-test build  ## random doors and drawers opened through the nodes, and what the hand felt; BENCH_ARGS="--scenes 8"
+	@$(PY) bench/pulling.py $(BENCH_ARGS)
+
+synthesis: setup-test build  ## the published task: genetic search, search as printed, random search
+	@$(PY) bench/synthesis.py $(BENCH_ARGS)
+
+modular: setup-test build  ## calibration after re-assembly, with and without what is known of the modules
+	@$(PY) bench/modular.py $(BENCH_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py
