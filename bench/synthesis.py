@@ -1,6 +1,6 @@
 """The published two-pose task: how soon is an arm of five joints found, how good does it become, and by which search?
 
-    python bench/synthesis.py [--seeds 20] [--others 5] [--budget 3000]
+    python bench/synthesis.py [--seeds 20] [--others 8] [--budget 1000]
 
 Three searches judge as many assemblies as the budget allows. Noted are the first that meets every requirement (no rule
 of structure broken, both poses reached within the limits and by less than 1e-6, way in m and axis in rad, checked with
@@ -192,8 +192,8 @@ def line(name: str, runs: list[Run]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20, help="of ours")
-    parser.add_argument("--others", type=int, default=5, help="seeds of the other two")
-    parser.add_argument("--budget", type=int, default=3000, help="candidates that a search may judge")
+    parser.add_argument("--others", type=int, default=8, help="seeds of the others")
+    parser.add_argument("--budget", type=int, default=1000, help="candidates that a search may judge")
     chosen = parser.parse_args()
     task = two_poses()
     print(f"Medians and ranges; the last two columns after {chosen.budget} candidates.\n")
