@@ -25,7 +25,8 @@ class Seen:
 
 
 def ideal(kind: str, a: Array, rng: np.random.Generator, radius: float = 0.4, pitch: float = 0.0) -> Seen:
-    """The track of a handle without any flaw, somewhere in a room."""
+    """The track of a handle without any flaw, somewhere in a room. pitch: [m/rad], of a screw only."""
+    pitch = pitch if kind == "screw" else 0.0
     world = Rotation.random(random_state=int(rng.integers(2**31)))
     place = rng.uniform(-1.0, 1.0, 3)
     hold = Rotation.random(random_state=int(rng.integers(2**31)))

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
+from modcal_core.articulation.evidence import FIRST, FIRST_HELD, LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
@@ -20,14 +20,14 @@ from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
 
 FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
-SURELY_MOVED = 0.05  # m from which nothing is rigid
 EVEN: dict[Kind, float] = {"rigid": 0.98, "prismatic": 0.0098, "revolute": 0.0098, "screw": 0.0004}
 
 
 class Belief:
-    """kind, motion: the most probable; motion None at first. follows: whether rotations are the handle's.
+    """kind: the most probable. motion: of the most probable of those that move, None at first.
 
-    probabilities: of kinds. scale: noise of one pose that the next does not share [m, rad]. rounds: how many began.
+    follows: whether rotations are the handle's. probabilities: of kinds. scale: noise of one pose that the next does
+    not share [m, rad]. rounds: how many began.
     """
 
     def __init__(self) -> None:
@@ -50,18 +50,15 @@ class Belief:
         turn = float(step[3:] @ step[3:]) if len(step) == 6 else 0.0
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
-    def think(self, nodes: Nodes, moved: float) -> bool:
-        """One slot of the round, and now and then a step on the nodes of now; whether another kind is believed now.
-
-        moved: how far the handle has been from where it began [m].
-        """
+    def think(self, nodes: Nodes) -> bool:
+        """One slot of the round, and now and then a step on the nodes of now; whether another kind is believed now."""
         other = False
         if self._left:
             self._slot(*self._left.pop())
             if not self._left:
-                other = self._conclude(moved)
+                other = self._conclude()
         elif nodes.k >= FEWEST:
-            self._begin(nodes, moved)
+            self._begin(nodes)
         self._turn += 1
         if self.motion is not None and self._turn % 2 and nodes.k >= FEWEST:
             now = Row(self.motion, self._level, self._column)
@@ -76,15 +73,13 @@ class Belief:
         assert track is not None
         return Scene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
 
-    def _begin(self, nodes: Nodes, moved: float) -> None:
+    def _begin(self, nodes: Nodes) -> None:
         """A new round, on the nodes of now."""
         self._scene = self._now(nodes)
         self.rounds += 1
         fresh = [(kind, FEW[self.rounds % len(FEW)], True) for kind in KINDS[1:]]
         slots = [(kind, i, False) for kind in KINDS[1:3] for i in FEW]
         slots += [("screw", FEW[(self.rounds + k) % len(FEW)], False) for k in range(2)]
-        if moved < SURELY_MOVED:
-            slots.append(("rigid", FEW[1], False))
         self._left = list(reversed(slots + fresh))
 
     def _slot(self, kind: Kind, i: int, fresh: bool) -> None:
@@ -100,7 +95,8 @@ class Belief:
         guess = rough(scene.track, kind, None if other is None else other.motion, self.rounds)
         if guess is None:
             return
-        found = glance(scene, Row(guess, level, 2 if scene.track.oriented else 0), float(PLAYS[i]), self.rounds)
+        begin = Row(guess, level, FIRST if scene.track.oriented else 0)
+        found = glance(scene, begin, float(PLAYS[i]), FIRST_HELD)
         found = glance(scene, found, float(PLAYS[i]), self.rounds)
         if known is None or found.evidence.max() > known.evidence.max() + 1.0:
             self._rows[kind, i] = found
@@ -108,29 +104,27 @@ class Belief:
                 for j in FEW:
                     self._rows[kind, j] = Row(found.motion, found.evidence, found.column)
 
-    def _conclude(self, moved: float) -> bool:
+    def _conclude(self) -> bool:
         scene = self._scene
         assert scene is not None
         known: dict[Kind, list[Row]] = {}
         for kind in KINDS:
             rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
-            if rows and not (kind == "rigid" and moved >= SURELY_MOVED):
+            if rows:
                 known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
         if not {"prismatic", "revolute"} <= set(known):
             return False
-        logs, best, i, j = weigh(known, len(scene.track), FEW)
-        total = float(np.logaddexp.reduce(list(logs.values())))
-        self.probabilities = {kind: float(np.exp(logs[kind] - total)) if kind in logs else 0.0 for kind in KINDS}
+        self.probabilities, best, i, j = weigh(known, scene.moved, FEW)
         won, self._won = self._won, best
-        if self.motion is not None and best not in (self.kind, won) and self.kind in known:
-            # the old kind, at its own best play
-            best, (i, j) = self.kind, _best(known[self.kind])
+        old = None if self.motion is None else self.motion.kind
+        if old is not None and best not in (old, won) and old in known:
+            best, (i, j) = old, _best(known[old])  # the old kind, at its own best play
         self.follows = not (scene.track.oriented and bool(LOOSE[j]))
         chosen = known[best][i]
         self._play, self._column, self._level = FEW[i], j, chosen.evidence
-        other = self.motion is None or self.kind != best
-        self.kind, self.motion = best, chosen.motion
-        return other
+        self.kind = "rigid" if self.probabilities["rigid"] > 0.5 else best
+        self.motion = chosen.motion
+        return old != best
 
 
 def _best(rows: list[Row]) -> tuple[int, int]:

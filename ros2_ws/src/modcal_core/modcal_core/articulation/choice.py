@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, row, weigh
+from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, row, still, weigh
 from modcal_core.articulation.fit import Fit, fit
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.track import Track
+from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
 SURE = 0.95  # probability from which a kind is said
@@ -46,20 +46,21 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
     fits = {kind: fit(track, kind, rng) for kind in KINDS}
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
-    scene = _scene(track.part(good) if good.sum() >= 6 else track, richest, nodes)
+    kept = track.part(good) if good.sum() >= FEWEST else track
+    scene = _scene(kept, richest, nodes)
     if scene is None:
-        return _still(track, fits)
+        return _still(kept, fits)
     rows: dict[Kind, list[Row]] = {}
-    for kind, found in fits.items():
-        at, motion, column = [], found.motion, 2
+    for kind in KINDS[1:]:
+        at, motion, column = [], fits[kind].motion, 2
         for play in PLAYS:
             at.append(row(scene, motion, float(play), column=column))
             motion, column = at[-1].motion, at[-1].column
         rows[kind] = at
-    logs, best, i, j = weigh(rows, len(scene.track))
-    total = float(np.logaddexp.reduce(list(logs.values())))
-    probabilities = {kind: float(np.exp(log - total)) for kind, log in logs.items()}
-    follows = not (track.oriented and bool(LOOSE[j]))
+    probabilities, best, i, j = weigh(rows, scene.moved)
+    if probabilities["rigid"] > probabilities[best]:
+        best = "rigid"
+    follows = best == "rigid" or not (track.oriented and bool(LOOSE[j]))
     chosen = fits[best] if follows else fit(track.points(), best, rng)
     if not follows:
         fits = {**fits, best: chosen}
@@ -103,10 +104,15 @@ def white_noise(e: Array) -> tuple[float, float]:
 
 
 def _still(track: Track, fits: dict[Kind, Fit]) -> Choice:
-    """Nothing moved: all samples lie within a few nodes."""
-    why = f"nothing has moved by more than {1e3 * track.extent():.1f} mm: pull further, or it is locked"
-    shares: dict[Kind, float] = {kind: furniture.SHARE.get(kind, 1.0) * 0.5 for kind in KINDS}
-    return Choice(shares, fits["rigid"], False, why, fits, True, float(PLAYS[2]))
+    """All samples lie within a few nodes: nothing moved, or too little to tell how."""
+    rigid = still(2.0 * track.extent())
+    probabilities: dict[Kind, float] = {"rigid": rigid}
+    for kind in KINDS[1:]:
+        probabilities[kind] = (1.0 - rigid) * furniture.SHARE[kind]
+    best: Kind = max(probabilities, key=lambda kind: probabilities[kind])
+    enough = probabilities[best] >= SURE
+    why = _why(probabilities, fits[best], enough, track)
+    return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]))
 
 
 def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Track) -> str:

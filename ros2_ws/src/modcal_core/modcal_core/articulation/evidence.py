@@ -10,8 +10,9 @@ takes residuals as independent, so that a drawer's bow of two millimetres, seen 
 metres wide. Here it was seen about five times, and such a circle is furniture that nobody builds.
 
 The evidence of a kind is the integral of likelihood × prior over configurations, parameters, play and sway.
-* Configurations: exactly, flat in metres of path. What is left of a position is across the path. What is left of a
-  rotation is compared with the angle that the position tells, whose own play then counts too.
+* Configurations: exactly, flat in metres of path, which is the same for all kinds that move. What is left of a position
+  is across the path. What is left of a rotation is compared with the angle that the position tells, whose own play then
+  counts too. Where the grasp is a ball, rotations are the hand's: anything, or, as arms like to do, kept as they are.
 * Parameters: Laplace's method at the most probable ones for each play, in the coordinates of ``motion``. Of those, the
   direction of the path is common to sliding and turning; what turning must pay for is where the axis lies.
 * Play and sway: a sum over a grid in units of their prior's standard deviation.
@@ -29,35 +30,43 @@ from scipy.linalg.lapack import dtrtrs
 
 from modcal_core.articulation import furniture
 from modcal_core.articulation.fit import prior_terms
-from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.track import Track
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 _STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # of the prior's standard deviation
 PLAYS = np.exp(furniture.PLAY[0] + furniture.PLAY[1] * _STEPS)
 _LOG_PLAYS = -0.5 * _STEPS**2 - float(np.logaddexp.reduce(-0.5 * _STEPS**2))
 _LOOSE_STEPS = np.array([-0.5, 0.5])
+_FOLLOWS = np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS)
 SWAYS = np.concatenate([
-    np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS), np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] *
-    _LOOSE_STEPS)
+    _FOLLOWS, np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] * _LOOSE_STEPS), _FOLLOWS
 ])  # fmt: skip
-_LOG_SWAYS = np.concatenate([_LOG_PLAYS + np.log1p(-furniture.LOOSE[2]), np.full(2, np.log(0.5 * furniture.LOOSE[2]))])
+_LOG_SWAYS = np.concatenate([
+    _LOG_PLAYS + np.log1p(-furniture.LOOSE[2] - furniture.HELD), np.full(2, np.log(0.5 * furniture.LOOSE[2])),
+    _LOG_PLAYS + np.log(furniture.HELD)
+])  # fmt: skip
 _HOLDS = 0.3
-LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)
+LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)  # rotations say nothing of the object ...
+HELD = np.arange(len(SWAYS)) >= len(_STEPS) + len(_LOOSE_STEPS)  # ... since the hand keeps them as they are
+FIRST, FIRST_HELD = 2, len(SWAYS) - 3  # where to begin when nothing is known
 
 
 @dataclass(frozen=True)
 class Scene:
     """The nodes that all kinds must explain, and covariances (k, k) of what they do not share with the ideal path.
 
-    kernel: of a play of 1. position [m²], rotation [rad²]: noise of nodes, and distortion of what measures.
+    kernel: of a play of 1. position [m²], rotation [rad²]: noise of nodes, and distortion of what measures. moved: how
+    far apart nodes lie [m], beyond what noise does.
     """
 
     track: Track
     kernel: Array
     position: Array
     rotation: Array
+    moved: float
 
     @classmethod
     def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float]) -> Scene:
@@ -66,7 +75,9 @@ class Scene:
         least, distortion = (1e-5, 1e-4), furniture.DISTORTION
         both = [d**2 * smooth + np.diag(s**2 / counts + m**2)
                 for s, m, d in zip(sigma, least, distortion, strict=True)]  # fmt: skip
-        return cls(track, np.exp(-apart / furniture.REACH), both[0], both[1])
+        jitter = 9.0 * float(np.mean(1.0 / counts)) * (sigma[0] ** 2 + (0.1 * sigma[1]) ** 2)
+        moved = float(np.sqrt(max(float(apart.max()) ** 2 - 2.0 * jitter, 1e-8)))
+        return cls(track, np.exp(-apart / furniture.REACH), both[0], both[1], moved)
 
 
 @dataclass(frozen=True)
@@ -118,11 +129,13 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
         # all others move along with the best, until they are looked at again
         columns = {before.column, turn % len(SWAYS)}
     step = np.zeros(before.motion.size)
-    shift = 0.0
+    shift, most = 0.0, -np.inf
     for c in columns:
         value, towards = terms.weighed(scene, play, c)
         if c == before.column:
-            step, shift = towards, value - logs[c]
+            shift = value - logs[c]
+        if (worth := value + (float(_LOG_SWAYS[c]) if scene.track.oriented else 0.0)) > most:
+            step, most = towards, worth
         logs[c] = value
     if scene.track.oriented:
         rest = np.delete(np.arange(len(SWAYS)), list(columns))
@@ -140,6 +153,7 @@ class _Terms:
     across: Array  # (2 or 3, k, 1 + size) across the path, whitened
     log_det: float
     turn: Array | None  # (2 or 3, k, 1 + size) rotation that no position tells of
+    held: Array | None  # (3, k) rotation from the mean of all
     mixed: Array | None  # (k, 1 + size) rotation about the axis against the angle of the position
 
     @classmethod
@@ -158,22 +172,31 @@ class _Terms:
         k = len(a)
         white = _whiten(L, position)
         log_det = len(position) * (np.log(np.diag(L)).sum() + 0.5 * k * np.log(2.0 * np.pi))
-        turn = mixed = None
+        turn = mixed = held = None
         if track.oriented:
+            assert track.rotations is not None
+            held = so3.log(so3.mean(track.rotations).T @ track.rotations).T
             turned = np.moveaxis(both[:, 3:], 1, 0)
             turn, mixed = (turned[:2], turned[2]) if motion.turns else (turned, None)
-        return cls(motion, white, float(log_det), turn, mixed)
+        return cls(motion, white, float(log_det), turn, held, mixed)
 
     def _system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
         flat = self.across.reshape(-1, self.across.shape[-1])
         total = flat.T @ flat
         log_det = self.log_det
-        if self.turn is not None:
+        if self.turn is not None and self.held is not None:
             sway = SWAYS[column]
             C = sway**2 * scene.kernel + scene.rotation
             half = 0.5 * len(C) * np.log(2.0 * np.pi)
             L = np.linalg.cholesky(C)
+            if HELD[column]:
+                squares, weight = _about_mean(L, self.held)
+                total[0, 0] += squares
+                j = total.shape[0] - self.motion.size + self.motion.start_turn
+                total[[j, j + 1, j + 2], [j, j + 1, j + 2]] += weight
+                log_det += 3 * (np.log(np.diag(L)).sum() + half)
+                return self._with_prior(total, log_det)
             white = _whiten(L, self.turn).reshape(-1, total.shape[0])
             total = total + white.T @ white
             log_det += len(self.turn) * (np.log(np.diag(L)).sum() + half)
@@ -183,6 +206,9 @@ class _Terms:
                 white = _whiten(L, self.mixed[None])[0]
                 total = total + white.T @ white
                 log_det += np.log(np.diag(L)).sum() + half
+        return self._with_prior(total, log_det)
+
+    def _with_prior(self, total: Array, log_det: float) -> tuple[float, Array, Array, float]:
         cost, gradient, curvature = prior_terms(self.motion)
         return (float(0.5 * total[0, 0] + cost), total[0, 1:] + gradient, total[1:, 1:] + np.diag(curvature),
                 float(log_det))  # fmt: skip
@@ -217,14 +243,24 @@ class _Terms:
 
 def _log_prior(motion: Motion) -> float:
     """What the prior's density has beside its exponent, in the coordinates of the motion."""
-    if motion.kind == "rigid":
-        return -np.log(furniture.SPAN)
     log = -np.log(4.0 * np.pi)
     if motion.turns:
         log += -np.log(2.0 * np.pi) - np.log(furniture.RADIUS[1] * np.sqrt(2.0 * np.pi))
     if motion.kind == "screw":
         log += -np.log(furniture.PITCH[1] * np.sqrt(2.0 * np.pi)) - np.log(2.0)
     return float(log)
+
+
+def _about_mean(L: NDArray[Any], held: Array) -> tuple[float, float]:
+    """Squares of rotations (3, k) about their most probable mean, and the information [1/rad²] on each of its axes.
+
+    A hand that keeps its orientation explains its rotations as well as a drawer does, whatever the object does; the
+    mean is unknown in both.
+    """
+    both = _whiten(L, np.concatenate([held, np.ones((1, held.shape[1]))])[:, :, None])[:, :, 0]
+    one = both[3]
+    weight = float(one @ one)
+    return float((both[:3] ** 2).sum() - ((both[:3] @ one) ** 2).sum() / weight), weight
 
 
 def _whiten(L: NDArray[Any], blocks: Array) -> Array:
@@ -234,13 +270,26 @@ def _whiten(L: NDArray[Any], blocks: Array) -> Array:
     return np.moveaxis(dtrtrs(L, side, lower=1)[0].reshape(k, d, c), 1, 0)
 
 
-def weigh(
-    rows: dict[Kind, list[Row]], samples: int, plays: tuple[int, ...] = tuple(range(len(PLAYS)))
-) -> tuple[dict[Kind, float], Kind, int, int]:
-    """Log evidences of kinds (with their share of furniture), the best kind, its best play and its best sway.
+def still(moved: float) -> float:
+    """Probability that nothing but play moved, where the handle came so far [m].
 
-    samples: nodes, each of which has a configuration somewhere on a path as long as handles go. plays: which of
-    PLAYS the rows are of.
+    Play lets it come about twice its size: a log-normal density of distances, against one that is flat over the span of
+    handles. Both are equally likely beforehand.
+    """
+    mean, std = furniture.PLAY[0] + np.log(2.0), furniture.PLAY[1]
+    z = (np.log(max(moved, 1e-6)) - mean) / std
+    if z < 0.0:
+        z, moved = 0.0, float(np.exp(mean))  # that it moved even less speaks for nothing else
+    rigid = np.exp(-0.5 * z * z) / (moved * std * np.sqrt(2.0 * np.pi))
+    return float(rigid / (rigid + 1.0 / furniture.SPAN))
+
+
+def weigh(
+    rows: dict[Kind, list[Row]], moved: float, plays: tuple[int, ...] = tuple(range(len(PLAYS)))
+) -> tuple[dict[Kind, float], Kind, int, int]:
+    """Probabilities of all kinds; of those that move the best one, its best play and its best sway.
+
+    moved: how far the handle came [m]. plays: which of PLAYS the rows are of.
     """
     logs: dict[Kind, float] = {}
     best: tuple[float, Kind, int, int] | None = None
@@ -248,10 +297,13 @@ def weigh(
         table = np.array([r.evidence for r in at]) + _LOG_PLAYS[list(plays), None]
         if table.shape[1] > 1:
             table = table + _LOG_SWAYS
-        share = np.log(furniture.SHARE.get(kind, 1.0)) - (samples * np.log(furniture.SPAN) if kind != "rigid" else 0.0)
-        logs[kind] = float(np.logaddexp.reduce(table, axis=None) + share)
+        logs[kind] = float(np.logaddexp.reduce(table, axis=None)) + np.log(furniture.SHARE[kind])
         i, j = np.unravel_index(int(np.argmax(table)), table.shape)
         if best is None or logs[kind] > best[0]:
             best = logs[kind], kind, int(i), int(j)
     assert best is not None
-    return logs, best[1], best[2], best[3]
+    total, rigid = float(np.logaddexp.reduce(list(logs.values()))), still(moved)
+    shares: dict[Kind, float] = {"rigid": rigid}
+    for kind in KINDS[1:]:
+        shares[kind] = (1.0 - rigid) * float(np.exp(logs[kind] - total)) if kind in logs else 0.0
+    return shares, best[1], best[2], best[3]

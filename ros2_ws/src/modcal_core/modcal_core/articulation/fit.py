@@ -74,6 +74,11 @@ class _State:
 def prior_terms(motion: Motion) -> tuple[float, Array, Array]:
     """Half the squared distance from furniture's prior, its gradient (size,) and its curvature (size,), diagonal."""
     cost, gradient, curvature = 0.0, np.zeros(motion.size), np.zeros(motion.size)
+    if motion.kind != "rigid":
+        # Directions are all alike, so they have no gradient, but their space is bounded: this is the curvature at which
+        # Laplace's method gives a whole sphere for the path and a whole circle for the axis around it.
+        k = 3 if motion.turns else 2
+        curvature[k - 2 : k], curvature[: k - 2] = 0.5, 0.5 / np.pi
     if motion.turns:
         j = motion.size - (2 if motion.kind == "screw" else 1)
         terms = [(j, np.log(motion.r), furniture.RADIUS)]

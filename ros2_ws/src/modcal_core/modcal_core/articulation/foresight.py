@@ -15,8 +15,8 @@ from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.track import Track
 
 _POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
-_OFTEN = 0.2  # of the distance ahead: how often a model is kept
-_MOST = 6
+_OFTEN = 0.1  # of the distance ahead: how often a model is kept
+_MOST = 12
 _ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
 
 
@@ -41,8 +41,9 @@ class Foresight:
         self.error = np.nan
 
     def begin(self, low: float, high: float) -> None:
-        """Call the path between low and high [m] known: beyond it, models are kept and asked."""
-        self._range = [low, high]
+        """Call the path between low and high [m] known: from its ends on, models are kept and asked."""
+        step = 1.01 * _OFTEN * self._ahead_m
+        self._range = [low + step, high - step]
 
     def doubt(self, motion: Motion, a: float) -> None:
         """Trust no more; what is told from configuration a on will be asked again, either way."""

@@ -13,7 +13,7 @@
 * What measures is itself distorted: an arm that is not calibrated, or a camera that sees a marker, errs by about 2
   mm and 0.6°, alike over some 30 cm. How smooth a departure is says nothing of how large a smooth one may be.
 * Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten, and then they are off by half a
-  radian.
+  radian, or the hand keeps its orientation, one as often as the other.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ PITCH = (log(0.02), 1.2)
 SHARE = {"prismatic": 0.49, "revolute": 0.49, "screw": 0.02}
 PLAY = (log(2e-3), log(2.2))  # of positions [m]
 SWAY = (log(0.025), log(2.5))  # of rotations [rad]
-LOOSE = (log(0.5), log(2.0), 0.1)  # rotations of a grasp that turns [rad], and how often that is so
+LOOSE = (log(0.5), log(2.0), 0.05)  # rotations of a grasp that turns [rad], and how often that is so
+HELD = 0.05  # how often the hand keeps its orientation in a grasp that turns
 REACH = 0.1  # m of path over which a departure stays alike
 DISTORTION = (2e-3, 0.01)  # m, rad
 DISTORTION_REACH = 0.3  # m
-SPAN = 1.0  # m over which a handle may move: uniform prior of its configurations
+SPAN = 1.0  # m over which a handle may move: as far as any, before it is seen

@@ -54,6 +54,11 @@ class Motion:
         return {"rigid": 3, "prismatic": 4, "revolute": 6, "screw": 7}[self.kind] + 3 * (self.R is not None)
 
     @property
+    def start_turn(self) -> int:
+        """Which parameter is the first of the three by which the start is turned; with rotations only."""
+        return {"rigid": 3, "prismatic": 4}.get(self.kind, 5)
+
+    @property
     def tangent(self) -> Array:
         """∂(e, φ)/∂a (3,) or (6,), in G's axes, with its sign turned, where the motion fits."""
         if self.kind == "rigid":

@@ -8,7 +8,7 @@ when the model cannot be mended in three rounds of thought either, what is held 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -115,7 +115,7 @@ class Tracker:
         for q, S in self._accepted(p, R, off, twisted):
             self._moved = max(self._moved, float(np.linalg.norm(q - self._first)))
             self._nodes.add(q, S)
-            if self._belief.think(self._nodes, self._moved):
+            if self._belief.think(self._nodes):
                 self._foresight.begin(*self._reached())
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
@@ -156,8 +156,6 @@ class Tracker:
         if self._residual is not None and self._residual[0] is motion and off < 0.05:
             self._belief.jitter(e - self._residual[1])
         self._residual = motion, e
-        if motion.kind == "rigid":
-            return off, twisted, None
         self._foresight.look(motion, float(a[0]), here)
         self._credit = _HELD if self._foresight.trusted else self._credit - 1
         wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._belief.scale[0])
@@ -227,17 +225,17 @@ class Tracker:
         belief, ahead = self._belief, self._foresight.error
         probabilities = dict(belief.probabilities)
         motion = belief.motion
-        if motion is None:
+        if motion is None or belief.kind == "rigid":
             return State("rigid", probabilities, None, 0.0, False, ahead, off, event, self._samples)
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = float(motion.configurations(_one(self._first, None), (1.0, 1e9))[0])
-            self._zero = motion, motion.model(begin)
+            self._zero = motion, (motion if belief.follows else replace(motion, R=None)).model(begin)
         model, seen = self._zero[1], p
         if R is not None and belief.follows:
             seen = np.eye(4)
             seen[:3, :3], seen[:3, 3] = R, p
-        trusted = self._foresight.trusted and belief.kind != "rigid"
+        trusted = self._foresight.trusted
         a = float(model.configuration(seen))
         return State(belief.kind, probabilities, model, a, trusted, ahead, off, event, self._samples, belief.follows)
 

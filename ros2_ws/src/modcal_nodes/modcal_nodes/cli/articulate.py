@@ -64,9 +64,7 @@ def articulate_command(
         read = _Read(_text_track(bag), None, "")
     else:
         read = _of_bag(read_bag(bag), topic, urdf, calibration, base, tip)
-    rows = (
-        np.unique(np.linspace(0, max(len(read.values) - 1, 0), _MOST).round().astype(int)) if len(read.values) else []
-    )
+    rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))
     values = read.values[rows]
     track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
     choice = choose(track, np.random.default_rng(seed))

@@ -1,0 +1,143 @@
+"""Joints are recovered from noisy tracks, as well as they say, whatever the frame, and in spite of outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from articulation.objects import Seen, ideal, noisy
+from finite_differences import assert_jacobian
+from scipy.spatial.transform import Rotation
+
+from modcal_core.articulation.fit import Fit, fit
+from modcal_core.articulation.joints import JointModel, Kind
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.track import Track
+from modcal_core.geometry import se3, so3
+
+DEGREE = np.pi / 180.0
+
+
+def tracked(seen: Seen, oriented: bool = True) -> Track:
+    return Track(seen.positions, seen.rotations if oriented else None)
+
+
+def errors(found: JointModel, seen: Seen) -> tuple[float, float]:
+    """Distance between the axes [m] at the handle, and angle between them [rad]."""
+    axis = found.axis * np.sign(found.axis @ seen.axis)
+    away = found.point - seen.point
+    away = away - seen.axis * (seen.axis @ away)
+    return float(np.linalg.norm(away)), float(np.arccos(min(1.0, axis @ seen.axis)))
+
+
+@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+@pytest.mark.parametrize("oriented", [True, False])
+def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
+    R = so3.exp(rng.normal(size=3)) if oriented else None
+    motion = Motion(kind, rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0)
+    T = motion.model().pose(rng.uniform(-1.0, 1.0, 8)) @ se3.exp(rng.normal(0.0, 0.05, (8, 6)))
+    track = Track(T[:, :3, 3], T[:, :3, :3] if oriented else None)
+    a = rng.uniform(-1.0, 1.0, 8)
+    _, by_a, J = motion.linearise(track, a)
+    here = np.zeros(motion.size)
+    assert_jacobian(
+        lambda z: motion.moved(z).residuals(track, a).ravel(), J.reshape(-1, motion.size), here, tolerance=1e-7
+    )
+    if kind != "rigid":
+        assert_jacobian(
+            lambda d: motion.residuals(track, a + d).ravel(), by_a.reshape(-1, 1), np.zeros(1), tolerance=1e-7
+        )
+    told = {
+        "axis": lambda z: motion.moved(z).axis,
+        "start": lambda z: motion.moved(z).p,
+        "point": lambda z: motion.moved(z).model().point,
+        "pitch": lambda z: np.array([motion.moved(z).model().pitch]),
+    }
+    for name, gradient in motion.gradients().items():
+        assert_jacobian(told[name], gradient, here, tolerance=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
+@pytest.mark.parametrize("oriented", [True, False])
+def test_exact_tracks_give_the_joint_exactly(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
+    seen = ideal(kind, np.linspace(0.0, 1.5, 40), rng, 0.5, 0.06)
+    found = fit(tracked(seen, oriented), kind, prior=False)
+    model = found.model
+    assert abs(abs(model.axis @ seen.axis) - 1.0) < 1e-8
+    np.testing.assert_allclose(model.position(found.configurations), seen.positions, atol=2e-6)
+    if kind != "prismatic":
+        assert errors(model, seen)[0] < 1e-5
+    if kind == "screw":
+        assert model.pitch == pytest.approx(seen.pitch, abs=1e-5)
+    if oriented:
+        turned = so3.log(np.swapaxes(model.pose(found.configurations)[:, :3, :3], 1, 2) @ seen.rotations)
+        assert np.abs(turned).max() < 2e-5
+    assert model.configuration(seen.positions[0]) == pytest.approx(0.0, abs=1e-5)
+
+
+def repeated(
+    kind: Kind, oriented: bool, degrees: float, position: float, rotation: float, count: int, pitch: float = 0.0
+):  # type: ignore[no-untyped-def]
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        seen = noisy(ideal(kind, np.linspace(0.0, degrees * DEGREE, 60), rng, 0.5, pitch), rng, position, rotation)
+        yield seen, fit(tracked(seen, oriented), kind)
+
+
+@pytest.mark.parametrize(
+    ("oriented", "degrees", "position", "rotation", "centre", "axis"),
+    [(True, 30.0, 1e-3, 0.2 * DEGREE, 8e-3, 1.2 * DEGREE), (False, 60.0, 3e-3, 0.0, 21e-3, 2.8 * DEGREE)],
+)
+def test_accuracy_of_a_hinge(
+    oriented: bool, degrees: float, position: float, rotation: float, centre: float, axis: float
+) -> None:
+    found = [errors(f.model, s) for s, f in repeated("revolute", oriented, degrees, position, rotation, 30)]
+    assert np.quantile([f[0] for f in found], 0.95) <= centre
+    assert np.quantile([f[1] for f in found], 0.95) <= axis
+
+
+def _chi(found: Fit, seen: Seen) -> tuple[float, float]:
+    """Squared errors of centre and axis, each over two dimensions, weighed by what the fit says of them."""
+    B = np.linalg.svd(seen.axis[None])[2][1:]
+    away = B @ (found.model.point - seen.point)
+    tilt = B @ (found.model.axis * np.sign(found.model.axis @ seen.axis))
+    return (
+        float(away @ np.linalg.solve(B @ found.covariance["point"] @ B.T, away)),
+        float(tilt @ np.linalg.solve(B @ found.covariance["axis"] @ B.T, tilt)),
+    )
+
+
+@pytest.mark.parametrize(("oriented", "degrees"), [(True, 40.0), (False, 70.0)])
+def test_the_truth_lies_within_the_stated_uncertainty(oriented: bool, degrees: float) -> None:
+    """Over 40 tracks a mean of χ² with two degrees of freedom is 2 ± 0.32; three of those."""
+    chi = [_chi(f, s) for s, f in repeated("revolute", oriented, degrees, 1e-3, 0.2 * DEGREE, 40)]
+    for mean in np.mean(chi, axis=0):
+        assert 1.0 < mean < 3.1
+
+
+def test_the_pitch_lies_within_its_uncertainty() -> None:
+    z2 = [(f.model.pitch - s.pitch) ** 2 / f.covariance["pitch"][0, 0]
+          for s, f in repeated("screw", True, 70.0, 1e-3, 0.2 * DEGREE, 30, 0.05)]  # fmt: skip
+    assert 0.4 < np.mean(z2) < 2.1  # 1 ± 0.26
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_a_quarter_of_gross_outliers_does_no_harm(oriented: bool, rng: np.random.Generator) -> None:
+    seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, 120), rng, 0.5), rng, 1e-3, 0.2 * DEGREE)
+    bad = rng.random(120) < 0.25
+    p = seen.positions + bad[:, None] * rng.normal(0.0, 0.2, (120, 3))
+    R = seen.rotations @ Rotation.from_rotvec(bad[:, None] * rng.normal(0.0, 1.0, (120, 3))).as_matrix()
+    found = fit(Track(p, R if oriented else None), "revolute")
+    assert errors(found.model, seen)[0] < (0.005 if oriented else 0.012)
+    assert found.weights[bad].max() < 0.3
+    assert np.median(found.weights[~bad]) > 0.5
+    assert found.sigma_position == pytest.approx(1e-3, rel=0.4)
+
+
+def test_another_frame_gives_the_same_joint_there(rng: np.random.Generator) -> None:
+    seen = noisy(ideal("revolute", np.linspace(0.0, 1.0, 50), rng, 0.4), rng, 1e-3, 0.3 * DEGREE)
+    T = se3.exp(rng.normal(size=6))
+    poses = T @ se3.transform(seen.rotations, seen.positions)
+    here, there = fit(tracked(seen), "revolute"), fit(Track(poses[:, :3, 3], poses[:, :3, :3]), "revolute")
+    np.testing.assert_allclose(there.model.point, se3.apply(T, here.model.point), atol=1e-5)
+    np.testing.assert_allclose(there.model.axis, T[:3, :3] @ here.model.axis, atol=1e-5)
+    assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=1e-3)
