@@ -75,6 +75,14 @@ def test_a_model_that_is_revised_all_the_time_shakes_nothing(rng: np.random.Gene
     assert_smooth(done)
 
 
+def test_forces_that_come_late_do_not_make_it_swing() -> None:
+    """80 ms late, against what does not give way: with the plain damping, contact swings up to more than 60 N."""
+    done = pull(Toy(door(), delay=20, locked=True), Operation(PANDA, TASK, LIMITS))
+    assert done.stop is not None
+    assert "does not move" in done.stop.why
+    assert done.forces.max() <= 35.0
+
+
 def test_what_is_locked_is_left_alone() -> None:
     done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, LIMITS))
     assert done.stop is not None

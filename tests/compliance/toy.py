@@ -76,7 +76,7 @@ class Toy:
         self.a, self.speed = 0.0, 0.0
         self.command = READY.copy()
         self.q = READY.copy()
-        self.contact = np.zeros(6)
+        self.contact, self.peak = np.zeros(6), 0.0
         self._rng = np.random.default_rng(self.seed)
         self.handle = self.truth.pose(0.0)
         self._e, self._missing = np.zeros(6), np.zeros(6)
@@ -111,6 +111,7 @@ class Toy:
                 self.a, self.speed = min(max(self.a, 0.0), self.last), 0.0
             self.handle = self.truth.pose(self.a)
             self.contact = -wrench  # on the tool
+            self.peak = max(self.peak, float(np.linalg.norm(wrench[:3])))
 
     def reading(self) -> tuple[Array, Array]:
         """(joint positions, raw wrench of the sensor) of now: encoders see where the weld holds the tool."""

@@ -8,13 +8,23 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modcal_nodes.parameters import CALIBRATOR, CORRECTOR, RECORDER, SIMULATED_CELL, SIMULATED_FURNITURE
+from modcal_nodes.parameters import (
+    ARTICULATION_ESTIMATOR,
+    CALIBRATOR,
+    CORRECTOR,
+    IMPEDANCE_SETPOINT,
+    RECORDER,
+    SIMULATED_CELL,
+    SIMULATED_FURNITURE,
+)
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
 KNOWN = {
     "recorder": RECORDER,
     "calibrator": CALIBRATOR,
     "corrector": CORRECTOR,
+    "articulation_estimator": ARTICULATION_ESTIMATOR,
+    "impedance_setpoint": IMPEDANCE_SETPOINT,
     "simulated_cell": SIMULATED_CELL,
     "simulated_furniture": SIMULATED_FURNITURE,
 }
@@ -38,7 +48,11 @@ def test_defaults_lie_within_their_bounds() -> None:
                 assert parameter.low <= parameter.default <= parameter.high, name
 
 
-LAUNCHED = {"calibrate": {"recorder", "calibrator"}, "correct": {"corrector"}}
+LAUNCHED = {
+    "calibrate": {"recorder", "calibrator"},
+    "correct": {"corrector"},
+    "articulate": {"articulation_estimator", "impedance_setpoint"},
+}
 
 
 @pytest.mark.parametrize("file", LAUNCHED)

@@ -29,6 +29,8 @@ setup(
             f"recorder = {PACKAGE}.recorder:main",
             f"calibrator = {PACKAGE}.calibrator:main",
             f"corrector = {PACKAGE}.corrector:main",
+            f"articulation_estimator = {PACKAGE}.articulation_estimator:main",
+            f"impedance_setpoint = {PACKAGE}.impedance_setpoint:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
         ],

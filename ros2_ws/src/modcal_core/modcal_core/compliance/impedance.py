@@ -89,13 +89,17 @@ class Impedance:
         self.gains = gains
         self._from, self._to, self._share = self._now, gains.matrices(), 0.0
 
-    def step(self, F: Array, h: float) -> Array:
-        """The new x (6,) after h seconds under a force and moment F (6,) on the tool [N, N m], seen from the tool."""
+    def step(self, F: Array, h: float, caution: float = 1.0) -> Array:
+        """The new x (6,) after h seconds under a force and moment F (6,) on the tool [N, N m], seen from the tool.
+
+        caution: how many times the damping is taken, where forces are heard late.
+        """
         if self._share < 1.0:
             self._share = min(1.0, self._share + h / self._blend) if self._blend > 0.0 else 1.0
             # what lies between two matrices of gains is one too
             self._now = self._from + self._share * (self._to - self._from)
         M, B, K = self._now
+        B = caution * B
         self.v = np.linalg.solve(M + h * B + h * h * K, M @ self.v + h * (F - K @ self.x))
         self.x = self.x + h * self.v
         return self.x

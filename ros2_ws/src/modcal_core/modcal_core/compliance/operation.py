@@ -34,6 +34,7 @@ _TARE_PATIENCE, _CHECK_PATIENCE = 10.0, 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
+_PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RELEASE = 0.6  # s in which the force is let go
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
@@ -62,7 +63,7 @@ class Operation:
         self._untrusted = 0.0
         self._why, self._since = "", math.nan
         self._last = -math.inf
-        self._late = math.nan
+        self._late, self._caution = math.nan, 1.0
         self._before: tuple[float, Array] | None = None
         self._stop: Stop | None = None
         self._tell: dict[str, Callable[[float, Array, Belief], None]] = {
@@ -151,13 +152,14 @@ class Operation:
             self.impedance.halt()
             self.pace.stand(now)
             h = self.limits.period
+        self._heed(max(now - joints.stamp, now - sensor.stamp), h)
         self.force = sensor.on_tool(T, self.task.down)
         self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
         if self.task.mode == "admittance" and self.phase != "arrive":
             F = np.concatenate([relative(self.expected, T, self.force[:3]), relative(self.expected, T, self.force[3:])])
-            self.impedance.step(F, h)
+            self.impedance.step(F, h, self._caution)
             goal = self.impedance.command(self.expected)
         else:
             goal = self.expected
@@ -176,7 +178,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: Belief) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self.pace.step(self.task.exploring, self.force, h)
+        ds = self.pace.step(self.task.exploring / self._caution, self.force, h)
         self.expected = pull.advance(ds, T, h)
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
@@ -218,7 +220,7 @@ class Operation:
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
-        ds = self.pace.step(wanted, self.force, h)
+        ds = self.pace.step(wanted / self._caution, self.force, h)
         self.expected = course.advance(ds)
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
         if left <= -_SURELY * course.way:
@@ -242,6 +244,11 @@ class Operation:
             self.stop(self._why)
 
     # what several of them do
+
+    def _heed(self, age: float, h: float) -> None:
+        """Damp more, and so go slower, while inputs come late: what is stable at once need not be so a moment later."""
+        now = 1.0 + max(age - _PROMPT, 0.0) / _DOUBLES
+        self._caution = max(now, self._caution + (now - self._caution) * h / (h + _HEEDED))
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now

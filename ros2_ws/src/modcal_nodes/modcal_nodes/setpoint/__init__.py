@@ -1,0 +1,1 @@
+"""What the setpoint node is made of."""

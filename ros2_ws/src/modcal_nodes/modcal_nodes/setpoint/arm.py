@@ -1,0 +1,123 @@
+"""The arm and the task that the parameters of ``impedance_setpoint`` describe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modcal_core.compliance.guard import Limits
+from modcal_core.compliance.pace import Patience
+from modcal_core.compliance.task import Task
+from modcal_core.compliance.wrench import Load, WrenchSensor
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The chain to the tool, what it may be told, and its force sensor. farthest: no tool lies farther off [m]."""
+
+    urdf: str
+    chain: Chain
+    limits: Limits
+    sensor: WrenchSensor
+    farthest: float
+
+    @classmethod
+    def of(cls, urdf: str, chosen: dict[str, Any]) -> Arm:
+        """The arm of a URDF. Raises BadRobot."""
+        chain = read_chain(urdf, chosen["base"] or None, chosen["tip"] or None)
+        frames = [(chain.tip, np.eye(4))]
+        if chosen["wrench_frame"]:
+            frames.append((chosen["wrench_frame"], _fixed(urdf, chain, chosen["wrench_frame"])))
+        load = Load(chosen["tool_mass"], _vector("tool_centre", chosen))
+        sensor = WrenchSensor(frames, load, chosen["cutoff_hz"], -1.0 if chosen["wrench_by_tool"] else 1.0)
+        turning = chain.revolute
+        limits = Limits(
+            joint_speed=np.where(turning, chosen["joint_speed_rad_s"], chosen["joint_speed_m_s"]),
+            joint_acceleration=np.where(
+                turning, chosen["joint_acceleration_rad_s2"], chosen["joint_acceleration_m_s2"]
+            ),
+            speed=chosen["most_speed_m_s"],
+            acceleration=chosen["most_acceleration_m_s2"],
+            turning=chosen["most_turning_rad_s"],
+            turning_acceleration=chosen["most_turning_rad_s2"],
+            force=chosen["most_force_n"],
+            moment=chosen["most_moment_nm"],
+            displacement=chosen["most_displacement_m"],
+            turn=chosen["most_turn_rad"],
+            stale=chosen["stale_s"],
+            period=1.0 / chosen["rate_hz"],
+            gain=chosen["least_gain"],
+        )
+        return cls(urdf, chain, limits, sensor, 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3]))))
+
+
+def task(chosen: dict[str, Any]) -> Task:
+    """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
+    if chosen["mode"] not in ("expected", "admittance"):
+        raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
+    for what in ("force_n", "moment_nm"):
+        slow, stand, most = (chosen[f"{name}_{what}"] for name in ("slow", "stand", "most"))
+        if not slow < stand <= most:
+            raise BadTable(
+                f"slow_{what} {slow:g}, stand_{what} {stand:g}, most_{what} {most:g}",
+                "must rise from the first to the last",
+                "mend them",
+            )
+    goal = chosen["goal"]
+    out = Task(
+        direction=_vector("direction", chosen),
+        goal_rad=goal or chosen["goal_rad"],
+        goal_m=goal or chosen["goal_m"],
+        mode=chosen["mode"],
+        exploring=chosen["exploring_m_s"],
+        speed=chosen["speed_m_s"],
+        explore=chosen["explore_m"],
+        mass=_three("mass", chosen),
+        damping=_three("damping", chosen),
+        stiffness=_three("stiffness", chosen),
+        stack=(float(_numbers("stack_stiffness", chosen, 2)[0]), float(_numbers("stack_stiffness", chosen, 2)[1])),
+        blend=chosen["blend_s"],
+        tare_s=chosen["tare_s"],
+        down=_vector("gravity", chosen),
+        patience=Patience(
+            slow=(chosen["slow_force_n"], chosen["slow_moment_nm"]),
+            most=(chosen["stand_force_n"], chosen["stand_moment_nm"]),
+        ),
+        patience_s=chosen["patience_s"],
+    )
+    out.gains(out.direction)  # refuses what is no gain, and no direction
+    return out
+
+
+def _fixed(urdf: str, chain: Chain, frame: str) -> Array:
+    """T_tip_frame (4, 4) of a link that moves with the tip."""
+    other = read_chain(urdf, chain.base, frame)
+    if other.names != chain.names:
+        said = f"does not move with {chain.tip}: joints lie between them"
+        raise BadTable(f"wrench_frame '{frame}'", said, "name a link that is fixed to the tool")
+    q = np.zeros(chain.n)
+    return se3.inverse(forward(chain, q)) @ forward(other, q)
+
+
+def _numbers(name: str, chosen: dict[str, Any], count: int) -> Array:
+    out = np.array(chosen[name], dtype=float)
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise BadTable(f"{name} {list(chosen[name])}", f"is not {count} finite numbers", "give that many")
+    return out
+
+
+def _vector(name: str, chosen: dict[str, Any]) -> Array:
+    return _numbers(name, chosen, 3)
+
+
+def _three(name: str, chosen: dict[str, Any]) -> tuple[float, float, float]:
+    a, b, c = _numbers(name, chosen, 3).tolist()
+    return a, b, c
