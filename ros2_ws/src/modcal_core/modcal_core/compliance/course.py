@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.poses import along_screw, crossed, turned
+from modcal_core.compliance.poses import along_screw, crossed, posed, turned
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.posture import rotation_vector
@@ -58,9 +58,7 @@ class Pull:
         off = T_measured[:3, 3] - self._line
         off = off - (off @ d) * d
         self._aside = self._aside + share * (_LED * off - self._aside)
-        self.pose = np.eye(4)
-        self.pose[:3, :3] = R
-        self.pose[:3, 3] = self._line + self._aside
+        self.pose = posed(R, self._line + self._aside)
         return self.pose
 
     def _towards(self, p: Array, share: float) -> Array:

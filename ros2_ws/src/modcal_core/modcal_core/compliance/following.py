@@ -17,7 +17,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.posture import pose_and_jacobian, rotation_vector
 
 _SHARE = 0.8  # of the guard's limits that is used
-_DAMPING = 1e-8
+_DAMPED = 1e-8 * np.eye(6)
 _SPARE = 0.5  # 1/s at which spare joints go to the chosen posture
 _EDGE = 1e-4  # rad or m from a limit where a joint stops
 
@@ -88,8 +88,7 @@ class Follower:
     def _joint_speeds(self, twist: Array, chosen: Array | None) -> Array:
         """Joint speeds (n,) for a body twist (6,) of the tool."""
         J = self._J
-        A = J @ J.T
-        A[np.diag_indices(6)] += _DAMPING
+        A = J @ J.T + _DAMPED
         if chosen is None or self.chain.n <= 6:
             return J.T @ np.linalg.solve(A, twist)
         spare = np.clip(_SPARE * (chosen - self.q), -0.2, 0.2)

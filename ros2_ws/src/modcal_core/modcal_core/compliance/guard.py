@@ -23,6 +23,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.posture import pose_and_jacobian
 
 _ROUNDING = 1e-6  # share by which a number may exceed its limit for being rounded
+_I = np.eye(3)
 _PAUSE = 5.0  # periods without a setpoint, after which the arm counts as standing
 
 
@@ -106,6 +107,7 @@ class Guard:
         self.chain, self.limits = chain, limits
         self.tool_frame = tool_frame or chain.tip
         self.shut = "it was not opened yet"
+        self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
         self._now = -math.inf
 
@@ -232,11 +234,18 @@ class Guard:
         way, turn = speeds(T, wish.pose)
         _require_most("distance of the pose from where the joints put it", way, limits.apart)
         _require_most("turn of the pose from where the joints put it", turn, 5.0 * limits.apart)
-        gain = math.sqrt(max(float(np.linalg.eigvalsh(J @ J.T)[0]), 0.0)) if chain.n >= 6 else limits.gain
-        if not gain >= limits.gain:
-            said = f"its smallest gain is {gain:.3g}, {limits.gain:g} is the limit"
-            raise BadCommand("posture", f"is next to singular: {said}", "come from another posture")
+        if chain.n >= 6:
+            self._check_gain(J)
         return _Last(now, np.array(wish.pose), np.array(wish.q), dt, new)
+
+    def _check_gain(self, J: Array) -> None:
+        A = J @ J.T
+        try:  # J Jᵀ − g² I has a Cholesky factor where every singular value is above g; that is quicker to find
+            np.linalg.cholesky(A - self._least)
+        except np.linalg.LinAlgError:
+            gain = math.sqrt(max(float(np.linalg.eigvalsh(A)[0]), 0.0))
+            said = f"its smallest gain is {gain:.3g}, {self.limits.gain:g} is the limit"
+            raise BadCommand("posture", f"is next to singular: {said}", "come from another posture") from None
 
 
 def _require_most(what: str, value: float, most: float) -> None:
@@ -252,7 +261,7 @@ def _require_finite(what: str, array: Array, shape: tuple[int, ...]) -> None:
 def _require_rotation(what: str, T: Array) -> None:
     _require_finite(what, T, (4, 4))
     R = T[:3, :3]
-    if not (np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 and R[:, 0] @ crossed(R[:, 1], R[:, 2]) > 0.0):
+    if not (np.abs(R @ R.T - _I).max() <= 1e-6 and R[:, 0] @ crossed(R[:, 1], R[:, 2]) > 0.0):
         raise BadCommand(what, "is no rotation", "see what went wrong before")
     if not (T[3] == (0.0, 0.0, 0.0, 1.0)).all():
         raise BadCommand(what, "is no rigid transform", "see what went wrong before")

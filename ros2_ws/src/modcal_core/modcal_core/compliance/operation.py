@@ -32,6 +32,7 @@ _REST = 0.01  # rad/s or m/s of a joint that still counts as standing
 _STOOD = 2e-3  # m/s at which the tool has arrived
 _TARE_PATIENCE, _CHECK_PATIENCE = 10.0, 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
+_MEASURED_EVERY = 4  # ticks, after which it is looked anew how far it is open: some tenths of a millimetre
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
@@ -63,6 +64,8 @@ class Operation:
         self._untrusted = 0.0
         self._why, self._since = "", math.nan
         self._last = -math.inf
+        self._ticks = 0
+        self._at: float | None = None
         self._late, self._caution = math.nan, 1.0
         self._before: tuple[float, Array] | None = None
         self._stop: Stop | None = None
@@ -214,7 +217,10 @@ class Operation:
             if done is not None and not done.whole:
                 self._let_go(f"the arm cannot lead it to the goal: {done.why}", now)
                 return
-        at = course.configuration(T)
+        self._ticks += 1
+        if self._ticks % _MEASURED_EVERY == 0 or self._at is None:
+            self._at = course.configuration(T)
+        at = self._at
         left = course.left(at)
         wanted = self.task.speed if state.trusted else self.task.exploring
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
@@ -268,7 +274,7 @@ class Operation:
 
     def _believe(self, model: JointModel, T: Array) -> None:
         """Expect what a model says from now on; nothing jumps, and a way that has changed is looked at anew."""
-        before = self.expected
+        before, self._at = self.expected, None
         if self.course is None:
             assert self._pull is not None
             moved = T[:3, 3] - self._pull.start[:3, 3]
