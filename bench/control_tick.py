@@ -70,7 +70,9 @@ def over_dds(rng: np.random.Generator, messages: int) -> None:
     """Hostile messages among those of an honest arm; raises AssertionError where the witness objects."""
     with tempfile.TemporaryDirectory() as folder:
         domain = fresh_domain()
-        process = Process("impedance_setpoint", domain, Path(folder), direction="[-1.0, 0.0, 0.0]", tip=PANDA.tip)
+        process = Process(
+            "impedance_setpoint", domain, Path(folder), direction="[-1.0, 0.0, 0.0]", tip=PANDA.tip, use_sim_time=True
+        )
         with running(process), listener(domain) as (node, wait):
             arm = PulledArm(node)
             arm.ready(wait)

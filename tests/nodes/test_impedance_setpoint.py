@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,9 @@ BACK = "[-1.0, 0.0, 0.0]"
 
 def test_it_opens_a_door_and_says_nothing_before_and_after(tmp_path: Path) -> None:
     domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, goal_rad=0.35, tip=PANDA.tip)
+    process = Process(
+        "impedance_setpoint", domain, tmp_path, direction=BACK, goal_rad=0.35, tip=PANDA.tip, use_sim_time=True
+    )
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node)
         # not configured, not active: refused, with the reason
@@ -55,7 +56,8 @@ def test_it_opens_a_door_and_says_nothing_before_and_after(tmp_path: Path) -> No
         assert arm.health["pull"].level == DiagnosticStatus.OK
         # it is over: silence, until it is asked again
         arm.trajectories.clear()
-        time.sleep(0.4)
+        over = arm.now() + 0.5
+        wait(lambda: arm.now() > over, 60.0)
         assert arm.change(wait, Transition.TRANSITION_DEACTIVATE)
         assert not arm.ask(wait, "pull").success
         assert arm.trajectories == []
@@ -72,7 +74,7 @@ def test_it_opens_a_door_and_says_nothing_before_and_after(tmp_path: Path) -> No
 def test_parameters_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     """Configuring fails, with the reason; outside their bounds rclpy refuses them at the start."""
     domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, mode="both", tip=PANDA.tip)
+    process = Process("impedance_setpoint", domain, tmp_path, mode="both", tip=PANDA.tip, use_sim_time=True)
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node)
         assert not arm.change(wait, Transition.TRANSITION_CONFIGURE)
@@ -85,7 +87,7 @@ def test_parameters_that_make_no_sense_are_refused(tmp_path: Path) -> None:
 
 def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(tmp_path: Path) -> None:
     domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip)
+    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip, use_sim_time=True)
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node, Toy(door(), locked=True))
         arm.ready(wait)
@@ -108,14 +110,14 @@ def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(tmp_path: Path) -> N
 def test_nothing_hostile_makes_it_send_what_it_should_not(tmp_path: Path, rng: np.random.Generator) -> None:
     """A few thousand messages; bench/control_tick.py sends a hundred thousand and more."""
     domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip)
+    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip, use_sim_time=True)
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node)
         arm.ready(wait)
         arm.pull(wait)
         seen, pulls = fuzz(arm, wait, rng, 2_000)
         assert pulls > 2
-        assert seen > 100
+        assert seen > 50
         # and it is sound afterwards
         arm.silent = False
         arm.toy = Toy(door())
