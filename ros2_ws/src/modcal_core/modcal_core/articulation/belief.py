@@ -8,10 +8,11 @@ believed when it has won two rounds in a row: the first may have caught the old 
 from __future__ import annotations
 
 from collections import deque
+from typing import Literal
 
 import numpy as np
 
-from modcal_core.articulation.evidence import FIRST, FIRST_HELD, LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
+from modcal_core.articulation.evidence import FIRST, LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
@@ -20,6 +21,8 @@ from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
 
 FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
+_GUESSED: tuple[Kind, ...] = ("revolute", "screw", "revolute", "prismatic")
+_Stage = Literal["again", "fresh", "judge"]
 EVEN: dict[Kind, float] = {"rigid": 0.98, "prismatic": 0.0098, "revolute": 0.0098, "screw": 0.0004}
 
 
@@ -38,7 +41,8 @@ class Belief:
         self.scale = (1e-3, 0.01)
         self.rounds = 0
         self._rows: dict[tuple[Kind, int], Row] = {}
-        self._left: list[tuple[Kind, int, bool]] = []
+        self._left: list[tuple[Kind, int, _Stage]] = []
+        self._fresh: Row | None = None
         self._scene: Scene | None = None
         self._play, self._column, self._level = FEW[1], 0, np.zeros(1)
         self._turn = 0
@@ -51,18 +55,21 @@ class Belief:
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
     def think(self, nodes: Nodes) -> bool:
-        """One slot of the round, and now and then a step on the nodes of now; whether another kind is believed now."""
+        """A slot of the round, or a step on the nodes of now, or both; whether another kind is believed now."""
         other = False
+        self._turn += 1
+        live = self.motion is not None and self._turn % 2 == 0 and nodes.k >= FEWEST
+        if live and self.motion is not None:
+            now = Row(self.motion, self._level, self._column)
+            self.motion = glance(self._now(nodes), now, float(PLAYS[self._play]), self._turn).motion
+        if live and nodes.oriented:
+            return False  # with rotations, both together would take too long
         if self._left:
             self._slot(*self._left.pop())
             if not self._left:
                 other = self._conclude()
         elif nodes.k >= FEWEST:
             self._begin(nodes)
-        self._turn += 1
-        if self.motion is not None and self._turn % 2 and nodes.k >= FEWEST:
-            now = Row(self.motion, self._level, self._column)
-            self.motion = glance(self._now(nodes), now, float(PLAYS[self._play]), self._turn).motion
         return other
 
     def _now(self, nodes: Nodes) -> Scene:
@@ -77,32 +84,30 @@ class Belief:
         """A new round, on the nodes of now."""
         self._scene = self._now(nodes)
         self.rounds += 1
-        fresh = [(kind, FEW[self.rounds % len(FEW)], True) for kind in KINDS[1:]]
-        slots = [(kind, i, False) for kind in KINDS[1:3] for i in FEW]
-        slots += [("screw", FEW[(self.rounds + k) % len(FEW)], False) for k in range(2)]
-        self._left = list(reversed(slots + fresh))
+        # one new guess a round, and before all else, so that what takes its place is weighed with the rest
+        slots: list[tuple[Kind, int, _Stage]] = [(_GUESSED[self.rounds % 4], FEW[self.rounds % len(FEW)], "fresh")]
+        slots += [(kind, k, "again") for kind in KINDS[1:] for k in FEW]
+        self._left = slots[::-1]
 
-    def _slot(self, kind: Kind, i: int, fresh: bool) -> None:
+    def _slot(self, kind: Kind, i: int, stage: _Stage) -> None:
         """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
-        scene = self._scene
+        scene, known, play = self._scene, self._rows.get((kind, i)), float(PLAYS[i])
         assert scene is not None
-        level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
-        known = self._rows.get((kind, i))
-        if known is not None and not fresh:
-            self._rows[kind, i] = glance(scene, known, float(PLAYS[i]), self.rounds)
-            return
-        other = self._rows.get(("revolute", i))
-        guess = rough(scene.track, kind, None if other is None else other.motion, self.rounds)
-        if guess is None:
-            return
-        begin = Row(guess, level, FIRST if scene.track.oriented else 0)
-        found = glance(scene, begin, float(PLAYS[i]), FIRST_HELD)
-        found = glance(scene, found, float(PLAYS[i]), self.rounds)
-        if known is None or found.evidence.max() > known.evidence.max() + 1.0:
-            self._rows[kind, i] = found
-            if known is not None:
-                for j in FEW:
-                    self._rows[kind, j] = Row(found.motion, found.evidence, found.column)
+        if stage == "judge" and self._fresh is not None:
+            found = glance(scene, self._fresh, play, self.rounds)
+            if known is None or found.evidence.max() > known.evidence.max() + 1.0:
+                for j in FEW if known is not None else (i,):
+                    self._rows[kind, j] = found
+        elif stage == "again" and known is not None:
+            self._rows[kind, i] = glance(scene, known, play, self.rounds)
+        else:
+            other = self._rows.get(("revolute", i))
+            guess = rough(scene.track, kind, None if other is None else other.motion, self.rounds)
+            if guess is None:
+                return
+            level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
+            self._fresh = glance(scene, Row(guess, level, FIRST if scene.track.oriented else 0), play, -1)
+            self._left.append((kind, i, "judge"))
 
     def _conclude(self) -> bool:
         scene = self._scene

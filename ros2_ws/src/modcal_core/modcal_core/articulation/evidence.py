@@ -21,7 +21,8 @@ See MacKay, Information Theory, Inference, and Learning Algorithms (2003), chapt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,26 @@ class Scene:
     position: Array
     rotation: Array
     moved: float
+    _roots: dict[float, tuple[Array, float]] = field(default_factory=dict, repr=False, compare=False)
+
+    def by_play(self, play: float) -> tuple[Array, float]:
+        """Cholesky factor (k, k) of the positions' covariance, and half its log determinant with the Gaussian's 2π."""
+        return self._root(play, self.position)
+
+    def by_sway(self, sway: float) -> tuple[Array, float]:
+        """The same of the rotations' covariance."""
+        return self._root(-sway, self.rotation)
+
+    def _root(self, key: float, rest: Array) -> tuple[Array, float]:
+        if key not in self._roots:
+            self._roots[key] = _root(key**2 * self.kernel + rest)
+        return self._roots[key]
+
+    @cached_property
+    def turned(self) -> Array:
+        """Rotations of nodes from their mean (3, k) [rad]."""
+        assert self.track.rotations is not None
+        return so3.log(so3.mean(self.track.rotations).T @ self.track.rotations).T
 
     @classmethod
     def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float]) -> Scene:
@@ -120,14 +141,16 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
     """The same row a little later, when nodes have changed a little: one step, and evidence at the best sway and one
     more.
 
-    turn: chooses the other sway, so that all of them get their turn.
+    turn: chooses the other sway, so that all of them get their turn, neighbours more often; below 0: a hand that keeps
+    its orientation.
     """
     terms = _Terms.of(scene, before.motion, play)
     columns = {0}
     logs = before.evidence.copy()
     if scene.track.oriented:
         # all others move along with the best, until they are looked at again
-        columns = {before.column, turn % len(SWAYS)}
+        near = (before.column - 1, before.column + 1, turn // 3)[turn % 3] % len(SWAYS)
+        columns = {before.column, near if turn >= 0 else FIRST_HELD}
     step = np.zeros(before.motion.size)
     shift, most = 0.0, -np.inf
     for c in columns:
@@ -153,7 +176,6 @@ class _Terms:
     across: Array  # (2 or 3, k, 1 + size) across the path, whitened
     log_det: float
     turn: Array | None  # (2 or 3, k, 1 + size) rotation that no position tells of
-    held: Array | None  # (3, k) rotation from the mean of all
     mixed: Array | None  # (k, 1 + size) rotation about the axis against the angle of the position
 
     @classmethod
@@ -168,44 +190,38 @@ class _Terms:
             both = both - by_a[:, :, None] * along[:, None, :]
         N = motion.across
         position = np.einsum("nmk,md->dnk", both[:, :3], N)
-        L = np.linalg.cholesky(play**2 * scene.kernel + scene.position)
-        k = len(a)
+        L, half = scene.by_play(play)
         white = _whiten(L, position)
-        log_det = len(position) * (np.log(np.diag(L)).sum() + 0.5 * k * np.log(2.0 * np.pi))
-        turn = mixed = held = None
+        log_det = len(position) * half
+        turn = mixed = None
         if track.oriented:
-            assert track.rotations is not None
-            held = so3.log(so3.mean(track.rotations).T @ track.rotations).T
             turned = np.moveaxis(both[:, 3:], 1, 0)
             turn, mixed = (turned[:2], turned[2]) if motion.turns else (turned, None)
-        return cls(motion, white, float(log_det), turn, held, mixed)
+        return cls(motion, white, float(log_det), turn, mixed)
 
     def _system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
         flat = self.across.reshape(-1, self.across.shape[-1])
         total = flat.T @ flat
         log_det = self.log_det
-        if self.turn is not None and self.held is not None:
-            sway = SWAYS[column]
-            C = sway**2 * scene.kernel + scene.rotation
-            half = 0.5 * len(C) * np.log(2.0 * np.pi)
-            L = np.linalg.cholesky(C)
+        if self.turn is not None:
+            L, half = scene.by_sway(float(SWAYS[column]))
             if HELD[column]:
-                squares, weight = _about_mean(L, self.held)
+                squares, weight = _about_mean(L, scene.turned)
                 total[0, 0] += squares
                 j = total.shape[0] - self.motion.size + self.motion.start_turn
                 total[[j, j + 1, j + 2], [j, j + 1, j + 2]] += weight
-                log_det += 3 * (np.log(np.diag(L)).sum() + half)
-                return self._with_prior(total, log_det)
+                return self._with_prior(total, log_det + 3 * half)
             white = _whiten(L, self.turn).reshape(-1, total.shape[0])
             total = total + white.T @ white
-            log_det += len(self.turn) * (np.log(np.diag(L)).sum() + half)
+            log_det += len(self.turn) * half
             if self.mixed is not None:
                 per = self.motion.r**2 + self.motion.h**2
-                L = np.linalg.cholesky(C + (play**2 * scene.kernel + scene.position) / per)
+                both = SWAYS[column] ** 2 + play**2 / per
+                L, half = _root(both * scene.kernel + scene.rotation + scene.position / per)
                 white = _whiten(L, self.mixed[None])[0]
                 total = total + white.T @ white
-                log_det += np.log(np.diag(L)).sum() + half
+                log_det += half
         return self._with_prior(total, log_det)
 
     def _with_prior(self, total: Array, log_det: float) -> tuple[float, Array, Array, float]:
@@ -263,11 +279,17 @@ def _about_mean(L: NDArray[Any], held: Array) -> tuple[float, float]:
     return float((both[:3] ** 2).sum() - ((both[:3] @ one) ** 2).sum() / weight), weight
 
 
+def _root(C: NDArray[Any]) -> tuple[Array, float]:
+    """Cholesky factor of a covariance (k, k), and half its log determinant with the Gaussian's 2π."""
+    L = np.asarray(np.linalg.cholesky(C), dtype=float)
+    return L, float(np.log(L.diagonal()).sum() + 0.5 * len(L) * np.log(2.0 * np.pi))
+
+
 def _whiten(L: NDArray[Any], blocks: Array) -> Array:
     """L⁻¹ on each of (d, k, c)."""
     d, k, c = blocks.shape
-    side = np.moveaxis(blocks, 0, 1).reshape(k, d * c)
-    return np.moveaxis(dtrtrs(L, side, lower=1)[0].reshape(k, d, c), 1, 0)
+    side = blocks.transpose(1, 0, 2).reshape(k, d * c)
+    return dtrtrs(L, side, lower=1)[0].reshape(k, d, c).transpose(1, 0, 2)
 
 
 def still(moved: float) -> float:

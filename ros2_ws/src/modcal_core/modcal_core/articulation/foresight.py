@@ -60,7 +60,10 @@ class Foresight:
         """
         length = float(np.linalg.norm(motion.tangent[:3]))
         ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else np.inf)
-        for kept in list(self._kept):
+        for side in (1.0, -1.0):
+            kept = next((k for k in self._kept if k.side == side), None)  # the one whose time comes first
+            if kept is None:
+                continue
             b = kept.motion.configurations(here, _POSITIONS)
             if kept.side * (float(b[0]) - kept.until) >= 0.0:
                 self._kept.remove(kept)

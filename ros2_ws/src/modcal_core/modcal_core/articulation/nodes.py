@@ -55,7 +55,7 @@ class Nodes:
     def _coarsen(self) -> None:
         rows, counts, k = self._sums[: self.k].copy(), self.counts[: self.k].copy(), self.k
         while True:
-            self.reach *= 1.5
+            self.reach *= 1.2
             self.k = 0
             self.counts[:] = 0.0
             for i in range(k):

@@ -216,9 +216,9 @@ class Tracker:
         motion, nodes = self._belief.motion, self._nodes
         assert motion is not None
         assert nodes is not None
-        track = nodes.track()
-        assert track is not None
-        path = motion.configurations(track, (1.0, 1e9)) * float(np.linalg.norm(motion.tangent[:3]))
+        path = motion.configurations(_some(nodes.means()[:, :3], None), (1.0, 1e9)) * float(
+            np.linalg.norm(motion.tangent[:3])
+        )
         return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> State:
@@ -247,8 +247,13 @@ def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[floa
 
 
 def _one(p: Array, R: Array | None) -> Track:
-    """One sample, which is no track to the door but is one to a motion."""
+    """One sample as a track."""
+    return _some(p[None], None if R is None else R[None])
+
+
+def _some(p: Array, R: Array | None) -> Track:
+    """Samples that are too few for a track at the door, but enough for a motion."""
     track = Track.__new__(Track)
-    object.__setattr__(track, "positions", p[None])
-    object.__setattr__(track, "rotations", None if R is None else R[None])
+    object.__setattr__(track, "positions", p)
+    object.__setattr__(track, "rotations", R)
     return track
