@@ -133,6 +133,9 @@ def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: flo
             said = health.last[PULL].message
         except AssertionError:
             said = f"no end within {patience:g} s: {health.last[PULL].message}"
+        # the truth of that moment may have to be heard yet
+        over = health.at[PULL]
+        wait(lambda: min(told.forces[-1][0], told.opened[-1][0]) >= over, 30.0)
         ended = told.forces[-1][0]
         for process in made:
             process.stop()

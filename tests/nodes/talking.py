@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.mcap_read import McapFile
+from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.types import jazzy
 
 # deep enough that a machine that is busy with other things makes no publisher forget what was not yet heard
@@ -88,18 +89,22 @@ def strings_on_disk(bag: Path, topic: str) -> list[str]:
 
 
 class Diagnostics:
-    """What nodes have said on /diagnostics, by the name of the status; ``worst`` and ``texts`` over all time."""
+    """What nodes have said on /diagnostics, by the name of the status.
+
+    ``worst`` and ``texts`` over all time; ``at``: stamps of the last [s].
+    """
 
     def __init__(self, node: Node) -> None:
         """Begin to listen."""
         self.last: dict[str, DiagnosticStatus] = {}
+        self.at: dict[str, float] = {}
         self.worst: dict[str, bytes] = {}
         self.texts: dict[str, set[str]] = {}
         node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
 
     def _hear(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.last[status.name] = status
+            self.last[status.name], self.at[status.name] = status, seconds(message.header.stamp)
             self.worst[status.name] = max(self.worst.get(status.name, b"\0"), status.level)
             self.texts.setdefault(status.name, set()).add(status.message)
 
