@@ -31,9 +31,11 @@ class _Piece:
         self.last[source] = stamp
         self.count += 1
 
-    def goes_on(self, source: tuple[str, str], stamp: float) -> bool:
-        """Whether this stamp may be the next of this source, in this piece."""
-        return stamp >= self.last.get(source, self.joints_from) - _JUMP
+    def awaits(self, source: tuple[str, str], stamp: float, newer: _Piece) -> bool:
+        """Whether a reading that comes when a newer piece has begun is of this piece's time."""
+        if newer.joints_from > self.joints_from:
+            return self.joints_from <= stamp < newer.joints_from
+        return source not in newer.last and stamp >= self.last.get(source, self.joints_from) - _JUMP
 
     def recording(self) -> Recording:
         """What was taken so far."""
@@ -68,7 +70,7 @@ class Memory:
             self._follow_clock(stamp)
             if not self._names.issuperset(message.name):
                 self._names |= set(message.name)
-        elif self._before is not None and self._before.goes_on(source, stamp) and source not in self._now.last:
+        elif self._before is not None and self._before.awaits(source, stamp, self._now):
             self._before.add(source, stamp, (topic, type_name, message, received))
             return
         elif stamp < self._now.last.get(source, stamp) - _JUMP:
@@ -83,16 +85,15 @@ class Memory:
 
     def _follow_clock(self, stamp: float) -> None:
         """Begin a new piece where a joint state's stamp asks for one."""
-        if stamp < self._now.joints_to - _JUMP:
+        set_back = stamp < self._now.joints_to - _JUMP
+        if set_back or stamp - self._now.joints_from > self._longest:
             if self._before is not None:
                 self._finish(self._before)
-            # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. What
-            # was read before the clock was set back may come yet, and what was read since may have come already.
+            # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. So
+            # readings of the piece that ends may come yet; where the clock was set back, some since may have come.
             self._before, self._now = self._now, _Piece()
-            self._take_early()
-        elif stamp - self._now.joints_from > self._longest:
-            self._finish(self._now)
-            self._now = _Piece()
+            if set_back:
+                self._take_early()
         self._now.joints_from = stamp if math.isnan(self._now.joints_from) else self._now.joints_from
         self._now.joints_to = stamp
 
