@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -31,9 +28,9 @@ from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
 from modcal_nodes.parameters import ARTICULATION_ESTIMATOR, declare, values
-from modcal_nodes.running import LATCHED, run
+from modcal_nodes.refusals import Refusals
+from modcal_nodes.running import FRESH, LATCHED, run
 
-_FEW = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 _POSES: dict[str, type] = {
     "tool_pose": PoseWithCovarianceStamped,
     "tracker/pose": PoseStamped,
@@ -41,7 +38,6 @@ _POSES: dict[str, type] = {
 }
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
-_SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
 _BACK = 1.0  # s that time must jump back for it to be another time, and not a message that came late
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
@@ -63,7 +59,7 @@ class ArticulationEstimator(Node):
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
-        self._faults: dict[str, tuple[float, str]] = {}
+        self._refusals = Refusals(self)
         self._rest: list[Array] = []
         self._force = 0.0
 
@@ -73,14 +69,16 @@ class ArticulationEstimator(Node):
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
         topic = chosen["input"]
-        take = self._guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
+        take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
         self._ears = [
-            Ear(self, JointState if topic == _JOINTS else _POSES[topic], topic, take, _FEW, needed=True, single=True),
-            Ear(self, WrenchStamped, "wrench", self._guarded("wrench", self._take_wrench), _FEW),
+            Ear(self, JointState if topic == _JOINTS else _POSES[topic], topic, take, FRESH, needed=True, single=True),
+            Ear(self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), FRESH),
         ]
-        self._health = Health(self, self._report)
         if topic == _JOINTS:
-            self.create_subscription(String, "robot_description", self._take_description, LATCHED)
+            needed = not chosen["robot_description"]
+            heard = self._refusals.guarded("robot_description", self._take_description)
+            self._ears.append(Ear(self, String, "robot_description", heard, LATCHED, needed=needed))
+        self._health = Health(self, self._report)
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _forget(self) -> None:
@@ -103,18 +101,6 @@ class ArticulationEstimator(Node):
         return response
 
     # what it hears
-
-    def _guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """The callback, with what it refuses said and counted."""
-
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except ModcalError as error:
-                self._faults[part] = (time.monotonic(), str(error))
-                self.get_logger().warning(str(error), throttle_duration_sec=2.0)
-
-        return guarded
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -233,8 +219,7 @@ class ArticulationEstimator(Node):
         self._status.publish(message)
 
     def _report(self) -> list[Status]:
-        since = time.monotonic() - _SAID_FOR
-        refused = "; ".join(said for at, said in self._faults.values() if at >= since)
+        refused = self._refusals.recent()
         lines = [
             hearing_status(self._ears),
             Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
@@ -268,7 +253,3 @@ def _alike(one: JointModel, other: JointModel) -> bool:
 def main() -> None:
     """Entry point of the executable."""
     run(ArticulationEstimator)
-
-
-if __name__ == "__main__":
-    main()

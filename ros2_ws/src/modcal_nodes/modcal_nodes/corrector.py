@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +28,11 @@ from modcal_nodes.files import parse_calibration, read_calibration
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
 from modcal_nodes.parameters import CORRECTOR, declare, values
-from modcal_nodes.running import LATCHED, run
+from modcal_nodes.refusals import Refusals
+from modcal_nodes.running import FRESH, LATCHED, run
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-_FEW = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-_SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
 _NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
 
@@ -57,18 +54,18 @@ class Corrector(Node):
         self._approach, self._signals = Approach(), SignalsHeard()
         self._announced: Robot | None = None
         self._last = -np.inf
-        self._faults: dict[str, tuple[float, str]] = {}
-        self._counts = {"poses": 0, "commands": 0, "refused": 0}
+        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+        self._counts = {"poses": 0, "commands": 0}
 
         self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
         self._states = self.create_publisher(JointState, "~/joint_states", 10)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
-        wish = self._guarded("desired_pose", self._take_desired)
+        guarded = self._refusals.guarded
         self._ears = [
-            Ear(self, JointState, "joint_states", self._guarded("joint_states", self._take_joints), _FEW, needed=True),
-            Ear(self, Temperature, "temperature", self._guarded("temperature", self._take_temperature), _FEW),
-            Ear(self, PoseStamped, "desired_pose", wish, _NEWEST, single=True),
+            Ear(self, JointState, "joint_states", guarded("joint_states", self._take_joints), FRESH, needed=True),
+            Ear(self, Temperature, "temperature", guarded("temperature", self._take_temperature), FRESH),
+            Ear(self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True),
             Ear(self, String, "robot_description", self._take_description, LATCHED),
             Ear(self, String, "calibration", self._take_calibration, LATCHED),
         ]
@@ -93,7 +90,7 @@ class Corrector(Node):
             self._calibration = parse_calibration(message.data, "topic calibration")
         except ModcalError as error:
             # the one in use was made for this robot, and stays
-            self._fault("calibration", str(error))
+            self._refusals.refuse("calibration", str(error))
             self._refusal = self._refusal if self._commander.robot else str(error)
             return
         self._meet()
@@ -153,17 +150,6 @@ class Corrector(Node):
 
     # what it hears
 
-    def _guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """The callback, with what it refuses said and counted."""
-
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except ModcalError as error:
-                self._fault(part, str(error))
-
-        return guarded
-
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
 
@@ -214,7 +200,7 @@ class Corrector(Node):
             self._commander.change_over(at, at.stamp)
             self._announce()
         except ModcalError as error:
-            self._fault("calibration", str(error))
+            self._refusals.refuse("calibration", str(error))
         setpoint = self._commander.setpoint(pose, message.header.frame_id, at, at.stamp)
         now = self._now()
         if chosen["stream"]:
@@ -222,7 +208,9 @@ class Corrector(Node):
         self._send(joints.names, setpoint, now)
         self._commander.sent(setpoint, now)
         if unseen := setpoint.command.unseen:
-            self._fault("range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them")
+            self._refusals.refuse(
+                "range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them"
+            )
 
     def _send(self, names: tuple[str, ...], setpoint: Setpoint, now: float) -> None:
         finite(setpoint.q, np.array(setpoint.seconds))
@@ -245,22 +233,10 @@ class Corrector(Node):
 
     # what it says of itself
 
-    def _fault(self, part: str, said: str) -> None:
-        self._counts["refused"] += part == "desired_pose"
-        news = not self._recent(part)
-        self._faults[part] = (time.monotonic(), said)
-        self.get_logger().warning(said, throttle_duration_sec=2.0)
-        if news:
-            self._health.publish_if_changed()
-
-    def _recent(self, *parts: str) -> str:
-        since = time.monotonic() - _SAID_FOR
-        return "; ".join(self._faults[p][1] for p in parts if p in self._faults and self._faults[p][0] >= since)
-
     def _report(self) -> list[Status]:
         robot, counts = self._commander.robot, self._counts
-        commands = {"commands": counts["commands"], "refused": counts["refused"]}
-        said = self._recent("desired_pose", "range")
+        commands = {"commands": counts["commands"], "refused": self._refusals.counts["desired_pose"]}
+        said = self._refusals.recent("desired_pose", "range")
         return [
             hearing_status(self._ears),
             self._calibration_status(robot) if robot else Status("calibration", ERROR, self._refusal),
@@ -271,7 +247,7 @@ class Corrector(Node):
     def _calibration_status(self, robot: Robot) -> Status:
         correction = robot.correction
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
-        said = self._recent("calibration")
+        said = self._refusals.recent("calibration")
         if self._commander.waiting is not None:
             said = f"a new one waits for the stream to pause; {said}".rstrip("; ")
         elif not said and correction.calibration.uncertainty is None:
@@ -290,7 +266,7 @@ class Corrector(Node):
             correction.require(at)
         except ModcalError as error:
             return Status("correction", ERROR, str(error), facts)
-        said = self._recent("joint_states", "temperature")
+        said = self._refusals.recent("joint_states", "temperature")
         if silent := self._signals.silent(correction.needs, now):
             said = f"{', '.join(silent)}: silent, the last value is used"
         elif unseen := correction.unseen(at.q):

@@ -11,7 +11,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -30,11 +30,10 @@ from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
 from modcal_nodes.parameters import IMPEDANCE_SETPOINT, declare, values
-from modcal_nodes.running import LATCHED, run
+from modcal_nodes.refusals import Refusals
+from modcal_nodes.running import FRESH, LATCHED, run
 from modcal_nodes.setpoint.arm import Arm, task
 
-_FEW = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-_SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
 _TICKS = 2000  # of which the times are remembered
 _LATE = 1.5  # periods between two ticks
 
@@ -57,8 +56,8 @@ class ImpedanceSetpoint(LifecycleNode):
         self._tool: tuple[float, Any] | None = None
         self._ears: list[Ear] = []
         self._timer: Timer | None = None
-        self._faults: dict[str, tuple[float, str]] = {}
-        self._counts = {"setpoints": 0, "late ticks": 0, "refused": 0}
+        self._refusals = Refusals(self)
+        self._counts = {"setpoints": 0, "late ticks": 0}
         self._took: deque[float] = deque(maxlen=_TICKS)
         self._before = 0.0
         self._health = Health(self, self._report)
@@ -91,7 +90,7 @@ class ImpedanceSetpoint(LifecycleNode):
             if urdf := self._chosen["robot_description"] or self._urdf:
                 self._describe(urdf)
         except ModcalError as error:
-            self._fault("robot_description", str(error))
+            self._refusals.refuse("robot_description", str(error))
         self._configured = True
         if not self._ears:  # which stay: what is latched would not be heard a second time
             self._listen()
@@ -99,15 +98,15 @@ class ImpedanceSetpoint(LifecycleNode):
 
     def _listen(self) -> None:
         heard: list[tuple[type, str, Callable[[Any], None], QoSProfile, bool]] = [
-            (JointState, "joint_states", self._take_joints, _FEW, True),
-            (WrenchStamped, "wrench", self._take_wrench, _FEW, True),
+            (JointState, "joint_states", self._take_joints, FRESH, True),
+            (WrenchStamped, "wrench", self._take_wrench, FRESH, True),
             (String, "robot_description", self._take_description, LATCHED, not self._chosen["robot_description"]),
             (String, "object_description", self._take_object, LATCHED, False),
-            (DiagnosticArray, "object_status", self._take_status, _FEW, False),
-            (PoseWithCovarianceStamped, "tool_pose", self._take_tool, _FEW, self._chosen["calibrated"]),
+            (DiagnosticArray, "object_status", self._take_status, FRESH, False),
+            (PoseWithCovarianceStamped, "tool_pose", self._take_tool, FRESH, self._chosen["calibrated"]),
         ]
         self._ears = [
-            Ear(self, kind, topic, self._guarded(topic, callback), qos, needed=needed, single=needed)
+            Ear(self, kind, topic, self._refusals.guarded(topic, callback), qos, needed=needed, single=needed)
             for kind, topic, callback, qos, needed in heard
         ]
 
@@ -192,17 +191,6 @@ class ImpedanceSetpoint(LifecycleNode):
 
     # what it hears
 
-    def _guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """The callback, with what it refuses said and counted."""
-
-        def guarded(message: Any) -> None:
-            try:
-                callback(message)
-            except ModcalError as error:
-                self._fault(part, str(error))
-
-        return guarded
-
     def _take_description(self, message: String) -> None:
         self._urdf = message.data
         known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.urdf)
@@ -255,7 +243,7 @@ class ImpedanceSetpoint(LifecycleNode):
             stamp, T = self._measured(now)
         except ModcalError as error:
             stamp, T = -np.inf, np.eye(4)  # too old for anything, which the operation waits for
-            self._fault("tool_pose", str(error))
+            self._refusals.refuse("tool_pose", str(error))
         q = joints.position.copy()
         answer = operation.tick(now, T, arm.sensor, Joints(q, stamp), self._object.at(now))
         if isinstance(answer, Setpoint):
@@ -312,17 +300,12 @@ class ImpedanceSetpoint(LifecycleNode):
                 log.error(said)
         self._level, self._said = level, said
 
-    def _fault(self, part: str, said: str) -> None:
-        self._counts["refused"] += 1
-        self._faults[part] = (time.monotonic(), said)
-        self.get_logger().warning(said, throttle_duration_sec=2.0)
-
     def _report(self) -> list[Status]:
-        since = time.monotonic() - _SAID_FOR
-        refused = "; ".join(said for when, said in self._faults.values() if when >= since)
+        refused = self._refusals.recent()
         took = np.percentile(self._took, [50.0, 99.0]) * 1e3 if self._took else (0.0, 0.0)
         facts = {
             **self._counts,
+            "refused": self._refusals.counts.total(),
             "phase": self._operation.phase if self._operation else "",
             "force N": f"{float(np.linalg.norm(self._operation.force[:3])):.1f}" if self._operation else "",
             "tick ms, median": f"{took[0]:.2f}",

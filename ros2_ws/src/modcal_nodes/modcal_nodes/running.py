@@ -17,6 +17,8 @@ from modcal_core.errors import ModcalError
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # nothing is lost where the publisher can repeat it; one that cannot is heard as it is, see hearing.py
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+# what is acted on at once: a long queue would only make it old
+FRESH = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 def run(make: Callable[[], Node], rest: float = 0.0) -> None:
