@@ -27,7 +27,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.files import read_calibration
+from modcal_nodes.inputs import read_calibration
 
 pytestmark = pytest.mark.dds
 STATIONS = 48

@@ -33,9 +33,10 @@ from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.state import State, read_state, write_state
 from modcal_nodes.calibrating.telling import Times, model_status, sample_status, tracker_status
-from modcal_nodes.files import read_cell, write_folder
+from modcal_nodes.files import write_folder
 from modcal_nodes.health import Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.inputs import read_cell
 from modcal_nodes.parameters import CALIBRATOR, declare, values
 from modcal_nodes.running import LATCHED, SENSOR, run
 

@@ -24,9 +24,9 @@ from modcal_core.measurements.approach import Approach
 from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.files import parse_calibration, read_calibration
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.inputs import parse_calibration, read_calibration
 from modcal_nodes.parameters import CORRECTOR, declare, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import FRESH, LATCHED, run

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
@@ -122,6 +121,8 @@ def delayed(t: Array, x: Array, lag: float, at: Array) -> Array:
     grid = np.arange(t[0], t[-1] + step, step)
     even = np.interp(grid, t, x)
     if lag > 0.0:
+        from scipy.signal import lfilter  # takes half a second, and only lagging drivers need it
+
         keep = np.exp(-step / lag)
         even = lfilter([1.0 - keep], [1.0, -keep], even - even[0]) + even[0]
     elif lag < 0.0:

@@ -9,10 +9,9 @@ and each reading becomes a sample with the posture interpolated to its stamp.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
@@ -27,6 +26,9 @@ from modcal_core.measurements.recording import (
     joint_stamps_and_positions,
 )
 from modcal_core.measurements.samples import Samples
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
     if not 0.0 < step <= rules.window:
         return np.empty((0, 2))
     width = max(3, round(rules.window / step) | 1)
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # at the top, it would keep `modcal info` waiting
+
     spread = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
     # second differences of a moving arm are small, those of encoder noise are not
     noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
@@ -176,6 +180,8 @@ def _course(t: Array, q: Array) -> CubicSpline:
 
     Seconds since the epoch would lose digits in the powers of a spline.
     """
+    from scipy.interpolate import CubicSpline  # takes half a second, and only moving recordings need it
+
     keep = np.r_[True, np.diff(t) > 0.0]
     return CubicSpline(t[keep] - t[0], q[keep])
 

@@ -14,7 +14,8 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_nodes.files import read_calibration, write_folder
+from modcal_nodes.files import write_folder
+from modcal_nodes.inputs import read_calibration
 
 _SAMPLES = "samples.npz"
 _SHARED = ("names", "frames", "signals")

@@ -19,7 +19,8 @@ from modcal_core.report.articulation import Articulation, to_html, to_json_data
 from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.files import read_calibration, to_json, write_folder
+from modcal_nodes.files import to_json, write_folder
+from modcal_nodes.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MOST = 2000  # samples; of more, evenly chosen ones say the same

@@ -20,7 +20,8 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.show import show_report
-from modcal_nodes.files import read_calibration, read_cell, write_folder
+from modcal_nodes.files import write_folder
+from modcal_nodes.inputs import read_calibration, read_cell
 from modcal_nodes.results import calibration_files, report_files
 
 EXISTING = click.Path(exists=True, path_type=Path)

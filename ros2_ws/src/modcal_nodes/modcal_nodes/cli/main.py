@@ -7,44 +7,59 @@ nothing has been written. Exit 1: our own fault, with the traceback that a bug r
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Sequence
+from importlib import import_module
 
 import click
 
 import modcal_core
 from modcal_core.errors import ModcalError
-from modcal_nodes.cli.articulate import articulate_command
-from modcal_nodes.cli.assemble import assemble_command, modules_command
-from modcal_nodes.cli.calibrate import calibrate_command, evaluate_command
-from modcal_nodes.cli.plan import plan_command
-from modcal_nodes.cli.recordings import import_command, info_command
-from modcal_nodes.cli.repair import repair_command
-from modcal_nodes.cli.synthesize import synthesize_command
+
+# Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
+# the readers of bags take a second or two, which a request for help should not.
+VERBS = {
+    "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
+    "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
+    "plan": ("plan", "plan_command", "Propose the stations that tell explanations apart."),
+    "info": ("info", "info_command", "Say what is in BAG, what it can be used for, and what looks wrong."),
+    "import": ("import_tables", "import_command", "Turn CSV tables into a bag."),
+    "repair": ("repair", "repair_command", "Make a whole bag of one that was cut."),
+    "assemble": ("assemble", "assemble_command", "Make a robot of a list of modules."),
+    "modules": ("assemble", "modules_command", "What physical modules are off by, learned over assemblies."),
+    "synthesize": ("synthesize", "synthesize_command", "Find the assembly of modules that does a task."),
+    "articulate": ("articulate", "articulate_command", "Say how the handle in BAG moves, and write it as a URDF."),
+}
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+class _Verbs(click.Group):
+    """Verbs that are imported when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a verb, or None."""
+        if cmd_name not in VERBS:
+            return None
+        module, command, _ = VERBS[cmd_name]
+        found = getattr(import_module(f"modcal_nodes.cli.{module}"), command)
+        assert isinstance(found, click.Command)
+        return found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of verbs."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(verb, said) for verb, (_, _, said) in VERBS.items()])
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(modcal_core.__version__, prog_name="modcal")
 def modcal() -> None:
     """Make a robot arm tell the truth about where its tool is.
 
     Reads bags of joint states and tracker readings, finds what the arm's model gets wrong, and says what is left.
     """
-
-
-for _command in (
-    calibrate_command,
-    evaluate_command,
-    plan_command,
-    import_command,
-    info_command,
-    repair_command,
-    assemble_command,
-    modules_command,
-    articulate_command,
-    synthesize_command,
-):
-    modcal.add_command(_command)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -66,6 +81,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return 130
     except Exception:
+        import traceback
+
         traceback.print_exc()
         click.echo("modcal: this is a fault of modcal; please report it with the lines above", err=True)
         return 1

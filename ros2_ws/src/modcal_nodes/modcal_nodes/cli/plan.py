@@ -12,7 +12,8 @@ from modcal_core.calibration.deciding import Proposal, propose
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.files import read_calibration, to_yaml, write_folder
+from modcal_nodes.files import to_yaml, write_folder
+from modcal_nodes.inputs import read_calibration
 
 _BY_POSTURE = ("position", "load", "direction")
 

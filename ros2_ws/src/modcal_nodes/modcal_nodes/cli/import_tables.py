@@ -1,0 +1,44 @@
+"""``modcal import``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from modcal_core.errors import BadTable
+from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.tables import import_tables
+from modcal_nodes.files import read_yaml
+
+_EXISTING = click.Path(exists=True, path_type=Path)
+
+
+@click.command("import")
+@click.argument("mapping", type=_EXISTING)
+@click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: that of MAPPING.")
+@click.option("--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag.")
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="The bag. Default: the mapping's name.")
+def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None) -> None:
+    """Turn CSV tables into a bag, as MAPPING (a YAML file) says."""
+    stated = read_yaml(mapping)
+    folder = data or mapping.parent
+    recording = import_tables(stated, folder, mapping.name)
+    urdf = urdf or _stated_urdf(stated, mapping, folder)
+    if urdf is not None:
+        recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+    out = out or Path(mapping.stem)
+    write_recording(recording, out)
+    count = sum(len(r.stamps) for r in recording.readings)
+    click.echo(f"{out}: {count} stations, {len(recording.frames)} frame{'s' * (len(recording.frames) != 1)}")
+
+
+def _stated_urdf(stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:
+    name = stated.get("urdf")
+    if name is None:
+        return None
+    for root in (mapping.parent, folder):
+        if (root / str(name)).is_file():
+            return root / str(name)
+    raise BadTable(f"{mapping.name}: urdf {name}", "is neither beside the mapping nor in --data", "correct the path")
