@@ -16,7 +16,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.mcap_read import McapFile, read_bag
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.recording_write import write_recording

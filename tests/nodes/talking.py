@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.mcap_read import McapFile
+from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.types import jazzy
 

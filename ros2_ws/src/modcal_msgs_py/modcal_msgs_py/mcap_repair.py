@@ -26,8 +26,9 @@ from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
+from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
-from modcal_msgs_py.mcap_read import McapFile, RawMessage, bag_files
+from modcal_msgs_py.mcap_walk import McapFile, RawMessage
 from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}

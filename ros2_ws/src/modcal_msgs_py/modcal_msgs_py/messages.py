@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import (
     PART,
     WIDTH,
@@ -22,6 +23,7 @@ from modcal_core.measurements.recording import (
     Recording,
     SignalTrack,
 )
+from modcal_msgs_py.layout import Bytes, Layout, numeric_paths
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
 
@@ -44,9 +46,14 @@ class _Rows:
         else:
             self.values.frombytes(np.asarray(values, dtype=float).tobytes())
 
-    def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def extend(self, stamps: Array, received: Array, values: Array) -> None:
+        """Add many rows: stamps and received (n,), values (n, width)."""
+        for column, new in ((self.stamps, stamps), (self.received, received), (self.values, values)):
+            column.frombytes(np.ascontiguousarray(new, dtype=float).tobytes())
+
+    def columns(self) -> tuple[Array, Array, Array]:
         """(stamps (N,), received (N,), values (N, width)), copied."""
-        return np.array(self.stamps), np.array(self.received), np.array(self.values).reshape(-1, self.width)
+        return np.array(self.stamps), np.array(self.received), np.array(self.values).reshape(len(self.stamps), self.width)
 
 
 class RecordingBuilder:
@@ -86,6 +93,41 @@ class RecordingBuilder:
                 part = f"{PART}{path[1:]}" if len(numbers) > 1 else ""
                 self._signal(topic, f"signal:{topic}{part}", stamp, received, [value])
 
+    def add_rows(self, topic: str, type_name: str, layout: Layout, rows: Bytes, received: Array) -> None:
+        """Take messages of one layout, as rows (n, bytes), received at these times (n,) [s]: ``add`` for each."""
+        role = role_of(topic, type_name)
+
+        def column(path: str) -> Array:
+            return layout.numbers(rows, path).astype(float)
+
+        stamps = received
+        if "header/stamp/sec" in layout.columns:
+            stamps = column("header/stamp/sec")[:, 0] + 1e-9 * column("header/stamp/nanosec")[:, 0]
+            without = (stamps == 0.0) & np.isfinite(received)
+            if without.any():
+                self._unstamped[topic] = self._unstamped.get(topic, 0) + int(without.sum())
+                stamps = np.where(without, received, stamps)
+        frame = layout.texts.get("header/frame_id", "")
+        if role == JOINT_STATES:
+            columns = [column(path) for path in ("position", "velocity", "effort")]
+            self._add_joint_rows(topic, layout, stamps, received, columns)
+        elif role in READINGS:
+            kind = READINGS[role]
+            values = np.hstack([column(path) for path in READING_PATHS[kind]])
+            self._readings.setdefault((topic, kind, frame), _Rows(WIDTH[kind])).extend(stamps, received, values)
+        elif role == ROBOT_DESCRIPTION:
+            self._description[topic] = layout.texts["data"]
+        elif role == NOTES:
+            self._notes += [layout.texts["data"]] * len(rows)
+        elif role == TEMPERATURE:
+            self._signals_at(topic, f"temperature:{frame}", stamps, received, column("temperature"))
+        else:
+            numbers = list(numeric_paths(layout))
+            for path, i in numbers:
+                name = path if i is None else f"{path}[{i}]"
+                part = f"{PART}{name}" if len(numbers) > 1 else ""
+                self._signals_at(topic, f"signal:{topic}{part}", stamps, received, column(path)[:, i or 0])
+
     def recording(self) -> Recording:
         """Everything taken so far."""
         joint_topics = _preferred({topic for topic, _ in self._joints}, JOINT_STATES)
@@ -116,23 +158,26 @@ class RecordingBuilder:
 
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
         names = tuple(message.name)
-        position = message.position
         stamp = self._stamp(topic, message, received)
-        if len(position) != len(names) or len(set(names)) != len(names):
-            raise BadRecording(
-                f"{topic} at stamp {stamp:.3f} s",
-                f"{len(position)} positions for {len(names)} names, {len(set(names))} of them distinct",
-                "publish one position for every name",
-            )
-        n = len(names)
+        n = _require_joints(topic, names, len(message.position), stamp)
+        # a column that was not sent, or not for every joint, is unknown for all of them
+        sent = (message.velocity, message.effort)
+        rest = [np.asarray(values, dtype=float) if len(values) == n else np.full(n, np.nan) for values in sent]
         rows = self._joints.setdefault((topic, names), _Rows(3 * n))
-        rows.append(
-            stamp, received, np.concatenate([position, _padded(message.velocity, n), _padded(message.effort, n)])
-        )
+        rows.append(stamp, received, np.concatenate([message.position, *rest]))
+
+    def _add_joint_rows(self, topic: str, layout: Layout, stamps: Array, received: Array, columns: list[Array]) -> None:
+        names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
+        n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
+        known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
+        self._joints.setdefault((topic, names), _Rows(3 * n)).extend(stamps, received, np.hstack(known))
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
         rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(WIDTH[kind]))
         rows.append(self._stamp(topic, message, received), received, READING[kind](message))
+
+    def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
+        self._signals.setdefault((topic, name), _Rows(1)).extend(stamps, received, values)
 
     def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
         self._signals.setdefault((topic, name), _Rows(len(values))).append(stamp, received, values)
@@ -161,9 +206,23 @@ READING = {
 }
 
 
-def _padded(values: Any, count: int) -> np.ndarray:
-    """A column that was not sent, or not for every joint, is unknown for all of them."""
-    return np.asarray(values, dtype=float) if len(values) == count else np.full(count, np.nan)
+READING_PATHS = {  # the same, in a layout
+    "pose": [*(f"pose/position/{a}" for a in "xyz"), *(f"pose/orientation/{a}" for a in "xyzw")],
+    "point": [f"point/{a}" for a in "xyz"],
+    "range": ["range"],
+    "bearing": [f"vector/{a}" for a in "xyz"],
+}
+
+
+def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:
+    """How many joints there are. Raises BadRecording unless every name has one position."""
+    if positions != len(names) or len(set(names)) != len(names):
+        raise BadRecording(
+            f"{topic} at stamp {stamp:.3f} s",
+            f"{positions} positions for {len(names)} names, {len(set(names))} of them distinct",
+            "publish one position for every name",
+        )
+    return len(names)
 
 
 def _joint_track(topic: str, names: tuple[str, ...], rows: _Rows) -> JointTrack:
@@ -191,9 +250,9 @@ def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:
     fields = getattr(message, "__dataclass_fields__", None)
     names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
     for name in names:
-        value = getattr(message, name)
-        if name in ("header", "__msgtype__"):
+        if name == "header" or (fields is not None and hasattr(type(message), name)):  # or a constant of the type
             continue
+        value = getattr(message, name)
         if isinstance(value, bool | int | float | np.number):
             yield f"{path}/{name}", float(value)
         elif hasattr(value, "__dataclass_fields__") or hasattr(value, "get_fields_and_field_types"):

@@ -1,0 +1,293 @@
+"""Walking through an MCAP file, whole or cut.
+
+A file is walked record by record from its beginning, never through the index at its end: an index is missing just when
+a recording was cut short, and one way of reading is easier to trust than two. The index behind a chunk says where its
+messages are; it is believed only where they do stand there, one behind the other. Each chunk's checksum is verified;
+reading stops at the first byte that does not fit, and what came before is kept.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+
+from modcal_core.errors import BadRecording
+
+MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQI")
+_HEAD = np.dtype(  # of a message's record
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("received", "<u8"),
+        ("published", "<u8"),
+    ]
+)
+_INDEX = np.dtype([("received", "<u8"), ("offset", "<u8")])
+_LOOSE = 1 << 22  # bytes of messages outside of chunks that are taken at once
+_MESSAGE_HEAD = 22  # bytes before the CDR bytes that a record counts as its own
+_LOOSE_RECORDS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
+
+
+class RawMessage(NamedTuple):
+    """One message as it lies in the file: CDR bytes, and when it was received and published [ns]."""
+
+    topic: str
+    type_name: str
+    cdr: bytes | memoryview
+    received_ns: int
+    published_ns: int
+    sequence: int
+    channel: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages that lie in the file one behind the other.
+
+    content: their bytes and more, PADDING at the end. heads: (n,) opcode, length, channel, sequence, received and
+    published [ns]. starts, stops: (n,) where the CDR bytes of each stand in the content.
+    """
+
+    content: bytes
+    heads: NDArray[np.void]
+    starts: NDArray[np.int64]
+    stops: NDArray[np.int64]
+
+
+@dataclass
+class McapFile:
+    """An MCAP file being walked. After the walk, ``cut`` says why it ended early, if it did.
+
+    cdr_only: leave out what is not encoded as ROS 2 encodes. extras: whole attachments and metadata records (bytes
+    with opcode and length), as they were met. compression: of the first chunk. known: topic and type by channel.
+    """
+
+    path: Path
+    cdr_only: bool = True
+    schemas: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, str] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schema_records: dict[int, Schema] = field(default_factory=dict)
+    extras: list[tuple[int, bytes]] = field(default_factory=list)
+    compression: str | None = None
+    count: int = 0
+    cut: str | None = None
+    known: dict[int, tuple[str, str]] = field(default_factory=dict)
+
+    def messages(self) -> Iterator[RawMessage]:
+        """Every whole message, in the order of the file. Raises BadRecording for a file that is not MCAP."""
+        for block in self.blocks():
+            view = memoryview(block.content)
+            for head, start, stop in zip(
+                block.heads.tolist(), block.starts.tolist(), block.stops.tolist(), strict=True
+            ):
+                _, _, channel, sequence, received, published = head
+                self.count += 1
+                yield RawMessage(*self.known[channel], view[start:stop], received, published, sequence, channel)
+
+    def blocks(self) -> Iterator[Block]:
+        """Every whole message, many at once. Raises BadRecording for a file that is not MCAP."""
+        size = self.path.stat().st_size
+        if size == 0:
+            raise BadRecording(str(self.path), "is empty", "record again")
+        with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            if data[: len(MAGIC)] != MAGIC:
+                raise BadRecording(str(self.path), "is not an MCAP file", _other_format(data[:16]))
+            # memoryviews into the map must be gone before it closes, so chunks are copied out of it
+            yield from self._walk(data, min(size, len(data)))
+
+    def _walk(self, data: mmap.mmap, size: int) -> Iterator[Block]:
+        at = len(MAGIC)
+        while at < size:
+            if size - at < _RECORD.size:
+                self.cut = f"{size - at} bytes at the end are no record"
+                return
+            opcode, length = _RECORD.unpack_from(data, at)
+            body = at + _RECORD.size
+            if not 0x01 <= opcode <= 0x0F and opcode < 0x80:
+                self.cut = f"{size - at} bytes from byte {at} are no MCAP records"
+                return
+            if body + length > size:
+                self.cut = f"{size - at} bytes at the end are an unfinished record"
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(data[body:size], np.empty(0, np.int64), whole=False)
+                return
+            at_next = body + length
+            if opcode == Opcode.CHUNK:
+                offsets, at_next = _message_indexes(data, at_next, size)
+                yield from self._chunk(data[body : body + length], offsets, whole=True)
+            elif opcode in _LOOSE_RECORDS:
+                at_next = _end_of_loose(data, at, size)
+                yield from self._records(data[at:at_next], np.empty(0, np.int64))
+            elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+                self.extras.append((opcode, data[at:at_next]))
+            elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            if self.cut:
+                return
+            at = at_next
+        self.cut = "it ends without an index"
+
+    def _chunk(self, body: bytes, offsets: NDArray[np.int64], whole: bool) -> Iterator[Block]:
+        try:
+            _, _, unpacked_size, crc = _CHUNK.unpack_from(body)
+            (name_length,) = struct.unpack_from("<I", body, _CHUNK.size)
+            start = _CHUNK.size + 4 + name_length + 8
+            compression = body[_CHUNK.size + 4 : _CHUNK.size + 4 + name_length].decode()
+            content = _unpacked(compression, body[start:], unpacked_size)
+        except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, zstandard.ZstdError) as error:
+            # of a chunk that is cut already, this says nothing new
+            if whole:
+                self.cut = f"a chunk cannot be unpacked ({error})"
+            return
+        if whole and (len(content) != unpacked_size or (crc and zlib.crc32(content) != crc)):
+            self.cut = "a chunk's checksum is wrong"
+            return
+        self.compression = self.compression or compression
+        yield from self._records(content, offsets)
+
+    def _records(self, content: bytes, offsets: NDArray[np.int64]) -> Iterator[Block]:
+        """The messages in these bytes. offsets: where an index says that they are; it may be wrong, or say nothing."""
+        runs = _runs(content, offsets)
+        found: list[NDArray[np.int64]] = []
+        single: list[int] = []
+        at, size = 0, len(content)
+        while at + _RECORD.size <= size:
+            if at in runs:
+                run, at = runs[at]
+                found += [np.array(single, np.int64), run]
+                single.clear()
+                continue
+            opcode, length = _RECORD.unpack_from(content, at)
+            body = at + _RECORD.size
+            if body + length > size:
+                self.cut = self.cut or "a chunk ends in the middle of a record"
+                break
+            if opcode == Opcode.MESSAGE:
+                if length < _MESSAGE_HEAD:
+                    self.cut = self.cut or "a message is shorter than its head"
+                    break
+                single.append(at)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                try:
+                    self._learn(opcode, content[body : body + length])
+                except (struct.error, UnicodeDecodeError, McapError, ValueError) as error:
+                    self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
+                    break
+            at = body + length
+        places = np.concatenate([*found, np.array(single, np.int64)])
+        heads = _heads(content, places)
+        known = np.zeros(1 << 16, bool)
+        known[list(self.known)] = True
+        known = known[heads["channel"]]
+        if known.any():
+            heads, starts = heads[known], places[known] + _HEAD.itemsize
+            stops = starts + heads["length"].astype(np.int64) - _MESSAGE_HEAD
+            yield Block(content + PADDING, heads, starts, stops)
+
+    def _learn(self, opcode: int, record: bytes) -> None:
+        stream = ReadDataStream(BytesIO(record))
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schema_records[schema.id] = schema
+            if schema.encoding == "ros2msg":
+                self.schemas[schema.name] = schema.data.decode(errors="replace")
+            return
+        channel = Channel.read(stream)
+        schema_name = self.schema_records[channel.schema_id].name if channel.schema_id in self.schema_records else ""
+        self.channels[channel.id] = channel
+        self.topics[channel.topic] = schema_name
+        if channel.message_encoding == "cdr" or not self.cdr_only:
+            self.known[channel.id] = (channel.topic, schema_name)
+
+
+def _message_indexes(data: mmap.mmap, at: int, size: int) -> tuple[NDArray[np.int64], int]:
+    """Where the indexes behind a chunk say that its messages are, in order, and where these indexes end."""
+    found = []
+    while at + _RECORD.size <= size:
+        opcode, length = _RECORD.unpack_from(data, at)
+        body = at + _RECORD.size
+        if opcode != Opcode.MESSAGE_INDEX or body + length > size:
+            break
+        found.append(np.frombuffer(data[body + 6 : body + length - (length - 6) % _INDEX.itemsize], _INDEX)["offset"])
+        at = body + length
+    return np.sort(np.concatenate(found)).astype(np.int64) if found else np.empty(0, np.int64), at
+
+
+def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
+    """Where whole messages and descriptions end that begin here, or enough of them."""
+    begin = at
+    while at + _RECORD.size <= size and at - begin < _LOOSE:
+        opcode, length = _RECORD.unpack_from(data, at)
+        if opcode not in _LOOSE_RECORDS or at + _RECORD.size + length > size:
+            break
+        at += _RECORD.size + length
+    return at
+
+
+def _heads(content: bytes, places: NDArray[np.int64]) -> NDArray[np.void]:
+    """The heads of the messages whose records stand at these places (n,)."""
+    if not len(places):
+        return np.empty(0, _HEAD)
+    everywhere = np.ndarray((len(content) - _HEAD.itemsize + 1,), f"V{_HEAD.itemsize}", content, 0, (1,))
+    return everywhere[places].view(_HEAD)
+
+
+def _runs(content: bytes, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], int]]:
+    """Messages that stand where an index says, one behind the other: by the first one's place, all, and their end.
+
+    None at all, if any of them does not.
+    """
+    if not len(offsets) or offsets[0] < 0 or offsets[-1] + _HEAD.itemsize > len(content):
+        return {}
+    heads = _heads(content, offsets)
+    length = heads["length"].astype(np.int64)
+    ends = offsets + _RECORD.size + length
+    if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _MESSAGE_HEAD).any() or ends[-1] > len(content):
+        return {}
+    if (ends[:-1] > offsets[1:]).any():
+        return {}
+    begins = np.flatnonzero(np.r_[True, ends[:-1] != offsets[1:]])
+    stops = np.r_[begins[1:], len(offsets)]
+    return {
+        int(offsets[i]): (offsets[i:j], int(ends[j - 1])) for i, j in zip(begins.tolist(), stops.tolist(), strict=True)
+    }
+
+
+def _unpacked(compression: str, content: bytes, size: int) -> bytes:
+    """The content of a chunk; of one that is cut, as much as can be had."""
+    if compression == "":
+        return content
+    if compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(content)
+    if compression == "lz4":
+        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size)
+    raise RuntimeError(f"unknown compression {compression}")
+
+
+def _other_format(start: bytes) -> str:
+    if start.startswith(b"SQLite format 3"):
+        return "convert it: ros2 bag convert, with storage_id mcap"
+    if start.startswith(b"\x28\xb5\x2f\xfd"):
+        return "unpack it first: zstd -d"
+    return "give a bag folder or a .mcap file"

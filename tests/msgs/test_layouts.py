@@ -1,0 +1,182 @@
+"""Messages that are decoded many at once are what they are when they are decoded one by one."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import Recording
+from modcal_msgs_py import fields
+from modcal_msgs_py.layout import Layout
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_walk import McapFile
+from modcal_msgs_py.types import definition, jazzy, message_class
+
+Message = tuple[str, str, Any]
+TYPES = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/tracker/pose": "geometry_msgs/msg/PoseStamped",
+    "/tracker/point": "geometry_msgs/msg/PointStamped",
+    "/tracker/range": "sensor_msgs/msg/Range",
+    "/tracker/bearing": "geometry_msgs/msg/Vector3Stamped",
+    "/temperature": "sensor_msgs/msg/Temperature",
+    "/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/battery": "sensor_msgs/msg/BatteryState",  # texts, arrays, an array of no fixed length
+    "/grid": "nav_msgs/msg/MapMetaData",  # no header
+    "/lights": "std_msgs/msg/UInt8MultiArray",  # an array of messages, which have texts
+    "/modcal/notes": "std_msgs/msg/String",
+}
+
+
+def filled(type_name: str, rng: np.random.Generator, n: int, frame: str) -> Any:
+    """A message of this type with numbers at random; n: length of every array that has no fixed one."""
+
+    def value(described: Any) -> Any:
+        node, what = described
+        if node.name == "BASE":
+            if what[0] == "string":
+                return frame
+            if what[0].startswith("float"):
+                return float(np.float32(rng.normal()))
+            return bool(rng.integers(2)) if what[0] == "bool" else int(rng.integers(1, 100))
+        if node.name == "NAME":
+            return filled(what, rng, n, frame)
+        inner, count = what
+        count = count if node.name == "ARRAY" else n
+        if inner[0].name == "BASE" and inner[1][0] != "string":
+            kind = {"float64": float, "float32": np.float32, "uint8": np.uint8}[inner[1][0]]
+            return rng.normal(50.0, 9.0, count).astype(kind)
+        return [f"{frame}{i}" if inner[0].name == "BASE" else value(inner) for i in range(count)]
+
+    described = jazzy().fielddefs[type_name][1]
+    return message_class(type_name)(**{name: value(what) for name, what in described})
+
+
+def written(path: Path, messages: list[Message], little_endian: bool = True, **how: Any) -> Path:
+    """An MCAP file with these messages (topic, type, message)."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **{"chunk_size": 4096, **how})
+        writer.start("ros2")
+        channels: dict[str, int] = {}
+        for i, (topic, type_name, message) in enumerate(messages):
+            if topic not in channels:
+                schema = writer.register_schema(type_name, "ros2msg", definition(type_name)[0].encode())
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            cdr = bytes(jazzy().serialize_cdr(message, type_name, little_endian=little_endian))
+            writer.add_message(channels[topic], 10**18 + i * 10**6, cdr, 10**18 + i * 10**6)
+        writer.finish()
+    return path
+
+
+def same(one: Recording, other: Recording) -> None:
+    """Raises unless both are equal to the last bit."""
+    assert one.robot_description == other.robot_description
+    assert one.warnings == other.warnings
+    for kind in ("joints", "readings", "signals"):
+        tracks, others = ({(t.topic, *_key(t)): t for t in getattr(r, kind)} for r in (one, other))
+        assert tracks.keys() == others.keys()
+        for key, track in tracks.items():
+            for name, values in vars(track).items():
+                if isinstance(values, np.ndarray):
+                    np.testing.assert_array_equal(values, getattr(others[key], name), err_msg=f"{key} {name}")
+
+
+def _key(track: Any) -> tuple[Any, ...]:
+    return tuple(getattr(track, name, None) for name in ("names", "name", "frame", "kind"))
+
+
+@given(
+    plan=st.lists(st.tuples(st.sampled_from(sorted(TYPES)), st.integers(0, 3), st.integers(1, 12)), min_size=1),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_any_mixture_is_read_alike(plan: list[tuple[str, int, int]], seed: int, tmp_path_factory: Any) -> None:
+    """Runs of messages whose arrays and texts change their lengths in between."""
+    rng = np.random.default_rng(seed)
+    messages = [
+        (topic, TYPES[topic], filled(TYPES[topic], rng, n, "abc"[: n % 4]))
+        for topic, n, count in plan
+        for _ in range(count)
+    ]
+    path = written(tmp_path_factory.mktemp("bags") / "any.mcap", messages)
+    same(read_bag(path), read_bag(path, layouts=False))
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.NONE},
+        {"little_endian": False},
+    ],
+    ids=str,
+)
+def test_however_it_is_written(how: dict[str, Any], tmp_path: Path, rng: np.random.Generator) -> None:
+    messages = [
+        (topic, TYPES[topic], filled(TYPES[topic], rng, 6, "frame"))
+        for _ in range(200)
+        for topic in ("/joint_states", "/tracker/pose", "/battery")
+    ]
+    usual = read_bag(written(tmp_path / "usual.mcap", messages))
+    assert len(usual.joints[0].stamps) == len(usual.readings[0].stamps) == 200
+    same(read_bag(written(tmp_path / "other.mcap", messages, **how)), usual)
+
+
+def test_an_index_that_lies_is_not_believed(tmp_path: Path, rng: np.random.Generator) -> None:
+    messages = [
+        ("/tracker/pose", TYPES["/tracker/pose"], filled(TYPES["/tracker/pose"], rng, 0, "t")) for _ in range(40)
+    ]
+    path = written(tmp_path / "true.mcap", messages, chunk_size=1 << 20)
+    data = bytearray(path.read_bytes())
+    chunk = data.index(b"\x06", 8 + 9 + struct.unpack_from("<Q", data, 9)[0])
+    at = chunk + 9 + struct.unpack_from("<Q", data, chunk + 1)[0]
+    assert data[at] == 0x07  # the index behind the chunk
+    true = [bytes(m.cdr) for m in McapFile(path).messages()]
+    assert len(true) == 40
+    for i in range(40):
+        lie = bytearray(data)
+        struct.pack_into("<Q", lie, at + 9 + 6 + 16 * i + 8, int(rng.integers(0, 1 << 16)))
+        (tmp_path / "lie.mcap").write_bytes(lie)
+        assert [bytes(m.cdr) for m in McapFile(tmp_path / "lie.mcap").messages()] == true
+
+
+@pytest.mark.parametrize("type_name", fields.KNOWN)
+def test_types_that_are_written_down_are_those_of_ros(type_name: str) -> None:
+    assert fields.KNOWN[type_name] == fields._fields(jazzy(), type_name)
+
+
+def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator) -> None:
+    kind = "sensor_msgs/msg/JointState"
+    good = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
+    described = fields.KNOWN[kind]
+    assert Layout.of(described, good) is not None
+    assert Layout.of(described, b"\x00\x03" + good[2:]) is None  # another encoding
+    for size in range(len(good) - 3):
+        assert Layout.of(described, good[:size]) is None
+    for at in range(4, len(good), 4):  # wherever a count may stand
+        Layout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
+
+
+def test_a_message_that_is_cut_is_refused_with_its_number(tmp_path: Path, rng: np.random.Generator) -> None:
+    kind = TYPES["/joint_states"]
+    path = tmp_path / "bad.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(kind, "ros2msg", definition(kind)[0].encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for i in range(20):
+            cdr = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
+            writer.add_message(channel, i, cdr if i != 12 else cdr[:-30], i)
+        writer.finish()
+    with pytest.raises(BadRecording, match=r"message 13 on /joint_states"):
+        read_bag(path)
