@@ -53,7 +53,11 @@ class _Rows:
 
     def columns(self) -> tuple[Array, Array, Array]:
         """(stamps (N,), received (N,), values (N, width)), copied."""
-        return np.array(self.stamps), np.array(self.received), np.array(self.values).reshape(len(self.stamps), self.width)
+        return (
+            np.array(self.stamps),
+            np.array(self.received),
+            np.array(self.values).reshape(len(self.stamps), self.width),
+        )
 
 
 class RecordingBuilder:
