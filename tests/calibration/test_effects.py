@@ -9,6 +9,7 @@ import pytest
 from cells import record, samples_of, ur10
 from finite_differences import assert_jacobian
 from robots.test_kinematics import urdf
+from scipy.interpolate import BSpline
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.effects import ALL, AXIS, JOINTS, LENGTH, RADIAL, Effect
@@ -223,3 +224,16 @@ def test_frozen_effects_stay() -> None:
     assert np.array_equal(fit.model.effects[0].values, model.effects[0].values)
     assert len(fit.values) == len(choice.parameters)
     assert np.abs(se3.log(se3.inverse(fit.model.T_tip_tool) @ model.T_tip_tool)).max() < 5e-3
+
+
+@pytest.mark.parametrize("count", [4, 5, 12])
+def test_splines_are_cubic_and_uniform(count: int, rng: np.random.Generator) -> None:
+    """Against SciPy's, on knots that go on beyond the range by three."""
+    low, high = -1.3, 2.4
+    step = (high - low) / (count - 3)
+    knots = low + step * np.arange(-3, count + 1)
+    x = np.r_[rng.uniform(low, high, 50), low - 5.0, high + 5.0]
+    expected = [BSpline.basis_element(knots[k : k + 5], extrapolate=False)(x) for k in range(count)]
+    basis = Shape("spline", {"count": count, "low": low, "high": high}).basis(x)
+    assert np.allclose(basis, np.nan_to_num(expected), atol=1e-14)
+    assert np.allclose(basis[:, :50].sum(axis=0), 1.0)

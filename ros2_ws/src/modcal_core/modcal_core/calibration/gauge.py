@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
@@ -25,6 +24,8 @@ def least_change(model: Model, nominal: Chain) -> Model:
 
     Its first and last constants are the nominal ones: what they would hold belongs to the base frames and to the tool.
     """
+    from scipy.optimize import least_squares  # takes most of a second, and only a file that is written needs it
+
     n = nominal.n
     A = se3.transform(nominal.joint_basis)
     inner = [se3.inverse(A[k - 1]) @ model.chain.origins[k] @ A[k] for k in range(1, n)]

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
 
+from modcal_core.calibration.chances import beyond_chi2
 from modcal_core.calibration.witness import Witness
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -141,7 +141,7 @@ def surprise(known: ModuleErrors, new: Witness, library: Library) -> Surprise:
     seen = np.linalg.eigvalsh(new.information)
     freedom = int((seen > 1e-9 * seen[-1]).sum())
     value = float(gap @ W @ gap)
-    return Surprise(value, freedom, float(chi2.sf(value, freedom)))
+    return Surprise(value, freedom, beyond_chi2(value, freedom))
 
 
 def deviation_of(assembly: Assembly, library: Library, errors: Mapping[Key, Array]) -> Array:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from modcal_core.calibration.chances import median_chi2
 from modcal_core.geometry.so3 import Array
 
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160
@@ -30,7 +30,7 @@ class Spread:
 
 def robust_spread(position: Array, rotation: Array) -> Spread:
     """The spread of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
-    median3 = float(np.sqrt(chi2.ppf(0.5, 3)))
+    median3 = float(np.sqrt(median_chi2(3)))
 
     def one(r: Array) -> float:
         return max(float(np.median(np.sqrt(np.einsum("ij,ij->j", r, r)))) / median3, _FLOOR) if r.size else _FLOOR

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z, Spread, robust_spread, standard_score
@@ -100,6 +99,8 @@ def noise_floor(samples: Samples) -> float | None:
     """
     if len(samples) > _MOST_SEARCHED:  # an arm that stood still while the tracker ran makes pairs without number
         samples = samples.select(np.linspace(0, len(samples) - 1, _MOST_SEARCHED).astype(int))
+    from scipy.spatial import cKDTree  # at the top, it would keep every node waiting
+
     pairs = cKDTree(samples.q).query_pairs(_REPEAT_RAD, p=np.inf, output_type="ndarray")
     pairs = pairs[samples.frame[pairs[:, 0]] == samples.frame[pairs[:, 1]]]
     if len(pairs) >= _REPEATS:

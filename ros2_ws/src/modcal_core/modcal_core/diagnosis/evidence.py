@@ -20,9 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import f as f_distribution
-from scipy.stats import gumbel_r
 
+from modcal_core.calibration.chances import beyond_gumbel, gumbel_of, log10_beyond_f
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.effects import LENGTH, Effect, columns, length_direction, place_index
 from modcal_core.calibration.identify import Fit
@@ -290,7 +289,7 @@ def _score(share: Array, sizes: np.ndarray, freedom: int) -> Array:
     for m in np.unique(sizes):
         if 0 < m < freedom - 1:
             ratio = grid / m / ((1.0 - grid) / (freedom - m))
-            table = -f_distribution.logsf(ratio, m, freedom - m) / np.log(10.0)
+            table = -log10_beyond_f(ratio, m, freedom - m)
             # far out the tail underflows; there it is a power of what is left
             bad = ~np.isfinite(table)
             if bad.any():
@@ -305,8 +304,8 @@ def _against_noise(best: Array, candidates: int) -> tuple[float, float]:
     if len(best) < 2:
         return 1.0, 1.0
     noise = best[1:]
-    location, scale = gumbel_r.fit(noise)
-    p_value = float(gumbel_r.sf(best[0], location, scale))
+    location, scale = gumbel_of(noise)
+    p_value = beyond_gumbel(float(best[0]), location, scale)
     rank = float((noise >= best[0]).sum() + 1) / (len(noise) + 1)
     # within the trials their own count is the better witness; beyond them the law has to do
     p_value = max(p_value, 1e-300) if best[0] > noise.max() else rank

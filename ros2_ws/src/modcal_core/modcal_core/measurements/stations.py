@@ -140,9 +140,9 @@ def running_max(x: Array, width: int) -> Array:
     blocks = -(-(len(x) + width - 1) // width)
     padded = np.full((blocks * width, x.shape[1]), -np.inf)
     padded[width // 2 : width // 2 + len(x)] = x
-    padded = padded.reshape(blocks, width, -1)
-    from_begin = np.maximum.accumulate(padded, axis=1).reshape(blocks * width, -1)
-    to_end = np.maximum.accumulate(padded[:, ::-1], axis=1)[:, ::-1].reshape(blocks * width, -1)
+    cut = padded.reshape(blocks, width, -1)
+    from_begin = np.maximum.accumulate(cut, axis=1).reshape(padded.shape)
+    to_end = np.maximum.accumulate(cut[:, ::-1], axis=1)[:, ::-1].reshape(padded.shape)
     return np.maximum(to_end[: len(x)], from_begin[width - 1 : width - 1 + len(x)])
 
 

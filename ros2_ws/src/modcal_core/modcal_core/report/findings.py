@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm
 
+from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
@@ -101,7 +101,7 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
     with_them, without = _rms(fit, samples), _rms(fit, samples.select(np.flatnonzero(~wrong)))
-    by_chance = min(1.0, len(samples) * float(norm.sf(REJECT_Z)))  # that noise makes any of them
+    by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
     return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without),)
 
 
