@@ -80,7 +80,7 @@ def latched(node: Any, topic: str, kind: type = String) -> list[Any]:
 
 def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(tmp_path: Path) -> None:
     domain, whole = fresh_domain(), stations(64)
-    first = Process("calibrator", domain, tmp_path, state=tmp_path / "state")
+    first = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(first), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Said(node)
         wait(cell.heard, 60.0)
@@ -94,7 +94,7 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(tmp_path: Pa
         assert first.stop() == 0
     kept = read_calibration(tmp_path / "state")
 
-    second = Process("calibrator", domain, tmp_path, state=tmp_path / "state")
+    second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Said(node)
         models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
@@ -114,7 +114,7 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(tmp_path: Pa
 
 def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(tmp_path: Path) -> None:
     domain = fresh_domain()
-    first = Process("calibrator", domain, tmp_path, state=tmp_path / "state")
+    first = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(first), listener(domain) as (node, wait):
         cell = PlayedCell(node)
         wait(cell.heard, 60.0)
@@ -126,7 +126,7 @@ def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(tmp_path
     before = {p.name: p.read_bytes() for p in (tmp_path / "state").iterdir()}
     longer = URDF.read_text().replace("0.612", "0.622")
     assert longer != URDF.read_text()
-    second = Process("calibrator", domain, tmp_path, state=tmp_path / "state")
+    second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Said(node)
         models = latched(node, "calibrator/calibration")
@@ -182,7 +182,7 @@ def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
             message.name, message.position = [names[k] for k in order], [positions[k] for k in order]
         return message
 
-    with beside_a_cell(tmp_path, out=tmp_path / "out") as (_, node, wait, cell, _):
+    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "out") as (_, node, wait, cell, _):
         cell.play(stations(), shuffled)
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
@@ -194,7 +194,7 @@ def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
 def test_any_quality_of_service_is_heard_and_a_mismatch_is_said(tmp_path: Path) -> None:
     """A description that is not latched, a tracker of best effort."""
     domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path)
+    calibrator = Process("calibrator", domain, tmp_path, effects=False)
     volatile = QoSProfile(depth=1, durability=DurabilityPolicy.VOLATILE)
     with running(calibrator), listener(domain) as (node, wait):
         said = Said(node)
@@ -236,7 +236,7 @@ def test_silence_is_said_by_topic(tmp_path: Path) -> None:
 
 def test_two_publishers_of_one_arms_joints_are_said(tmp_path: Path) -> None:
     domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path)
+    calibrator = Process("calibrator", domain, tmp_path, effects=False)
     with running(calibrator), listener(domain) as (node, wait):
         said, cells = Said(node), (PlayedCell(node), PlayedCell(node))
         wait(cells[0].heard, 60.0)
@@ -247,7 +247,7 @@ def test_two_publishers_of_one_arms_joints_are_said(tmp_path: Path) -> None:
 
 def test_a_clock_set_back_begins_a_new_stretch(tmp_path: Path) -> None:
     whole = stations(60)
-    with beside_a_cell(tmp_path, out=tmp_path / "out") as (_, node, wait, cell, said):
+    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "out") as (_, node, wait, cell, said):
         cell.play(part(whole, slice(0, 30)))
         # the second half at stamps an hour before the first
         later = part(whole, slice(30, 60))
@@ -263,7 +263,7 @@ def test_a_clock_set_back_begins_a_new_stretch(tmp_path: Path) -> None:
 
 def test_messages_without_a_station_are_left_out_when_they_grow_old(tmp_path: Path) -> None:
     """Half a minute of joint states without a tracker, and then a cell as it should be."""
-    with beside_a_cell(tmp_path, memory_s=20.0) as (calibrator, node, wait, cell, _):
+    with beside_a_cell(tmp_path, effects=False, memory_s=20.0) as (calibrator, node, wait, cell, _):
         cell.play(stations(30), lambda _, m: m if hasattr(m, "name") else None)
         wait(lambda: "some minutes of messages are left out" in calibrator.output, 60.0)
         cell.play(stations(begin=START + 100.0))
@@ -276,7 +276,7 @@ def test_topics_are_remapped(tmp_path: Path) -> None:
     domain = fresh_domain()
     topics = ("joint_states", "tracker/pose", "robot_description")
     remapped = [word for topic in topics for word in ("-r", f"{topic}:=/hall_3/{topic}")]
-    calibrator = Process("calibrator", domain, tmp_path, *remapped)
+    calibrator = Process("calibrator", domain, tmp_path, *remapped, effects=False)
     with running(calibrator), listener(domain) as (node, wait):
         cell = PlayedCell(node, "/hall_3")
         wait(cell.heard, 60.0)
@@ -290,7 +290,9 @@ def test_topics_are_remapped(tmp_path: Path) -> None:
 def test_two_robots_in_one_domain(tmp_path: Path) -> None:
     domain = fresh_domain()
     sides = ("left", "right")
-    nodes = [Process("calibrator", domain, tmp_path, "-r", f"__ns:=/{s}", out=tmp_path / s) for s in sides]
+    nodes = [
+        Process("calibrator", domain, tmp_path, "-r", f"__ns:=/{s}", out=tmp_path / s, effects=False) for s in sides
+    ]
     with running(*nodes), listener(domain) as (node, wait):
         cells = [PlayedCell(node, f"/{side}") for side in sides]
         wait(lambda: all(cell.heard() for cell in cells), 60.0)
@@ -319,7 +321,7 @@ def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -
             return None  # the beam was broken
         return message
 
-    with beside_a_cell(tmp_path, out=tmp_path / "out") as (calibrator, node, wait, cell, said):
+    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "out") as (calibrator, node, wait, cell, said):
         cell.play(stations(60), spoiled)
         wait(cell.taken, 60.0)
         wait(lambda: said.value(SAMPLES, "messages refused") == "6", 20.0)
@@ -351,7 +353,7 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str,
             message.position = [float(np.degrees(p)) for p in message.position]
         return message
 
-    with beside_a_cell(tmp_path, urdf=PANDA if fault == "robot" else URDF, out=tmp_path / "out") as (
+    with beside_a_cell(tmp_path, urdf=PANDA if fault == "robot" else URDF, effects=False, out=tmp_path / "out") as (
         _,
         node,
         wait,
@@ -414,7 +416,7 @@ def test_a_killed_solver_is_replaced(tmp_path: Path) -> None:
 
 
 def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(tmp_path: Path) -> None:
-    with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
+    with beside_a_cell(tmp_path, effects=False) as (_, node, wait, cell, said):
         cell.play(stations())
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
@@ -428,7 +430,7 @@ def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(tmp_path: Path) 
 
 def test_an_unwritable_folder_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with beside_a_cell(tmp_path, out=tmp_path / "file") as (_, node, wait, cell, _):
+    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "file") as (_, node, wait, cell, _):
         cell.play(stations())
         wait(cell.taken, 60.0)
         answer = call(node, wait, "calibrator/solve")
@@ -437,7 +439,7 @@ def test_an_unwritable_folder_is_said(tmp_path: Path) -> None:
 
 
 def test_the_running_estimate_is_published(tmp_path: Path) -> None:
-    with beside_a_cell(tmp_path) as (_, node, wait, cell, _):
+    with beside_a_cell(tmp_path, effects=False) as (_, node, wait, cell, _):
         estimates: list[Any] = []
         node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
         names = latched(node, "calibrator/estimate_names")

@@ -70,7 +70,8 @@ class Comparison:
 class Job:
     """Everything a calibration needs, so that it can be done elsewhere.
 
-    changed: stamp [s] since when something is different. trusted: what to compare with; None: the nominal arm.
+    changed: stamp [s] since when something is different. trusted: what to compare with; None: the nominal arm. effects:
+    whether to look for effects beyond the geometry.
     """
 
     heard: Heard
@@ -81,6 +82,7 @@ class Job:
     clock_limit: float = 0.5
     changed: float | None = None
     trusted: Calibration | None = None
+    effects: bool = True
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,15 @@ def resolve(job: Job) -> Resolved:
     """Calibrate anew and compare. Raises ModcalError for data that cannot carry a fit."""
     samples, notes = job.heard.prepared(job.chain, job.clock_limit)
     rng = np.random.default_rng(job.seed)
-    result = calibrate(samples, job.chain, rng, job.cell, inertias=job.inertias, changed=job.changed)
+    result = calibrate(
+        samples,
+        job.chain,
+        rng,
+        job.cell,
+        inertias=job.inertias,
+        look_for_effects=job.effects,
+        changed=job.changed,
+    )
     report = replace(result.report, title="live", notes=(*result.report.notes, *notes))
     return Resolved(result, report, _compare(job, result))
 

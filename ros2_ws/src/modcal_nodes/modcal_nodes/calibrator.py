@@ -209,6 +209,7 @@ class Calibrator(Node):
             self._chosen["clock_limit_s"],
             self._supervisor.changed,
             self._supervisor.trusted,
+            self._chosen["effects"],
         )
         done, fail = partial(self._solved, self._memory.forgotten), partial(self._answer, False)
         self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=done, fail=fail)

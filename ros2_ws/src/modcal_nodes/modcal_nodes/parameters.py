@@ -44,6 +44,7 @@ CALIBRATOR = {
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
     "out": Parameter("", "Folder that a solve writes its files to; empty: it writes none."),
     "state": Parameter("", "Folder that the trusted model and the stations are kept in over restarts; empty: nowhere."),
+    "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
     "seed": Parameter(0, "Of the split into train, explain and held-out.", 0, 2**31 - 1),
     "clock_limit_s": Parameter(
         0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
