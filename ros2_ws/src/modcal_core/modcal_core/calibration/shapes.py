@@ -15,6 +15,7 @@ from modcal_core.geometry.so3 import Array
 
 REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
 SPLINE_DEGREE = 3
+PERIODIC = ("sine", "turn", "double")
 
 
 @dataclass(frozen=True)
@@ -63,13 +64,10 @@ class Shape:
         if self.kind == "hardening":
             root = np.sqrt(3.0 * max(s["beta"], 1e-6))
             return (2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None]
-        if self.kind in ("sine", "turn"):
-            return np.stack([np.sin(s["cycles"] * x), np.cos(s["cycles"] * x)])
+        if self.kind in PERIODIC:
+            return periodic(self.kind, np.array([s["cycles"]]), x)[0]
         if self.kind == "sign":
             return np.sign(x)[None]
-        if self.kind == "double":
-            phase = s["cycles"] * x
-            return np.stack([np.sin(phase), np.cos(phase), np.sin(2.0 * phase), np.cos(2.0 * phase)])
         if self.kind == "ramp":
             return (x - s["since"])[None]
         if self.kind == "step":
@@ -98,3 +96,13 @@ class Shape:
         turns = [(a, b) for a in range(order + 1) for b in range(-order, order + 1) if a > 0 or b > 0]
         phase = np.stack([a * x[0] + b * x[1] for a, b in turns])
         return np.concatenate([np.sin(phase), np.cos(phase)])
+
+
+def periodic(kind: str, cycles: Array, x: Array) -> Array:
+    """Basis functions (C, b, N) of shapes of a PERIODIC kind with these cycles a turn (C,), at drivers x (N,)."""
+    turn = np.exp(1j * cycles[:, None] * x)
+    parts = (turn, turn * turn) if kind == "double" else (turn,)
+    out = np.empty((len(cycles), 2 * len(parts), len(x)))
+    for i, part in enumerate(parts):
+        out[:, 2 * i], out[:, 2 * i + 1] = part.imag, part.real
+    return out
