@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +12,11 @@ from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.errors import NotEnoughData
+from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, cut_stations
 from modcal_core.robots.chain import Chain
@@ -51,6 +52,34 @@ def prepare(
             said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
             notes = (said, *notes)
     return Prepared(samples, recording.warnings + notes)
+
+
+def prepare_pieces(
+    pieces: Iterable[Piece],
+    chain: Chain,
+    rules: StationRules | None = None,
+    clock_limit: float = LIMIT,
+    before: Samples | None = None,
+) -> Prepared:
+    """The samples of all pieces, behind those from before. A piece that holds nothing to use is passed over.
+
+    Raises BadRecording where none of them can be used.
+    """
+    samples, refused = before, None
+    notes: dict[str, None] = {}
+    for piece in pieces:
+        try:
+            prepared = prepare(piece.recording, chain, rules, clock_limit)
+        except BadRecording as error:
+            refused = error
+            notes[f"One stretch was left out: {error}."] = None
+            continue
+        notes.update(dict.fromkeys(prepared.notes))
+        own = prepared.samples.between(piece.since, piece.until)
+        samples = own if samples is None else samples.followed_by(own) if len(own) else samples
+    if samples is None:
+        raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
+    return Prepared(samples, tuple(notes))
 
 
 def _settle_delays(

@@ -14,12 +14,11 @@ import numpy as np
 from modcal_core.calibration.cell import Cell, with_frames
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
-from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Result, calibrate
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.prepare import prepare
+from modcal_core.prepare import prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
@@ -41,19 +40,10 @@ class Heard:
 
         A recording that holds nothing to use is passed over when there are others. Raises ModcalError.
         """
-        samples, notes, refused = self.samples, [], None
-        for recording in self.recordings:
-            try:
-                prepared = prepare(recording, chain, clock_limit=clock_limit)
-            except BadRecording as error:
-                refused = error
-                notes.append(f"One stretch was left out: {error}.")
-                continue
-            notes += prepared.notes
-            samples = prepared.samples if samples is None else samples.followed_by(prepared.samples)
-        if samples is None:
-            raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
-        return (samples if most is None else thinned(samples, most)), tuple(notes)
+        pieces = (Piece(recording) for recording in self.recordings)
+        prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit, before=self.samples)
+        samples = prepared.samples
+        return (samples if most is None else thinned(samples, most)), prepared.notes
 
 
 @dataclass(frozen=True)

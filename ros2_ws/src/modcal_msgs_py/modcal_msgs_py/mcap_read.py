@@ -6,6 +6,8 @@ not, or whose type is not plain numbers and texts, are decoded one by one. Both 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.recording import Piece, Recording
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.fields import fields_of
 from modcal_msgs_py.layout import Bytes, Fields, Layout
@@ -26,6 +28,8 @@ _LEFT_OUT = (
     "rosgraph_msgs/msg/Clock",
     "tf2_msgs/msg/",
 )
+PIECE = 600_000  # joint states; ten minutes at 1 kHz
+OVERLAP = 30.0  # s, longer than any station
 _MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
 _MOST_KEPT = 64
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
@@ -37,17 +41,32 @@ def read_bag(path: Path, layouts: bool = True) -> Recording:
     A cut file is read to its last whole message, with a warning in the recording. layouts: False decodes all messages
     one by one, which gives the same. Raises BadRecording for what is no bag.
     """
+    (whole,) = read_pieces(path, None, layouts)
+    return whole.recording
+
+
+def read_pieces(path: Path, most: int | None = PIECE, layouts: bool = True) -> Iterator[Piece]:
+    """The same recording in pieces of so many joint states, so that it may be longer than memory holds.
+
+    Where the clock of the joint states was set back, a piece goes on until the end.
+    """
     builder = RecordingBuilder(str(path))
     warnings: list[str] = []
     files, notes = bag_files(path)
     warnings += notes
-    total = 0
+    total, since = 0, -np.inf
     for name in files:
         file = McapFile(name)
         try:
             reader = _Reader(file, builder, layouts)
             for block in file.blocks():
                 reader.take(block)
+                if most is not None and builder.joint_states >= most:
+                    recording = builder.recording()
+                    if (border := _border(recording)) is not None:
+                        yield Piece(recording, since, border.stamp)
+                        since = border.stamp
+                        builder.forget_before(border.received - OVERLAP)
         except BadRecording as error:
             # the last of several files may have been begun and no more
             if len(files) == 1 or file.count:
@@ -59,14 +78,23 @@ def read_bag(path: Path, layouts: bool = True) -> Recording:
     if total == 0:
         raise BadRecording(str(path), "holds no message", "check that the topics were published while recording")
     recording = builder.recording()
-    return Recording(
-        recording.joints,
-        recording.readings,
-        recording.signals,
-        recording.robot_description,
-        recording.source,
-        tuple(warnings) + recording.warnings,
-    )
+    yield Piece(replace(recording, warnings=(*warnings, *recording.warnings)), since)
+
+
+class _Border(NamedTuple):
+    stamp: float
+    received: float
+
+
+def _border(recording: Recording) -> _Border | None:
+    """Where a piece is to end, with an overlap behind it; None where stamps go back, or it is too short for that."""
+    joints = max(recording.joints, key=lambda track: len(track.stamps))
+    if (np.diff(joints.stamps) < 0.0).any() or (np.diff(joints.received) < 0.0).any():
+        return None
+    row = int(np.searchsorted(joints.received, joints.received[-1] - OVERLAP))
+    if joints.received[row] - joints.received[0] < 2.0 * OVERLAP:
+        return None
+    return _Border(float(joints.stamps[row]), float(joints.received[row]))
 
 
 class _Reader:

@@ -51,6 +51,13 @@ class _Rows:
         for column, new in ((self.stamps, stamps), (self.received, received), (self.values, values)):
             column.frombytes(np.ascontiguousarray(new, dtype=float).tobytes())
 
+    def forget_before(self, received: float) -> None:
+        """Forget all rows but those since the first that was received at this time or later."""
+        late = np.flatnonzero(np.array(self.received) >= received)
+        first = int(late[0]) if len(late) else len(self.received)
+        self.stamps, self.received = self.stamps[first:], self.received[first:]
+        self.values = self.values[first * self.width :]
+
     def columns(self) -> tuple[Array, Array, Array]:
         """(stamps (N,), received (N,), values (N, width)), copied."""
         return (
@@ -131,6 +138,19 @@ class RecordingBuilder:
                 name = path if i is None else f"{path}[{i}]"
                 part = f"{PART}{name}" if len(numbers) > 1 else ""
                 self._signals_at(topic, f"signal:{topic}{part}", stamps, received, column(path)[:, i or 0])
+
+    @property
+    def joint_states(self) -> int:
+        """How many joint states of one publisher there are, of that with most."""
+        return max((len(rows.stamps) for rows in self._joints.values()), default=0)
+
+    def forget_before(self, received: float) -> None:
+        """Forget what was received before this time [s], but for robot descriptions."""
+        for tracks in (self._joints, self._readings, self._signals):
+            for rows in tracks.values():
+                rows.forget_before(received)
+        self._notes.clear()
+        self._unstamped.clear()
 
     def recording(self) -> Recording:
         """Everything taken so far."""

@@ -84,6 +84,19 @@ class Recording:
         return tuple(dict.fromkeys(r.frame for r in self.readings))
 
 
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording that is too long to be held whole.
+
+    It begins a little before ``since`` and goes on a little after ``until`` (stamps of joint states [s]), so that what
+    happens there is seen whole; but only samples between the two are this piece's own.
+    """
+
+    recording: Recording
+    since: float = -np.inf
+    until: float = np.inf
+
+
 def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Stamps (m,) and positions (m, n) of the named joints, whichever publishers and orders they came in."""
     return joint_stamps_and(recording, names, "position")

@@ -70,6 +70,17 @@ class Samples:
         arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in shared}
         return replace(self, **arrays)
 
+    def between(self, since: float, until: float) -> Samples:
+        """The samples with since <= stamp < until [s], and the signals of that time."""
+        if since == -np.inf and until == np.inf:
+            return self
+        signals = []
+        for track in self.signals:
+            rows = (track.stamps >= since) & (track.stamps < until)
+            signals.append(replace(track, stamps=track.stamps[rows], values=track.values[rows]))
+        own = self.select((self.stamps >= since) & (self.stamps < until))
+        return replace(own, signals=tuple(signals))
+
     def join(self, other: Samples) -> Samples:
         """These samples and others of the same recording, in the order of their stamps; stations keep their numbers."""
         shared = ("names", "frames", "signals")
@@ -91,7 +102,7 @@ class Samples:
                 stamps = np.r_[before.stamps, track.stamps]
                 track = replace(track, stamps=stamps, values=np.concatenate([before.values, track.values]))
             tracks[track.name] = track
-        station = other.station + self.station.max() + 1
+        station = other.station + self.station.max(initial=-1) + 1
         signals = tuple(tracks.values())
         numbered = replace(other, frames=frames, frame=index[other.frame], station=station, signals=signals)
         return replace(self, frames=frames, signals=signals).join(numbered)

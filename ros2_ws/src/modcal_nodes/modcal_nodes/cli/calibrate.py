@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain as chained
 from pathlib import Path
 
 import click
@@ -12,12 +14,12 @@ from rich.console import Console
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.errors import ModcalError
 from modcal_core.loop import calibrate, evaluate
-from modcal_core.measurements.recording import Recording
-from modcal_core.prepare import Prepared, prepare
+from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.prepare import Prepared, prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.files import write_folder
@@ -78,11 +80,11 @@ def calibrate_command(
 ) -> None:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
     cell = read_cell(cell_file, fixed)
-    recording = read_bag(bag)
+    recording, pieces = _begun(bag)
     chain, text = robot_of(recording, urdf, base, tip)
-    prepared = prepare(recording, chain, clock_limit=clock_limit)
+    prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit)
     for other in more:
-        added = prepare(read_bag(other), chain, clock_limit=clock_limit)
+        added = prepare_pieces(read_pieces(other), chain, clock_limit=clock_limit)
         prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
     result = calibrate(
         prepared.samples,
@@ -123,8 +125,8 @@ def evaluate_command(
 ) -> None:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     frozen = read_calibration(calibration)
-    recording = read_bag(bag)
-    prepared = prepare(recording, frozen.nominal.chain, clock_limit=clock_limit)
+    recording, pieces = _begun(bag)
+    prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
     rng = np.random.default_rng(seed)
     report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
     report = _named(report, recording, prepared)
@@ -133,6 +135,13 @@ def evaluate_command(
     write_folder(out, report_files(report))
     show_report(report, Console())
     click.echo(f"Report: {out / 'report.html'}")
+
+
+def _begun(bag: Path) -> tuple[Recording, Iterator[Piece]]:
+    """The beginning of a bag, which says whose it is, and all of it in pieces."""
+    pieces = read_pieces(bag)
+    first = next(pieces)
+    return first.recording, chained([first], pieces)
 
 
 def _named(report: Report, recording: Recording, prepared: Prepared) -> Report:
