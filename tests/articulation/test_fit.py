@@ -141,3 +141,20 @@ def test_another_frame_gives_the_same_joint_there(rng: np.random.Generator) -> N
     np.testing.assert_allclose(there.model.point, se3.apply(T, here.model.point), atol=1e-5)
     np.testing.assert_allclose(there.model.axis, T[:3, :3] @ here.model.axis, atol=1e-5)
     assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+@pytest.mark.parametrize("oriented", [True, False])
+def test_one_pose_is_placed_as_many_are(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        R = so3.exp(rng.normal(size=3)) if oriented else None
+        h = rng.choice([-0.05, 0.05]) if kind == "screw" else 0.0
+        motion = Motion(kind, rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, h)
+        T = motion.model().pose(rng.uniform(-3.0, 3.0)) @ se3.exp(rng.normal(0.0, 0.1, 6))
+        p, S = T[:3, 3], T[:3, :3] if oriented else None
+        one = Track.trusted(p[None], None if S is None else S[None])
+        for sigma in ((1e-2, 0.05), (1.0, 1e9)):
+            a, e = motion.placed(p, S, sigma)
+            many = motion.configurations(one, sigma)
+            assert a == pytest.approx(float(many[0]), abs=1e-12)
+            np.testing.assert_allclose(e, motion.residuals(one, many)[0], atol=1e-12)

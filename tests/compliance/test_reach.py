@@ -7,10 +7,10 @@ import pytest
 from compliance.toy import PANDA, PERIOD, READY, ROOT, T_READY, door, drawer, limits
 
 from modcal_core.compliance.following import Follower
-from modcal_core.compliance.poses import speeds
 from modcal_core.compliance.reach import Walk, reach
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
+from modcal_core.geometry.single import speeds
 from modcal_core.robots.inverse import inverse
 from modcal_core.robots.kinematics import body_jacobian, forward
 from modcal_core.robots.urdf import read_chain

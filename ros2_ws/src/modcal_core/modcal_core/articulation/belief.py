@@ -7,12 +7,14 @@ believed when it has won two rounds in a row: the first may have caught the old 
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections import deque
 from typing import Literal
 
 import numpy as np
 
-from modcal_core.articulation.evidence import FIRST, LOOSE, PLAYS, SWAYS, Row, Scene, glance, weigh
+from modcal_core.articulation.evidence import FIRST, LOOSE, PLAYS, SWAYS, Row, Scene, glance, improved, weigh
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
@@ -42,9 +44,10 @@ class Belief:
         self.rounds = 0
         self._rows: dict[tuple[Kind, int], Row] = {}
         self._left: list[tuple[Kind, int, _Stage]] = []
+        self._guess: Motion | None = None
         self._fresh: Row | None = None
         self._scene: Scene | None = None
-        self._play, self._column, self._level = FEW[1], 0, np.zeros(1)
+        self._play, self._column = FEW[1], 0
         self._turn = 0
         self._won: Kind = "rigid"
         self._jitter: deque[tuple[float, float]] = deque(maxlen=48)
@@ -58,24 +61,28 @@ class Belief:
         """A slot of the round, or a step on the nodes of now, or both; whether another kind is believed now."""
         other = False
         self._turn += 1
-        live = self.motion is not None and self._turn % 2 == 0 and nodes.k >= FEWEST
-        if live and self.motion is not None:
-            now = Row(self.motion, self._level, self._column)
-            self.motion = glance(self._now(nodes), now, float(PLAYS[self._play]), self._turn).motion
-        if live and nodes.oriented:
-            return False  # with rotations, both together would take too long
-        if self._left:
-            self._slot(*self._left.pop())
+        live = self._turn % 2 == 0 and nodes.k >= FEWEST
+        if live and nodes.oriented and self.motion is not None:  # both together would take too long
+            self._improve(self.motion, nodes)
+            return False
+        if live and len(self._left) != 1 and self.motion is not None:  # the last slot chooses a motion anyway
+            self._improve(self.motion, nodes)
+        if self._left and self._scene is not None:
+            self._slot(*self._left.pop(), self._scene)
             if not self._left:
-                other = self._conclude()
+                other = self._conclude(self._scene)
         elif nodes.k >= FEWEST:
             self._begin(nodes)
         return other
 
+    def _improve(self, motion: Motion, nodes: Nodes) -> None:
+        """A step of what is believed, on the nodes of now, at the play and the sway that it was chosen for."""
+        self.motion = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
+
     def _now(self, nodes: Nodes) -> Scene:
         if len(self._jitter) >= 12:
-            jitter = np.median(np.array(self._jitter), axis=0)
-            self.scale = float(np.sqrt(jitter[0] / 2.77)), float(np.sqrt(jitter[1] / 4.73))
+            shift, turn = (statistics.median(some) for some in zip(*self._jitter, strict=True))
+            self.scale = math.sqrt(shift / 2.77), math.sqrt(turn / 4.73)
         track = nodes.track()
         assert track is not None
         return Scene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
@@ -83,16 +90,18 @@ class Belief:
     def _begin(self, nodes: Nodes) -> None:
         """A new round, on the nodes of now."""
         self._scene = self._now(nodes)
+        self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
         # one new guess a round, and before all else, so that what takes its place is weighed with the rest
-        slots: list[tuple[Kind, int, _Stage]] = [(_GUESSED[self.rounds % 4], FEW[self.rounds % len(FEW)], "fresh")]
+        kind, i = _GUESSED[self.rounds % 4], FEW[self.rounds % len(FEW)]
+        slots: list[tuple[Kind, int, _Stage]] = [(kind, i, "fresh")]
         slots += [(kind, k, "again") for kind in KINDS[1:] for k in FEW]
         self._left = slots[::-1]
+        self._guess = self._guessed(kind, i, self._scene)
 
-    def _slot(self, kind: Kind, i: int, stage: _Stage) -> None:
+    def _slot(self, kind: Kind, i: int, stage: _Stage, scene: Scene) -> None:
         """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
-        scene, known, play = self._scene, self._rows.get((kind, i)), float(PLAYS[i])
-        assert scene is not None
+        known, play = self._rows.get((kind, i)), float(PLAYS[i])
         if stage == "judge" and self._fresh is not None:
             found = glance(scene, self._fresh, play, self.rounds)
             if known is None or found.evidence.max() > known.evidence.max() + 1.0:
@@ -101,17 +110,18 @@ class Belief:
         elif stage == "again" and known is not None:
             self._rows[kind, i] = glance(scene, known, play, self.rounds)
         else:
-            other = self._rows.get(("revolute", i))
-            guess = rough(scene.track, kind, None if other is None else other.motion, self.rounds)
+            guess = self._guess if stage == "fresh" else self._guessed(kind, i, scene)
             if guess is None:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
             self._fresh = glance(scene, Row(guess, level, FIRST if scene.track.oriented else 0), play, -1)
             self._left.append((kind, i, "judge"))
 
-    def _conclude(self) -> bool:
-        scene = self._scene
-        assert scene is not None
+    def _guessed(self, kind: Kind, i: int, scene: Scene) -> Motion | None:
+        other = self._rows.get(("revolute", i))
+        return rough(scene.track, kind, None if other is None else other.motion, self.rounds)
+
+    def _conclude(self, scene: Scene) -> bool:
         known: dict[Kind, list[Row]] = {}
         for kind in KINDS:
             rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
@@ -126,7 +136,7 @@ class Belief:
             best, (i, j) = old, _best(known[old])  # the old kind, at its own best play
         self.follows = not (scene.track.oriented and bool(LOOSE[j]))
         chosen = known[best][i]
-        self._play, self._column, self._level = FEW[i], j, chosen.evidence
+        self._play, self._column = FEW[i], j
         self.kind = "rigid" if self.probabilities["rigid"] > 0.5 else best
         self.motion = chosen.motion
         return old != best

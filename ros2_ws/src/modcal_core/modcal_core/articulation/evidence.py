@@ -21,13 +21,14 @@ See MacKay, Information Theory, Inference, and Learning Algorithms (2003), chapt
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dposv, dpotrf, dtrtri
 
 from modcal_core.articulation import furniture
 from modcal_core.articulation.fit import prior_terms
@@ -50,6 +51,7 @@ _LOG_SWAYS = np.concatenate([
     _LOG_PLAYS + np.log(furniture.HELD)
 ])  # fmt: skip
 _HOLDS = 0.3
+_LOG_2PI = math.log(2.0 * math.pi)
 LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)  # rotations say nothing of the object ...
 HELD = np.arange(len(SWAYS)) >= len(_STEPS) + len(_LOOSE_STEPS)  # ... since the hand keeps them as they are
 FIRST, FIRST_HELD = 2, len(SWAYS) - 3  # where to begin when nothing is known
@@ -71,17 +73,25 @@ class Scene:
     _roots: dict[float, tuple[Array, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def by_play(self, play: float) -> tuple[Array, float]:
-        """Cholesky factor (k, k) of the positions' covariance, and half its log determinant with the Gaussian's 2π."""
+        """What whitens positions (k, k), and half the log determinant of their covariance with the Gaussian's 2π."""
         return self._root(play, self.position)
 
     def by_sway(self, sway: float) -> tuple[Array, float]:
-        """The same of the rotations' covariance."""
+        """The same of rotations."""
         return self._root(-sway, self.rotation)
 
     def _root(self, key: float, rest: Array) -> tuple[Array, float]:
         if key not in self._roots:
-            self._roots[key] = _root(key**2 * self.kernel + rest)
+            self._roots[key] = _whitener(key**2 * self.kernel + rest)
         return self._roots[key]
+
+    def prepare(self, plays: list[float], sway: float) -> None:
+        """Have at hand what is asked for these."""
+        for play in plays:
+            self.by_play(play)
+        if self.track.oriented:
+            self.by_sway(sway)
+            _ = self.turned
 
     @cached_property
     def turned(self) -> Array:
@@ -92,13 +102,14 @@ class Scene:
     @classmethod
     def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float]) -> Scene:
         """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad]."""
-        smooth = np.exp(-0.5 * (apart / furniture.DISTORTION_REACH) ** 2)
-        least, distortion = (1e-5, 1e-4), furniture.DISTORTION
-        both = [d**2 * smooth + np.diag(s**2 / counts + m**2)
-                for s, m, d in zip(sigma, least, distortion, strict=True)]  # fmt: skip
-        jitter = 9.0 * float(np.mean(1.0 / counts)) * (sigma[0] ** 2 + (0.1 * sigma[1]) ** 2)
-        moved = float(np.sqrt(max(float(apart.max()) ** 2 - 2.0 * jitter, 1e-8)))
-        return cls(track, np.exp(-apart / furniture.REACH), both[0], both[1], moved)
+        smooth = np.exp((-0.5 / furniture.DISTORTION_REACH**2) * apart * apart)
+        both, per = [], 1.0 / counts
+        for s, least, d in zip(sigma, (1e-5, 1e-4), furniture.DISTORTION, strict=True):
+            both.append(d**2 * smooth)
+            both[-1].ravel()[:: len(counts) + 1] += s**2 * per + least**2
+        jitter = 9.0 * float(per.sum()) / len(per) * (sigma[0] ** 2 + (0.1 * sigma[1]) ** 2)
+        moved = math.sqrt(max(float(apart.max()) ** 2 - 2.0 * jitter, 1e-8))
+        return cls(track, np.exp((-1.0 / furniture.REACH) * apart), both[0], both[1], moved)
 
 
 @dataclass(frozen=True)
@@ -137,6 +148,12 @@ def row(scene: Scene, motion: Motion, play: float, steps: int = 8, column: int =
     return Row(motion, logs, best)
 
 
+def improved(scene: Scene, motion: Motion, play: float, column: int) -> Motion:
+    """The motion after one step towards the most probable one at this play and this of the sways."""
+    step, _ = _Terms.of(scene, motion, play).step(scene, play, column if scene.track.oriented else 0)
+    return motion.moved(_held(step) * step)
+
+
 def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
     """The same row a little later, when nodes have changed a little: one step, and evidence at the best sway and one
     more.
@@ -152,7 +169,7 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
         near = (before.column - 1, before.column + 1, turn // 3)[turn % 3] % len(SWAYS)
         columns = {before.column, near if turn >= 0 else FIRST_HELD}
     step = np.zeros(before.motion.size)
-    shift, most = 0.0, -np.inf
+    shift, most = 0.0, -math.inf
     for c in columns:
         value, towards = terms.weighed(scene, play, c)
         if c == before.column:
@@ -161,11 +178,14 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
             step, most = towards, worth
         logs[c] = value
     if scene.track.oriented:
-        rest = np.delete(np.arange(len(SWAYS)), list(columns))
-        logs[rest] += shift
-    best = int(np.argmax(logs + _LOG_SWAYS)) if scene.track.oriented else 0
-    shrink = min(1.0, _HOLDS / max(float(np.abs(step).max()), 1e-12))
-    return Row(before.motion.moved(shrink * step), logs, best)
+        logs += [0.0 if c in columns else shift for c in range(len(SWAYS))]
+    best = int((logs + _LOG_SWAYS).argmax()) if scene.track.oriented else 0
+    return Row(before.motion.moved(_held(step) * step), logs, best)
+
+
+def _held(step: Array) -> float:
+    """The share of a step that is believed: what a quadratic promises holds up to a third of a radian."""
+    return min(1.0, _HOLDS / max(float(np.abs(step).max()), 1e-12))
 
 
 @dataclass(frozen=True)
@@ -173,61 +193,52 @@ class _Terms:
     """Residuals and derivatives of all nodes, split by what noise they share, whitened as far as play alone decides."""
 
     motion: Motion
-    across: Array  # (2 or 3, k, 1 + size) across the path, whitened
+    across: Array  # (1 + size, 1 + size) squares of what lies across the path, whitened
     log_det: float
-    turn: Array | None  # (2 or 3, k, 1 + size) rotation that no position tells of
-    mixed: Array | None  # (k, 1 + size) rotation about the axis against the angle of the position
+    turn: Array | None  # (k, 2 or 3, 1 + size) rotation that no position tells of
+    mixed: Array | None  # (k, 1, 1 + size) rotation about the axis against the angle of the position
 
     @classmethod
     def of(cls, scene: Scene, motion: Motion, play: float) -> _Terms:
-        track = scene.track
-        a = motion.configurations(track, (1.0, 1e9))
-        e, by_a, J = motion.linearise(track, a)
-        both = np.concatenate([e[:, :, None], J], axis=2)
+        both, by_a = motion.expanded(scene.track, motion.configurations(scene.track, (1.0, 1e9)))
         if motion.kind != "rigid":
-            t = by_a[:, :3] / (by_a[:, :3] ** 2).sum(axis=1, keepdims=True)
-            along = np.einsum("nm,nmk->nk", t, both[:, :3])
-            both = both - by_a[:, :, None] * along[:, None, :]
-        N = motion.across
-        position = np.einsum("nmk,md->dnk", both[:, :3], N)
-        L, half = scene.by_play(play)
-        white = _whiten(L, position)
-        log_det = len(position) * half
+            t = by_a[:, :3]
+            along = t[:, None] @ both[:, :3] / (t * t).sum(axis=1)[:, None, None]
+            both -= by_a[:, :, None] * along
+        position = both[:, 1:3] if motion.kind != "rigid" else both[:, :3]
+        if motion.kind == "screw":
+            position = motion.across.T @ both[:, :3]
+        whitener, half = scene.by_play(play)
         turn = mixed = None
-        if track.oriented:
-            turned = np.moveaxis(both[:, 3:], 1, 0)
-            turn, mixed = (turned[:2], turned[2]) if motion.turns else (turned, None)
-        return cls(motion, white, float(log_det), turn, mixed)
+        if scene.track.oriented:
+            turn, mixed = (both[:, 3:5], both[:, 5:]) if motion.turns else (both[:, 3:], None)
+        return cls(motion, _squares(whitener, position), position.shape[1] * half, turn, mixed)
 
     def _system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
-        flat = self.across.reshape(-1, self.across.shape[-1])
-        total = flat.T @ flat
-        log_det = self.log_det
+        total, log_det = self.across.copy(), self.log_det
         if self.turn is not None:
-            L, half = scene.by_sway(float(SWAYS[column]))
+            whitener, half = scene.by_sway(float(SWAYS[column]))
             if HELD[column]:
-                squares, weight = _about_mean(L, scene.turned)
+                squares, weight = _about_mean(whitener, scene.turned)
                 total[0, 0] += squares
-                j = total.shape[0] - self.motion.size + self.motion.start_turn
+                j = len(total) - self.motion.size + self.motion.start_turn
                 total[[j, j + 1, j + 2], [j, j + 1, j + 2]] += weight
                 return self._with_prior(total, log_det + 3 * half)
-            white = _whiten(L, self.turn).reshape(-1, total.shape[0])
-            total = total + white.T @ white
-            log_det += len(self.turn) * half
+            total += _squares(whitener, self.turn)
+            log_det += self.turn.shape[1] * half
             if self.mixed is not None:
                 per = self.motion.r**2 + self.motion.h**2
                 both = SWAYS[column] ** 2 + play**2 / per
-                L, half = _root(both * scene.kernel + scene.rotation + scene.position / per)
-                white = _whiten(L, self.mixed[None])[0]
-                total = total + white.T @ white
+                whitener, half = _whitener(both * scene.kernel + scene.rotation + scene.position / per)
+                total += _squares(whitener, self.mixed)
                 log_det += half
         return self._with_prior(total, log_det)
 
     def _with_prior(self, total: Array, log_det: float) -> tuple[float, Array, Array, float]:
         cost, gradient, curvature = prior_terms(self.motion)
-        return (float(0.5 * total[0, 0] + cost), total[0, 1:] + gradient, total[1:, 1:] + np.diag(curvature),
-                float(log_det))  # fmt: skip
+        total.ravel()[len(total) + 1 :: len(total) + 1] += curvature
+        return 0.5 * float(total[0, 0]) + cost, total[0, 1:] + gradient, total[1:, 1:], log_det
 
     def cost(self, scene: Scene, play: float, column: int) -> float:
         squares, _, _, log_det = self._system(scene, play, column)
@@ -236,20 +247,17 @@ class _Terms:
     def step(self, scene: Scene, play: float, column: int) -> tuple[Array, float]:
         """Gauss–Newton step, and what it promises."""
         _, g, H, _ = self._system(scene, play, column)
-        step = -np.linalg.solve(H + 1e-10 * np.trace(H) * np.eye(len(H)), g)
+        step = _solved(_lifted(H, 1e-10), g)[0]
         return step, float(-0.5 * g @ step)
 
     def weighed(self, scene: Scene, play: float, column: int) -> tuple[float, Array]:
         """Log evidence at one sway, with the step that is left taken on the quadratic; and that step."""
         squares, g, H, log_det = self._system(scene, play, column)
-        L = np.linalg.cholesky(H + 1e-12 * np.trace(H) * np.eye(len(H)))
-        left = dtrtrs(L, g, lower=1)[0]
-        step = -dtrtrs(L, left, lower=1, trans=1)[0]
-        # What a quadratic promises is believed as far as it holds: to where a frame turns by a third of a radian.
-        held = min(1.0, _HOLDS / max(float(np.abs(step).max()), 1e-12))
-        gain = 0.5 * float(left @ left) * held * (2.0 - held)
-        volume = 0.5 * len(g) * np.log(2.0 * np.pi) - np.log(np.diag(L)).sum()
-        return float(gain - squares - log_det + volume + _log_prior(self.motion)), step
+        step, half = _solved(_lifted(H, 1e-12), g)
+        held = _held(step)
+        gain = -0.5 * float(g @ step) * held * (2.0 - held)
+        volume = 0.5 * len(g) * _LOG_2PI - half
+        return gain - squares - log_det + volume + _log_prior(self.motion), step
 
     def evidence(self, scene: Scene, play: float) -> Array:
         """Log evidence for each sway."""
@@ -259,37 +267,51 @@ class _Terms:
 
 def _log_prior(motion: Motion) -> float:
     """What the prior's density has beside its exponent, in the coordinates of the motion."""
-    log = -np.log(4.0 * np.pi)
+    log = -math.log(4.0 * math.pi)
     if motion.turns:
-        log += -np.log(2.0 * np.pi) - np.log(furniture.RADIUS[1] * np.sqrt(2.0 * np.pi))
+        log += -_LOG_2PI - math.log(furniture.RADIUS[1]) - 0.5 * _LOG_2PI
     if motion.kind == "screw":
-        log += -np.log(furniture.PITCH[1] * np.sqrt(2.0 * np.pi)) - np.log(2.0)
-    return float(log)
+        log += -math.log(furniture.PITCH[1]) - 0.5 * _LOG_2PI - math.log(2.0)
+    return log
 
 
-def _about_mean(L: NDArray[Any], held: Array) -> tuple[float, float]:
+def _about_mean(whitener: Array, held: Array) -> tuple[float, float]:
     """Squares of rotations (3, k) about their most probable mean, and the information [1/rad²] on each of its axes.
 
     A hand that keeps its orientation explains its rotations as well as a drawer does, whatever the object does; the
     mean is unknown in both.
     """
-    both = _whiten(L, np.concatenate([held, np.ones((1, held.shape[1]))])[:, :, None])[:, :, 0]
-    one = both[3]
-    weight = float(one @ one)
-    return float((both[:3] ** 2).sum() - ((both[:3] @ one) ** 2).sum() / weight), weight
+    both, one = whitener @ held.T, whitener.sum(axis=1)
+    weight, along = float(one @ one), one @ both
+    return float((both * both).sum() - along @ along / weight), weight
 
 
-def _root(C: NDArray[Any]) -> tuple[Array, float]:
-    """Cholesky factor of a covariance (k, k), and half its log determinant with the Gaussian's 2π."""
-    L = np.asarray(np.linalg.cholesky(C), dtype=float)
-    return L, float(np.log(L.diagonal()).sum() + 0.5 * len(L) * np.log(2.0 * np.pi))
+def _whitener(C: NDArray[Any]) -> tuple[Array, float]:
+    """The inverse of a covariance's Cholesky factor (k, k), and half its log determinant with the Gaussian's 2π."""
+    L, failed = dpotrf(C, lower=1)
+    assert not failed, "no covariance"
+    return dtrtri(L, lower=1)[0], float(np.log(L.diagonal()).sum()) + 0.5 * len(L) * _LOG_2PI
 
 
-def _whiten(L: NDArray[Any], blocks: Array) -> Array:
-    """L⁻¹ on each of (d, k, c)."""
-    d, k, c = blocks.shape
-    side = blocks.transpose(1, 0, 2).reshape(k, d * c)
-    return dtrtrs(L, side, lower=1)[0].reshape(k, d, c).transpose(1, 0, 2)
+def _solved(H: Array, g: Array) -> tuple[Array, float]:
+    """−H⁻¹ g, and half the log determinant of H."""
+    L, step, failed = dposv(H, g, lower=1)
+    assert not failed, "no minimum"
+    return -step, float(np.log(L.diagonal()).sum())
+
+
+def _lifted(H: Array, share: float) -> Array:
+    """H, its diagonal raised by a share of its trace."""
+    H = np.array(H)
+    H.ravel()[:: len(H) + 1] += share * float(H.trace())
+    return H
+
+
+def _squares(whitener: Array, blocks: Array) -> Array:
+    """Products of the columns of (k, d, c), summed over nodes that share noise (c, c)."""
+    k, d, c = blocks.shape
+    white = (whitener @ blocks.reshape(k, d * c)).reshape(k * d, c)
+    return white.T @ white
 
 
 def still(moved: float) -> float:

@@ -16,7 +16,9 @@ residuals agree say less than their number.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -73,22 +75,30 @@ class _State:
 
 def prior_terms(motion: Motion) -> tuple[float, Array, Array]:
     """Half the squared distance from furniture's prior, its gradient (size,) and its curvature (size,), diagonal."""
-    cost, gradient, curvature = 0.0, np.zeros(motion.size), np.zeros(motion.size)
-    if motion.kind != "rigid":
-        # Directions are all alike, so they have no gradient, but their space is bounded: this is the curvature at which
-        # Laplace's method gives a whole sphere for the path and a whole circle for the axis around it.
-        k = 3 if motion.turns else 2
-        curvature[k - 2 : k], curvature[: k - 2] = 0.5, 0.5 / np.pi
+    cost, gradient = 0.0, np.zeros(motion.size)
     if motion.turns:
-        j = motion.size - (2 if motion.kind == "screw" else 1)
-        terms = [(j, np.log(motion.r), furniture.RADIUS)]
+        terms = [(math.log(motion.r), furniture.RADIUS)]
         if motion.kind == "screw":
-            terms.append((j + 1, np.log(abs(motion.h)), furniture.PITCH))
-        for at, value, (mean, std) in terms:
+            terms.append((math.log(abs(motion.h)), furniture.PITCH))
+        for at, (value, (mean, std)) in enumerate(terms, motion.size - len(terms)):
             d = (value - mean) / std
             cost += 0.5 * d * d
-            gradient[at], curvature[at] = d / std, 1.0 / std**2
-    return cost, gradient, curvature
+            gradient[at] = d / std
+    return cost, gradient, _prior_curvature(motion.kind, motion.size)
+
+
+@cache
+def _prior_curvature(kind: Kind, size: int) -> Array:
+    curvature = np.zeros(size)
+    if kind != "rigid":
+        # Directions are all alike, so they have no gradient, but their space is bounded: this is the curvature at which
+        # Laplace's method gives a whole sphere for the path and a whole circle for the axis around it.
+        k = 2 if kind == "prismatic" else 3
+        curvature[k - 2 : k], curvature[: k - 2] = 0.5, 0.5 / np.pi
+    widths = {"revolute": (furniture.RADIUS[1],), "screw": (furniture.RADIUS[1], furniture.PITCH[1])}.get(kind, ())
+    curvature[size - len(widths) :] = [1.0 / std**2 for std in widths]
+    curvature.flags.writeable = False
+    return curvature
 
 
 def _dims(motion: Motion, m: int) -> int:

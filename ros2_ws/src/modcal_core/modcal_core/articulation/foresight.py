@@ -6,15 +6,14 @@ a line settles nicely on the first centimetres of a circle.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
 
-_POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
+POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
 _OFTEN = 0.1  # of the distance ahead: how often a model is kept
 _MOST = 12
 _ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
@@ -38,7 +37,7 @@ class Foresight:
         self._checks: deque[float] = deque(maxlen=2)
         self._range = [0.0, 0.0]
         self.trusted = False
-        self.error = np.nan
+        self.error = math.nan
 
     def begin(self, low: float, high: float) -> None:
         """Call the path between low and high [m] known: from its ends on, models are kept and asked."""
@@ -50,24 +49,24 @@ class Foresight:
         self.trusted = False
         self._kept.clear()
         self._checks.clear()
-        path = a * float(np.linalg.norm(motion.tangent[:3]))
+        path = a * motion.length_per_unit
         self._range = [path, path]
 
-    def look(self, motion: Motion, a: float, here: Track) -> None:
+    def look(self, motion: Motion, a: float, p: Array) -> None:
         """Ask the models whose time has come with the pose that is here, and keep this one if the handle came further.
 
-        a: this motion's configuration of the pose. here: the pose as a track.
+        a: this motion's configuration of the pose. p: the pose's position (3,) [m].
         """
-        length = float(np.linalg.norm(motion.tangent[:3]))
-        ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else np.inf)
+        length = motion.length_per_unit
+        ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else math.inf)
         for side in (1.0, -1.0):
             kept = next((k for k in self._kept if k.side == side), None)  # the one whose time comes first
             if kept is None:
                 continue
-            b = kept.motion.configurations(here, _POSITIONS)
-            if kept.side * (float(b[0]) - kept.until) >= 0.0:
+            b, e = kept.motion.placed(p, None, POSITIONS)
+            if kept.side * (b - kept.until) >= 0.0:
                 self._kept.remove(kept)
-                self._learn(float(np.linalg.norm(kept.motion.residuals(here, b)[0][:3])))
+                self._learn(math.sqrt(e @ e))
         for side, end in ((1.0, 1), (-1.0, 0)):
             if side * (a * length - self._range[end]) > _OFTEN * ahead:
                 self._range[end] = a * length

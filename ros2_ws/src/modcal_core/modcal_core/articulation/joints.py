@@ -7,6 +7,7 @@ All of it stands in the frame of the track, called world below: a robot's base l
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -15,12 +16,15 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3, so3
+from modcal_core.geometry.single import crossed
 from modcal_core.geometry.so3 import Array
 
 Kind = Literal["rigid", "prismatic", "revolute", "screw"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far a turn weighs against a shift where one configuration must satisfy both: a hand is about this long.
 _LENGTH = 0.1  # m
+_EYE = np.eye(3)
+HAT = so3.hat(_EYE).reshape(3, 9)  # a vector times this is its skew-symmetric matrix, flat
 
 
 @dataclass(frozen=True)
@@ -49,14 +53,14 @@ class JointModel:
             object.__setattr__(self, name, array)
         if self.kind not in KINDS:
             raise BadRobot(f"joint {self.kind}", f"is none of {', '.join(KINDS)}", "name one of them")
-        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-6:
+        if abs(math.sqrt(self.axis @ self.axis) - 1.0) > 1e-6:
             raise BadRobot(
                 f"joint {self.kind}, axis", f"has length {np.linalg.norm(self.axis):g}, not 1", "normalise it"
             )
         if not np.isfinite(self.pitch) or (self.pitch != 0.0 and self.kind != "screw"):
             raise BadRobot(f"joint {self.kind}, pitch", f"is {self.pitch:g} m/rad", "only a screw has a finite pitch")
         R = self.start[:3, :3]
-        if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+        if np.abs(R @ R.T - _EYE).max() > 1e-6 or crossed(R[:, 0], R[:, 1]) @ R[:, 2] < 0.0:
             raise BadRobot(f"joint {self.kind}, start", "is no rigid transform", "give a rotation and a position")
 
     @property
@@ -70,12 +74,13 @@ class JointModel:
         if not self.turns:
             return np.inf if self.kind == "prismatic" else 0.0
         arm = self.start[:3, 3] - self.point
-        return float(np.linalg.norm(arm - self.axis * (self.axis @ arm)))
+        arm = arm - self.axis * (self.axis @ arm)
+        return math.sqrt(arm @ arm)
 
     @property
     def length_per_unit(self) -> float:
         """Path of the handle [m] per unit of configuration: 1 when it slides, about the radius when it turns."""
-        return float(np.hypot(self.radius, self.pitch)) if self.turns else float(self.kind == "prismatic")
+        return math.hypot(self.radius, self.pitch) if self.turns else float(self.kind == "prismatic")
 
     def twist(self) -> Array:
         """Space twist (6,), (v, ω), per unit of configuration."""
@@ -112,14 +117,17 @@ class JointModel:
         arm = self.start[:3, 3] - self.point
         rise0 = float(arm @ self.axis)
         arm = arm - rise0 * self.axis
-        r = float(np.linalg.norm(arm))
-        across = np.cross(self.axis, arm)
+        r = math.sqrt(arm @ arm)
+        across = crossed(self.axis, arm)
         x = p - self.point
         a = np.arctan2(x @ across, x @ arm)
         weight = 0.0
         if R is not None:
-            q = so3.to_quaternion(R @ self.start[:3, :3].T)
-            turned = 2.0 * np.arctan2(q[..., :3] @ self.axis, q[..., 3])
+            # the turn about the axis that brings start nearest to R: its sine and cosine are linear in R
+            S = self.start[:3, :3]
+            sine, cosine = (self.axis @ HAT).reshape(3, 3) @ S, S - self.axis[:, None] * (self.axis @ S)
+            flat = R.reshape(*R.shape[:-2], 9)
+            turned = np.arctan2(flat @ sine.ravel(), flat @ cosine.ravel())
             weight = _LENGTH**2 / (_LENGTH**2 + r * r)
             a = turned + (1.0 - weight) * wrapped(a - turned) if r > 0.0 else turned
         a = wrapped(a)

@@ -23,6 +23,8 @@ class Nodes:
     def __init__(self, oriented: bool, most: int = 32, reach: float = _FIRST_REACH) -> None:
         self.oriented, self.most, self.reach = oriented, most, reach
         self._width = 12 if oriented else 3
+        self._rotations = np.zeros((most, 3, 3))
+        self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum
         self._sums = np.zeros((most, self._width))
         self.counts = np.zeros(most)
         self.k = 0
@@ -39,16 +41,17 @@ class Nodes:
     def _pool(self, row: Array, weight: float) -> int:
         if self.k:
             apart = self.means() - row / weight
-            squared = np.einsum("ij,ij->i", apart, apart)
-            nearest = int(np.argmin(squared))
+            squared = (apart * apart).sum(axis=1)
+            nearest = int(squared.argmin())
             if squared[nearest] <= self.reach**2:
                 self._sums[nearest] += row
                 self.counts[nearest] += weight
+                self._stale[nearest] = True
                 return nearest
         if self.k == self.most:
             self._coarsen()
             return self._pool(row, weight)
-        self._sums[self.k], self.counts[self.k] = row, weight
+        self._sums[self.k], self.counts[self.k], self._stale[self.k] = row, weight, True
         self.k += 1
         return self.k - 1
 
@@ -78,4 +81,9 @@ class Nodes:
         if self.k < 6:
             return None
         m = self.means()
-        return Track(m[:, :3], so3.nearest_rotation(m[:, 3:].reshape(-1, 3, 3)) if self.oriented else None)
+        if not self.oriented:
+            return Track.trusted(m)
+        stale = self._stale[: self.k].nonzero()[0]
+        self._rotations[stale] = so3.nearest_rotation(m[stale, 3:].reshape(-1, 3, 3))
+        self._stale[stale] = False
+        return Track.trusted(m[:, :3], self._rotations[: self.k].copy())

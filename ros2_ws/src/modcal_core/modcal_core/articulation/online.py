@@ -7,6 +7,7 @@ when the model cannot be mended in three rounds of thought either, what is held 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.belief import Belief
-from modcal_core.articulation.foresight import Foresight
+from modcal_core.articulation.foresight import POSITIONS, Foresight
 from modcal_core.articulation.joints import JointModel, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadCommand
+from modcal_core.geometry.single import posed
 from modcal_core.geometry.so3 import Array
 
 Event = Literal["locked", "jammed", "changed"]
@@ -113,7 +115,7 @@ class Tracker:
             self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
         off, twisted, event = self._compare(p, R)
         for q, S in self._accepted(p, R, off, twisted):
-            self._moved = max(self._moved, float(np.linalg.norm(q - self._first)))
+            self._moved = max(self._moved, math.dist(q, self._first))
             self._nodes.add(q, S)
             if self._belief.think(self._nodes):
                 self._foresight.begin(*self._reached())
@@ -149,21 +151,19 @@ class Tracker:
         motion, follows = self._belief.motion, self._belief.follows
         if motion is None:
             return 0.0, 0.0, None
-        here = _one(p, R)
-        a = motion.configurations(here, (1e-2, 0.05 if follows else 1e9))
-        e = motion.residuals(here, a)[0]
-        off, twisted = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])) if follows else 0.0
+        a, e = motion.placed(p, R, (1e-2, 0.05 if follows else 1e9))
+        off, twisted = math.sqrt(e[:3] @ e[:3]), math.sqrt(e[3:] @ e[3:]) if follows else 0.0
         if self._residual is not None and self._residual[0] is motion and off < 0.05:
             self._belief.jitter(e - self._residual[1])
         self._residual = motion, e
-        self._foresight.look(motion, float(a[0]), here)
+        self._foresight.look(motion, a, p)
         self._credit = _HELD if self._foresight.trusted else self._credit - 1
         wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._belief.scale[0])
         self._beside = self._beside + 1 if off > wide else max(self._beside - 2, 0)
         if self._beside == 0:
             self._doubt = None
         elif self._beside >= _BESIDE and self._doubt is None and self._credit > 0:
-            self._foresight.doubt(motion, float(a[0]))
+            self._foresight.doubt(motion, a)
             self._credit, self._doubt = 0, self._belief.rounds
         elif self._beside >= _BESIDE and self._doubt is not None and self._belief.rounds >= self._doubt + _MENDING:
             self._forget()
@@ -207,7 +207,7 @@ class Tracker:
         while len(self._pulled) > 1 and stamp - self._pulled[1][0] >= self.settings.still_s:
             self._pulled.popleft()
         since, where = self._pulled[0]
-        if stamp - since < self.settings.still_s or np.linalg.norm(p - where) > self.settings.still_m:
+        if stamp - since < self.settings.still_s or math.dist(p, where) > self.settings.still_m:
             return None
         return "locked" if self._moved < 3.0 * self.settings.still_m else "jammed"
 
@@ -216,9 +216,7 @@ class Tracker:
         motion, nodes = self._belief.motion, self._nodes
         assert motion is not None
         assert nodes is not None
-        path = motion.configurations(_some(nodes.means()[:, :3], None), (1.0, 1e9)) * float(
-            np.linalg.norm(motion.tangent[:3])
-        )
+        path = motion.configurations(Track.trusted(nodes.means()[:, :3]), POSITIONS) * motion.length_per_unit
         return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> State:
@@ -229,12 +227,11 @@ class Tracker:
             return State("rigid", probabilities, None, 0.0, False, ahead, off, event, self._samples)
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
-            begin = float(motion.configurations(_one(self._first, None), (1.0, 1e9))[0])
+            begin = motion.placed(self._first, None, POSITIONS)[0]
             self._zero = motion, (motion if belief.follows else replace(motion, R=None)).model(begin)
         model, seen = self._zero[1], p
         if R is not None and belief.follows:
-            seen = np.eye(4)
-            seen[:3, :3], seen[:3, 3] = R, p
+            seen = posed(R, p)
         trusted = self._foresight.trusted
         a = float(model.configuration(seen))
         return State(belief.kind, probabilities, model, a, trusted, ahead, off, event, self._samples, belief.follows)
@@ -242,18 +239,5 @@ class Tracker:
 
 def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:
     """Distance [m] and angle [rad] between two poses."""
-    turn = 0.0 if R is None or S is None else float(np.linalg.norm(R - S)) / np.sqrt(2.0)
-    return float(np.linalg.norm(q - p)), turn
-
-
-def _one(p: Array, R: Array | None) -> Track:
-    """One sample as a track."""
-    return _some(p[None], None if R is None else R[None])
-
-
-def _some(p: Array, R: Array | None) -> Track:
-    """Samples that are too few for a track at the door, but enough for a motion."""
-    track = Track.__new__(Track)
-    object.__setattr__(track, "positions", p)
-    object.__setattr__(track, "rotations", R)
-    return track
+    turn = 0.0 if R is None or S is None else math.dist(R.ravel(), S.ravel()) / math.sqrt(2.0)
+    return math.dist(p, q), turn

@@ -7,6 +7,7 @@ Samples are drawn by their order only, so a track that is moved or mirrored gets
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,8 +15,9 @@ import numpy as np
 from modcal_core.articulation.joints import Kind
 from modcal_core.articulation.motion import PITCH, RADIUS, Motion
 from modcal_core.articulation.track import Track
-from modcal_core.geometry import so3
+from modcal_core.geometry.single import crossed
 from modcal_core.geometry.so3 import Array
+from modcal_core.robots.posture import rotation_vector
 
 _TRIES = 40
 _CIRCLES = 6  # of them that are tried as threads
@@ -134,41 +136,41 @@ def _pitch(h: float) -> float:
 def _of_points(a: Array, b: Array, c: Array, R: Array | None) -> Motion | None:
     """The circle through three points, beginning at the middle one."""
     u, v = a - b, c - b
-    w = np.cross(u, v)
+    w = crossed(u, v)
     ww = float(w @ w)
     if ww < 1e-16:
         return None
-    arm = (float(u @ u) * np.cross(v, w) + float(v @ v) * np.cross(w, u)) / (2.0 * ww)
+    arm = (float(u @ u) * crossed(v, w) + float(v @ v) * crossed(w, u)) / (2.0 * ww)
     return _circle(b, arm, -w, R)
 
 
 def _of_poses(p1: Array, R1: Array, p2: Array, R2: Array) -> Motion | None:
     """The circle that brings one pose to another, beginning at the first."""
-    w = so3.log(R2 @ R1.T)
-    angle = float(np.linalg.norm(w))
+    w = rotation_vector(R2 @ R1.T)
+    angle = math.sqrt(w @ w)
     if angle < 0.02:
         return None
     axis, d = w / angle, p2 - p1
     d = d - axis * (axis @ d)
-    arm = 0.5 * (d + np.cross(axis, d) / np.tan(0.5 * angle))
+    arm = 0.5 * (d + crossed(axis, d) / math.tan(0.5 * angle))
     return _circle(p1, arm, axis, R1)
 
 
 def _circle(p: Array, arm: Array, axis: Array, R: Array | None) -> Motion | None:
-    r = float(np.linalg.norm(arm))
+    r = math.sqrt(arm @ arm)
     if not RADIUS[0] < r < RADIUS[1]:
         return None
-    n, d = arm / r, axis / np.linalg.norm(axis)
-    return Motion("revolute", p, np.stack([np.cross(n, d), n, d], axis=1), R, r)
+    n, d = arm / r, axis / math.sqrt(axis @ axis)
+    return Motion("revolute", p, np.array([crossed(n, d), n, d]).T, R, r)
 
 
 def _frame(e: Array, n: Array | None) -> Array:
     """A frame (3, 3) whose first axis is along e."""
-    e = e / np.linalg.norm(e)
+    e = e / math.sqrt(e @ e)
     n = np.eye(3)[int(np.argmin(np.abs(e)))] if n is None else n
     n = n - e * (e @ n)
-    n = n / np.linalg.norm(n)
-    return np.stack([e, n, np.cross(e, n)], axis=1)
+    n = n / math.sqrt(n @ n)
+    return np.array([e, n, crossed(e, n)]).T
 
 
 def _fallback(track: Track, kind: Kind) -> Motion:

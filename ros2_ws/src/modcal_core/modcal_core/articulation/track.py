@@ -53,6 +53,15 @@ class Track:
             object.__setattr__(self, "stamps", t)
 
     @classmethod
+    def trusted(cls, positions: Array, rotations: Array | None = None) -> Track:
+        """A track of what has passed the door before, of any length, which is not looked at again."""
+        track = cls.__new__(cls)
+        object.__setattr__(track, "positions", positions)
+        object.__setattr__(track, "rotations", rotations)
+        object.__setattr__(track, "stamps", None)
+        return track
+
+    @classmethod
     def of_poses(cls, poses: ArrayLike, stamps: ArrayLike | None = None) -> Track:
         """The track of poses x y z qx qy qz qw (n, 7), or of positions (n, 3) [m].
 

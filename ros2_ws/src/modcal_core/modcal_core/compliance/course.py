@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.poses import along_screw, crossed, posed, turned
 from modcal_core.errors import BadCommand
+from modcal_core.geometry.single import along_screw, crossed, posed, turned
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.posture import rotation_vector
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.compliance.poses import crossed, speeds
 from modcal_core.errors import BadCommand
+from modcal_core.geometry.single import crossed, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.posture import pose_and_jacobian

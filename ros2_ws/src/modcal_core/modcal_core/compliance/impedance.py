@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.compliance.poses import relative, tool_from
 from modcal_core.errors import BadCommand
+from modcal_core.geometry.single import relative, tool_from
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.posture import pose_error
 

@@ -20,11 +20,11 @@ from modcal_core.compliance.following import Follower
 from modcal_core.compliance.guard import Guard, Heard, Late, Limits, Setpoint
 from modcal_core.compliance.impedance import Gains, Impedance
 from modcal_core.compliance.pace import Pace
-from modcal_core.compliance.poses import relative, speeds
 from modcal_core.compliance.reach import Reach, Walk
 from modcal_core.compliance.task import Belief, Joints, Stop, Task, Wait
 from modcal_core.compliance.wrench import Tare, WrenchSensor
 from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
