@@ -2,15 +2,16 @@
 
     make doors                                  # python bench/pulling.py
     python bench/pulling.py --scenes 10 --plain # the plain ways only, in this process, faster than real time
+    python bench/pulling.py --one-process       # modcal's way as well, without nodes between it and the physics
 
 Every scene is drawn anew (modcal_nodes/simulation/furniture.py): hinges left, right, above or below, a radius of 22 to
 60 cm, dry friction, damping, a closing spring, a grasp that holds firmly or that lets the hand turn, a hand that points
 some degrees beside the way the handle sets off. What is known to modcal is the tool's weight and that one pulls along
 the hand. Then objects that must not be forced: locked, jammed half way, and a folding door, which no joint describes.
 
-Time is simulated, and waits where the machine does not keep up, so that the physics does not depend on what else runs;
---time-factor 0 takes real time. Writes pulling.md, pulling.json and pulling.png into the folder. Exit code 1 where a
-target is missed.
+Time is simulated, and waits for the next setpoint, so that the physics does not depend on what else runs; --time-factor
+says how fast it may be, 0 takes real time. Writes pulling.md, pulling.json and pulling.png into the folder. Exit code
+1 where a target is missed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import json
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 import conftest  # noqa: E402, F401 (finds the install tree)
 import numpy as np  # noqa: E402
+from nodes import own_pull  # noqa: E402
 from nodes.plain_pulls import Pull, Way, learnt_wrong, pull, straight  # noqa: E402
 from nodes.pulling import PANDA, Opening, open_it  # noqa: E402
 
@@ -83,10 +86,16 @@ def plainly(name: str, seed: int, drawn: Furniture) -> Run:
     return _run(name, seed, drawn, made)
 
 
+def alone(name: str, seed: int, chosen: dict[str, Any]) -> Run:
+    """As modcal pulls, in this process."""
+    drawn = scene(seed, chosen)
+    return _run(name, seed, drawn, own_pull.pull(Pulling.of(URDF, CHAIN, drawn, np.random.default_rng(seed)), URDF))
+
+
 def really(name: str, seed: int, chosen: dict[str, Any], factor: float) -> tuple[Run, Opening]:
     """Through the nodes, in real time where factor is 0, else in a simulated time that runs so fast."""
     drawn = scene(seed, chosen)
-    paced = {"publish_clock": True, "time_factor": factor} if factor else {}
+    paced = {"publish_clock": True, "keep_step": True, "time_factor": factor} if factor else {}
     with tempfile.TemporaryDirectory() as folder:
         opening = open_it(Path(folder), drawn, {"seed": seed, **chosen, **paced}, patience=240.0)
     return _run(name, seed, drawn, opening.pull, opening.seconds, opening.gap), opening
@@ -151,7 +160,7 @@ def plot(path: Path, runs: list[Run], openings: list[Opening]) -> None:
     for opening in openings:
         right.plot(opening.forces[:, 0], opening.forces[:, 1], linewidth=0.6)
     right.axhline(MOST_PEAK, color="k", linewidth=0.5)
-    right.set(xlabel="time since it was asked for [s]", ylabel="contact force [N]", title="modcal, over DDS")
+    right.set(xlabel="time since it was asked for [s]", ylabel="contact force [N]", title="modcal")
     figure.savefig(path, dpi=150)
 
 
@@ -160,7 +169,8 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0, help="of the first scene")
     parser.add_argument("--stubborn", type=int, default=2, help="scenes of each kind that cannot be opened")
-    parser.add_argument("--time-factor", type=float, default=0.5, help="of simulated time; 0: real time")
+    parser.add_argument("--time-factor", type=float, default=1.0, help="of simulated time; 0: real time")
+    parser.add_argument("--one-process", action="store_true", help="modcal without its nodes")
     parser.add_argument("--plain", action="store_true", help="without the nodes")
     parser.add_argument("--stiff-only", action="store_true", help="of the plain ways the stiff, straight one alone")
     parser.add_argument("--out", type=Path, default=Path("demo/pulling"))
@@ -178,19 +188,24 @@ def main() -> int:
     for name in [STIFF] if chosen.stiff_only else PLAIN:
         say(name, [plainly(name, seed, drawn) for seed, drawn in scenes.items()])
     met: list[tuple[bool, str]] = []
-    if not chosen.plain:
-        made: list[Run] = []
-        for seed in seeds:
-            run, opening = really("modcal, over DDS", seed, {}, chosen.time_factor)
-            made.append(run)
+    own = "modcal, in one process" if chosen.one_process else "modcal, over DDS"
+
+    def ours(name: str, seed: int, what: dict[str, Any]) -> Run:
+        begun = time.monotonic()
+        if chosen.one_process:
+            run = alone(name, seed, what)
+        else:
+            run, opening = really(name, seed, what, chosen.time_factor)
             openings.append(opening)
-            print(f"  seed {seed}: {run.kind}, {run.grasp}: {run.pull}", file=sys.stderr, flush=True)
-        say("modcal, over DDS", made)
+        took = f"{time.monotonic() - begun:.0f} s of wall time"
+        print(f"  seed {seed}: {run.kind}, {run.grasp}, {took}: {run.pull}", file=sys.stderr, flush=True)
+        return run
+
+    if not chosen.plain:
+        made = [ours(own, seed, {}) for seed in seeds]
+        say(own, made)
         for name, what in STUBBORN.items():
-            done = [
-                really(name, seed, what, chosen.time_factor)[0]
-                for seed in range(chosen.seed, chosen.seed + chosen.stubborn)
-            ]
+            done = [ours(name, seed, what) for seed in range(chosen.seed, chosen.seed + chosen.stubborn)]
             stubborn += done
             if done:
                 say(f"modcal: {name}", done)

@@ -98,7 +98,7 @@ def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any]
     heard = {f"object_{what}": f"{ESTIMATOR}/object_{what}" for what in ("description", "state", "status")}
     return (
         Process(WORLD, domain, folder, urdf=PANDA, **world),
-        Process(ESTIMATOR, domain, folder, **paced),
+        Process(ESTIMATOR, domain, folder, tool_mass=scene.tool_mass, **paced),
         Process(
             SETPOINT,
             domain,

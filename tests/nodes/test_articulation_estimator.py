@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -180,6 +181,43 @@ def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
         assert model.radius == pytest.approx(np.hypot(tip[0], tip[1]), abs=0.02)
         assert abs(model.axis[2]) == pytest.approx(1.0, abs=1e-3)
         assert told.state.header.frame_id == chain.base
+
+
+@pytest.mark.parametrize(("mass", "event"), [(2.0, "none"), (0.0, "locked")])
+def test_a_weight_that_turns_with_the_gripper_is_not_somebody_who_pulls(
+    tmp_path: Path, mass: float, event: str
+) -> None:
+    """Turned on its side, a gripper of 2 kg feels 28 N of change; only who knows its weight knows that nobody pulls."""
+    domain = fresh_domain()
+    estimator = Process(NAME, domain, tmp_path, input="tracker/pose", tool_mass=mass)
+    with running(estimator), listener(domain) as (node, wait):
+        told = Told(node)
+        poses = node.create_publisher(PoseStamped, "tracker/pose", 100)
+        wrenches = node.create_publisher(WrenchStamped, "wrench", 100)
+        wait(lambda: poses.get_subscription_count() and wrenches.get_subscription_count(), 15.0)
+        tilt = np.concatenate([np.zeros(60), np.full(90, 0.5 * np.pi)])
+        turned = Rotation.from_rotvec(np.stack([tilt, 0.0 * tilt, 0.0 * tilt], axis=1))
+        still = Seen(
+            np.tile([0.5, 0.0, 0.4], (150, 1)), turned.as_matrix(), "rigid", tilt, np.zeros(3), np.zeros(3), 0.0
+        )
+        extra = np.zeros(3)
+
+        def hold(first: int, last: int) -> None:
+            for k in range(first, last):
+                felt = turned[min(k, 149)].inv().apply([0.0, 0.0, -2.0 * 9.80665]) + [1.0, -2.0, 0.5] + extra
+                message = WrenchStamped()
+                message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = (float(x) for x in felt)
+                wrenches.publish(message)
+                pose = shown(still, "base", 100.0)[min(k, 149)]
+                set_seconds(pose.header.stamp, 100.0 + STEP * k)
+                poses.publish(pose)
+                wait(lambda k=k: int(told.status.get("samples", "0")) >= k, 10.0)
+
+        hold(0, 150)
+        assert told.status["event"] == event
+        extra = np.array([0.0, 20.0, 0.0])  # and now somebody does
+        hold(150, 220)
+        assert told.status["event"] == "locked"
 
 
 def test_an_input_that_does_not_exist_ends_it(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.online import Settings, State, Tracker
 from modcal_core.articulation.urdf import describe
+from modcal_core.compliance.wrench import Load
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -24,6 +25,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commands import JointsHeard
 from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
+from modcal_msgs_py.setpoints import wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
@@ -61,6 +63,8 @@ class ArticulationEstimator(Node):
         self._forget()
         self._refusals = Refusals(self)
         self._rest: list[Array] = []
+        self._offset = np.zeros(3)
+        self._load = Load(chosen["tool_mass"])
         self._force = 0.0
 
         self._description = self.create_publisher(String, "~/object_description", LATCHED)
@@ -87,6 +91,7 @@ class ArticulationEstimator(Node):
         self._told: JointModel | None = None
         self._told_at = self._last = -np.inf
         self._frame = ""
+        self._turned: Array | None = None  # the gripper, when it was seen last
         self._ends = (0.0, 0.0)
         self._before = 0.0
         self._way = 1.0
@@ -141,15 +146,21 @@ class ArticulationEstimator(Node):
             self._follow(p, R, stamp, message.header.frame_id)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
-        """How hard somebody pulls: the force beyond what the sensor showed in the beginning."""
-        f = message.wrench.force
-        force = np.array([f.x, f.y, f.z], dtype=float)
-        if not np.isfinite(force).all():
+        """How hard somebody pulls: the force beyond what the sensor showed in the beginning, and the tool's weight."""
+        w = wrench_numbers(message)
+        if not np.isfinite(w).all():
             raise BadCommand("wrench", "is not finite", "see to the sensor")
+        R = self._turned
+        if R is None:  # the weight turns with the gripper, so where that points must be known, if there is a weight
+            if self._load.mass > 0.0:
+                return
+            R = np.eye(3)
+        left = (w - self._load.wrench(R))[:3]
         if len(self._rest) < _RESTING:
-            self._rest.append(force)
+            self._rest.append(left)
+            self._offset = np.median(self._rest, axis=0)
             return
-        self._force = float(np.linalg.norm(force - np.median(self._rest, axis=0)))
+        self._force = float(np.linalg.norm(left - self._offset))
 
     def _due(self, stamp: float) -> bool:
         """Whether a pose of this time is wanted: not more of them than rate_hz; time that jumps back begins anew."""
@@ -160,6 +171,7 @@ class ArticulationEstimator(Node):
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
         """Take one pose, and say what is believed after it."""
+        self._turned = R
         if self._frame and frame != self._frame:
             raise BadCommand(
                 self._chosen["input"], f"is in frame {frame!r}, was in {self._frame!r}", "reset, or keep one"

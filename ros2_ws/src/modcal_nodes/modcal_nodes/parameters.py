@@ -93,6 +93,12 @@ ARTICULATION_ESTIMATOR = {
     "ahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
     "still_m": Parameter(3e-3, "What a pulled handle moves by in a second while it counts as stuck [m].", 1e-4, 0.05),
     "pull_n": Parameter(15.0, "Force beyond that of the beginning from which somebody pulls [N].", 0.5, 500.0),
+    "tool_mass": Parameter(
+        0.0,
+        "Mass beyond the force sensor [kg], where poses are upright and wrenches in the gripper; 0: none.",
+        0.0,
+        100.0,
+    ),
 }
 
 SIMULATED_CELL = {
@@ -163,6 +169,7 @@ SIMULATED_FURNITURE = {
         False, "Whether to publish a simulated time on /clock, which waits where the machine does not keep up."
     ),
     "clock_rate_hz": Parameter(500.0, "How often a simulated second that is done [Hz].", 10.0, 2000.0),
+    "keep_step": Parameter(False, "Whether a simulated time also waits for the next reference, while they come."),
     "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 10.0),
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),

@@ -36,6 +36,8 @@ _LOST = 5.0  # s that are not made up for: the node's clock was set
 _LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
 _DEPTH = 100
 _START = 1000.0  # s that a simulated time begins with
+_AHEAD = 0.012  # s that a simulated time may run ahead of the last reference while it keeps step ...
+_SILENCE = 1.0  # s ... and of wall time, after which nobody is thought to send any more
 HANDLE = "handle"  # frame of the true grasp
 # a servo goes where it was last sent: an older reference is of no use
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -82,6 +84,8 @@ class SimulatedFurniture(Node):
             self._speakers.insert(0, (Grid(chosen["clock_rate_hz"]), self._send_clock))
         self._time, self._begun, self._done, self._offset = CellTime(self, 0.0, simulated, _START), False, 0.0, 0.0
         self._wall, self._own = time.monotonic(), 0.0
+        self._keeps_step = bool(simulated and chosen["keep_step"])
+        self._referred = (-_SILENCE, 0.0)  # wall and own time of the last reference
         Health(self, lambda: [self._rates.status()])
         fastest = max(chosen["joint_rate_hz"], chosen["wrench_rate_hz"])
         self._beat = Beat(1.0 / (fastest * (self._factor if simulated else 1.0)), self._go_on)
@@ -108,8 +112,10 @@ class SimulatedFurniture(Node):
         if self._clock_topic is None:
             return self._time.now()
         wall = time.monotonic()
-        self._own += min(wall - self._wall, _LONGEST) * self._factor
-        self._wall = wall
+        own = self._own + min(wall - self._wall, _LONGEST) * self._factor
+        if self._keeps_step and wall - self._referred[0] < _SILENCE:
+            own = max(self._own, min(own, self._referred[1] + _AHEAD))
+        self._own, self._wall = own, wall
         return self._own
 
     def _go_on(self) -> None:
@@ -136,6 +142,7 @@ class SimulatedFurniture(Node):
 
     def _refer(self, point: JointTrajectoryPoint) -> None:
         with self._beat.lock:
+            self._referred = time.monotonic(), self._done
             self._obey(lambda: self._world.refer(np.array(point.positions, dtype=float)))
 
     def _follow(self, trajectory: JointTrajectory) -> None:
