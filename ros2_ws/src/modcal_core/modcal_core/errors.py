@@ -70,3 +70,7 @@ class BadCommand(ModcalError):
 
 class MissingDriver(ModcalError):
     """Something that a calibration depends on and that nobody says: a temperature, an effort, a signal."""
+
+
+class Overloaded(ModcalError):
+    """A load or a motion that the drives cannot hold: too heavy a payload, a speed that takes all their torque."""

@@ -96,9 +96,12 @@ def forward(chain: Chain, q: ArrayLike) -> Array:
     return frames(chain, q.reshape(-1, chain.n)).transform(-1).reshape(q.shape[:-1] + (4, 4))
 
 
-def spatial_jacobian(chain: Chain, q: ArrayLike) -> Array:
-    """Spatial Jacobians (N, 6, n): column i is the base-frame twist of joint i at unit speed."""
-    f = frames(chain, q)
+def spatial_jacobian(chain: Chain, q: ArrayLike, f: Frames | None = None) -> Array:
+    """Spatial Jacobians (N, 6, n): column i is the base-frame twist of joint i at unit speed.
+
+    f: the frames at these positions, where they are known already.
+    """
+    f = frames(chain, q) if f is None else f
     axis = f.axes[:-1, 2].transpose(2, 1, 0)  # (N, 3, n)
     at = f.p[:-1].transpose(2, 1, 0)
     turn = np.concatenate([np.cross(at, axis, axis=1), axis], axis=1)
@@ -109,6 +112,13 @@ def spatial_jacobian(chain: Chain, q: ArrayLike) -> Array:
 def body_jacobian(chain: Chain, q: ArrayLike) -> Array:
     """Body Jacobians (N, 6, n): the same twists seen from the tip, ``Ad(T_base_tip)⁻¹`` times the spatial ones."""
     return se3.adjoint(se3.inverse(forward(chain, q))) @ spatial_jacobian(chain, q)
+
+
+def link_frames(chain: Chain, f: Frames) -> Array:
+    """Frames of the joints after their motion, which links and their inertias are described in, (N, n, 4, 4)."""
+    T_joint_next = chain.origins[1:] @ np.concatenate([se3.transform(chain.joint_basis[1:]), np.eye(4)[None]])
+    R, p = f.axes[1:].transpose(3, 0, 2, 1), f.p[1:].transpose(2, 0, 1)
+    return se3.transform(R, p) @ se3.inverse(T_joint_next)
 
 
 def place_jacobian(chain: Chain, q: ArrayLike, place: int) -> Array:

@@ -131,7 +131,7 @@ class Tree:
 
 def parse(urdf_xml: str) -> Tree:
     """The checked tree of a URDF text. Raises BadRobot for anything that is not one."""
-    robot = _parsed(_essential(_document(urdf_xml)))
+    robot = _parsed(_essential(document(urdf_xml)))
     joints = tuple(_joint(joint) for joint in robot.joints)
     links = tuple(link.name for link in robot.links)
     inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
@@ -140,7 +140,8 @@ def parse(urdf_xml: str) -> Tree:
     return tree
 
 
-def _document(urdf_xml: str) -> Any:
+def document(urdf_xml: str) -> Any:
+    """The root element of a URDF text, whatever it holds. Raises BadRobot for what is no XML, no URDF, or xacro."""
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
     parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True)
     text = urdf_xml.lstrip("\ufeff \t\r\n")

@@ -1,0 +1,81 @@
+"""The largest box around nothing at all that keeps to linear limits: per-joint bounds that hold for all joints at once.
+
+Wanted are bounds −l ≤ x ≤ u with l, u > 0, of the greatest product Π (u_i l_i)^w_i, such that every x between them
+obeys ``lower ≤ A x ≤ upper``. Which weights w_i > 0 is a matter of taste, and 1 the plain choice; whichever, the box
+does not depend on the units of the components. A box obeys a row
+if its worst corner does, which is linear in (u, l): with A⁺ and A⁻ the positive and negative parts of A,
+
+    | A⁺  A⁻ | | u |     |  upper |
+    | A⁻  A⁺ | | l |  ≤  | −lower |
+
+so a concave function, Σ w log z, is maximised over a polytope, B z ≤ h with B ≥ 0, z > 0. With multipliers y of the
+rows the optimum is where Bᵀ y = w/z and y (h − B z) = 0; Newton's method on both, the second relaxed to μ → 0 (a
+primal-dual interior point; Boyd and Vandenberghe, Convex Optimization, 2004, chapter 11).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.geometry.so3 import Array
+
+_MOST_STEPS = 60
+_GAP = 1e-9  # of Σ w log z, to the best there is
+_TO_THE_WALL = 0.99  # of the way to where something would turn negative
+_CENTRING = 0.1
+
+
+def largest_box(
+    A: ArrayLike, lower: ArrayLike, upper: ArrayLike, weights: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Lower and upper bounds (N, n), lower < 0 < upper, of the largest boxes in N polytopes lower ≤ A x ≤ upper.
+
+    A: (N, m, n), no column without a number. lower < 0 < upper: (N, m). weights: (n,) > 0; all 1 if none are given.
+    """
+    A = np.asarray(A, dtype=float)
+    n = A.shape[-1]
+    up, down = np.maximum(A, 0.0), np.maximum(-A, 0.0)
+    B = np.concatenate([np.concatenate([up, down], axis=-1), np.concatenate([down, up], axis=-1)], axis=-2)
+    h = np.concatenate([np.asarray(upper, dtype=float), -np.asarray(lower, dtype=float)], axis=-1)
+    assert (h > 0.0).all()
+    assert (B.max(axis=-2) > 0.0).all()
+    # in units in which each bound alone would be 1 and every limit is 1
+    B = B / h[..., None]
+    alone = 1.0 / B.max(axis=-2)
+    w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
+    assert (w > 0.0).all()
+    z = _largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
+    z /= (B @ z[..., None]).max(axis=(-2, -1))[..., None]  # rounding must not leave it outside
+    return -z[..., n:], z[..., :n]
+
+
+def _largest(B: Array, w: Array) -> Array:
+    """z (N, k) of the greatest Σ w log z with B z ≤ 1, for B (N, m, k) whose columns reach 1."""
+    N, m, k = B.shape
+    z = np.full((N, k), 0.5) / B.sum(axis=-1).max(axis=-1)[:, None]
+    s = 1.0 - (B @ z[..., None])[..., 0]
+    y = np.full((N, m), 1.0 / m) / s
+    for _ in range(_MOST_STEPS):
+        gap = np.sum(y * s, axis=-1, keepdims=True)
+        scaled = B * z[:, None, :]  # by which z changes relatively: well conditioned whatever the bounds' sizes
+        scaled_t = np.swapaxes(scaled, -1, -2)
+        missing = w - (scaled_t @ y[..., None])[..., 0]
+        open_ = (gap > _GAP) | (np.abs(missing).max(axis=-1, keepdims=True) > _GAP)
+        if not open_.any():
+            break
+        pull = _CENTRING * gap / m / s - y
+        H = np.diag(w) + scaled_t @ (scaled * (y / s)[..., None])
+        d = np.linalg.solve(H, (missing - (scaled_t @ pull[..., None])[..., 0])[..., None])[..., 0]
+        ds = -(scaled @ d[..., None])[..., 0]
+        dy = pull - y / s * ds
+        step = np.where(open_, np.minimum(_reach(1.0, d), _reach(s, ds)), 0.0)
+        z, s = z * (1.0 + step * d), s + step * ds
+        y = y + np.where(open_, _reach(y, dy), 0.0) * dy
+    return z
+
+
+def _reach(values: Array | float, change: Array) -> Array:
+    """How much of a change (N, k) leaves positive values positive, (N, 1), at most 1."""
+    worst = np.max(-change / values, axis=-1, keepdims=True)
+    return np.minimum(1.0, _TO_THE_WALL / np.maximum(worst, 1e-300))

@@ -1,0 +1,163 @@
+"""What a joint must set in motion: equivalent inertias, the joint-space inertia matrix, and a payload folded in.
+
+Everything is computed in the base frame, where twists and inertias of all bodies add without being carried along. With
+S_i the unit twist of joint i (see :func:`modcal_core.robots.kinematics.spatial_jacobian`), ``I_j`` the spatial inertia
+of body j, twists linear first, about the base's origin,
+
+    I_j = | m 1      −m ĉ         |          M_ij = S_iᵀ (Σ_{k ≥ max(i, j)} I_k) S_j,
+          | m ĉ      I_c − m ĉ ĉ  |
+
+the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6). The diagonal is also
+what the plain sum over the bodies beyond a joint says, with x and y of their centres across its axis:
+
+    J_i = Σ_{j ≥ i} [I_c,j about z_i + m_j (x_ij² + y_ij²)]          (a sliding joint: Σ m_j).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import frames, link_frames, spatial_jacobian
+from modcal_core.robots.urdf_inertias import Inertias
+
+_SAME = 1e-9  # how far, relatively, an inertia may be from symmetric, and from what a body can have
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What the arm carries: mass [kg], centre (3,) [m] in the tip link, and inertia (3, 3) [kg m²] about the centre."""
+
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @classmethod
+    def checked(cls, mass: float, centre: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = (0.0,) * 6) -> Payload:
+        """The payload with these numbers; inertia: ixx iyy izz ixy ixz iyz, as in ROS's Inertia. Raises BadRobot."""
+        c, i = np.asarray(centre, dtype=float).ravel(), np.asarray(inertia, dtype=float).ravel()
+        if not (np.isfinite(mass) and mass >= 0.0):
+            raise BadRobot("payload: mass", f"{mass:g} kg is not 0 or more", "give kilograms")
+        if c.shape != (3,) or not np.isfinite(c).all() or np.abs(c).max() > 10.0:
+            raise BadRobot(
+                "payload: centre", f"{_said(c)} is not a point within 10 m of the tip", "give x y z in metres"
+            )
+        if i.shape != (6,) or not np.isfinite(i).all():
+            raise BadRobot(
+                "payload: inertia", f"{_said(i)} is not six numbers", "give ixx iyy izz ixy ixz iyz in kg m²"
+            )
+        tensor = np.array([[i[0], i[3], i[4]], [i[3], i[1], i[5]], [i[4], i[5], i[2]]])
+        least = np.linalg.eigvalsh(0.5 * np.trace(tensor) * np.eye(3) - tensor).min()  # Σ m r rᵀ of a body is not < 0
+        if least < -_SAME * max(1e-3, float(np.abs(i).max())):
+            raise BadRobot(
+                "payload: inertia", f"{_said(i)} is of no body: moments obey a + b ≥ c", "take it about the centre"
+            )
+        return cls(float(mass), c, tensor)
+
+
+def with_payload(inertias: Inertias, chain: Chain, payload: Payload) -> Inertias:
+    """The bodies of a chain with a payload in its tip link, folded into the body of the last joint.
+
+    Masses add, centres are weighted, inertias are carried to the common centre (Steiner).
+    """
+    T_joint_tip = chain.origins[-1]
+    R, c = T_joint_tip[:3, :3], se3.apply(T_joint_tip, payload.centre)
+    mass, com, inertia = (np.array(a) for a in (inertias.mass, inertias.com, inertias.inertia))
+    total = float(mass[-1]) + payload.mass
+    if total > 0.0:
+        between = com[-1] - c
+        reduced = float(mass[-1]) * payload.mass / total
+        com[-1] = (mass[-1] * com[-1] + payload.mass * c) / total
+        inertia[-1] += reduced * (between @ between * np.eye(3) - np.outer(between, between))
+    inertia[-1] += R @ payload.inertia @ R.T
+    mass[-1] = total
+    for array in (mass, com, inertia):
+        array.flags.writeable = False
+    return Inertias(mass, com, inertia)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The bodies of a chain at N postures, seen from the base.
+
+    mass: (n,) [kg]. twists: S, (N, 6, n). centres: of mass, (N, n, 3) [m]. inertias: about them, (N, n, 3, 3) [kg m²].
+    """
+
+    mass: Array
+    twists: Array
+    centres: Array
+    inertias: Array
+
+    @classmethod
+    def at(cls, chain: Chain, inertias: Inertias, q: ArrayLike) -> Bodies:
+        """The bodies at joint positions q (N, n) [rad, m]."""
+        q = np.asarray(q, dtype=float)
+        f = frames(chain, q)
+        T = link_frames(chain, f)
+        R = T[..., :3, :3]
+        turned = R @ inertias.inertia @ np.swapaxes(R, -1, -2)
+        return cls(inertias.mass, spatial_jacobian(chain, q, f), se3.apply(T, inertias.com), turned)
+
+    @cached_property
+    def spatial(self) -> Array:
+        """I_j about the base's origin, (N, n, 6, 6)."""
+        m = self.mass[:, None, None]
+        c = so3.hat(self.centres)
+        out = np.empty((*self.centres.shape[:2], 6, 6))
+        out[..., :3, :3] = m * np.eye(3)
+        out[..., :3, 3:] = -m * c
+        out[..., 3:, :3] = m * c
+        out[..., 3:, 3:] = self.inertias - m * (c @ c)
+        return out
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Joint-space inertia matrices M, (N, n, n) [kg m², kg m, kg]; symmetric."""
+        S = self.twists
+        momentum = beyond(self.spatial) @ np.swapaxes(S, 1, 2)[..., None]  # (N, n, 6, 1)
+        upper = np.triu(np.swapaxes(S, 1, 2) @ np.swapaxes(momentum[..., 0], 1, 2))
+        return upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+
+
+def beyond(values: Array) -> Array:
+    """For every joint the sum over the bodies beyond it, its own included: of (N, n, ...) along the second axis."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+
+
+def mass_matrix(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
+    """Joint-space inertia matrices M(q) (N, n, n) [kg m², kg m, kg] for joint positions q (N, n)."""
+    return Bodies.at(chain, inertias, q).matrix
+
+
+def equivalent_inertia(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
+    """J_i of every joint (N, n) [kg m²; kg where it slides], the plain sum over the bodies beyond it.
+
+    q: joint positions (N, n). The inertia that joint i meets while all the others stand still; the diagonal of M.
+    """
+    q = np.asarray(q, dtype=float)
+    f = frames(chain, q)
+    T = link_frames(chain, f)
+    R, centres = T[..., :3, :3], se3.apply(T, inertias.com)  # (N, n, 3, 3), (N, n, 3)
+    out = np.empty(q.shape)
+    for i in range(chain.n):
+        if not chain.revolute[i]:
+            out[:, i] = inertias.mass[i:].sum()
+            continue
+        z = f.axes[i, 2].T[:, None, :]  # (N, 1, 3)
+        lever = centres[:, i:] - f.p[i].T[:, None, :]
+        across = np.sum(lever**2, axis=-1) - np.sum(lever * z, axis=-1) ** 2  # x² + y² seen from joint i
+        z_body = np.einsum("njab,nja->njb", R[:, i:], np.broadcast_to(z, lever.shape))
+        own = np.einsum("nja,jab,njb->nj", z_body, inertias.inertia[i:], z_body)
+        out[:, i] = np.sum(own + inertias.mass[i:] * across, axis=1)
+    return out
+
+
+def _said(values: Array) -> str:
+    return f"({', '.join(f'{v:g}' for v in values)})"

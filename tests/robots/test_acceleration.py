@@ -1,0 +1,274 @@
+"""Bounds of accelerations: at them a drive is at its limit, as MuJoCo reckons torques, and within them none is beyond."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from robots.random_arms import Mujoco, random_urdf
+from robots.test_kinematics import urdf
+from scipy.optimize import linprog
+
+from modcal_core.errors import BadRobot, Overloaded
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.acceleration import Window, window
+from modcal_core.robots.boxes import largest_box
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.fastest_motion import constant_bounds
+from modcal_core.robots.inertia import Payload, with_payload
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_drives import Drives, read_drives
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+
+
+def arm(text: str) -> tuple[Chain, Inertias, Drives]:
+    chain = read_chain(text)
+    return chain, read_inertias(text, chain), read_drives(text, chain)
+
+
+class Rig:
+    """A random arm with friction, postures and speeds, the window they leave, and MuJoCo to tell torques."""
+
+    def __init__(self, seed: int, moving: bool = True) -> None:
+        rng = np.random.default_rng(seed)
+        text = random_urdf(rng, 5, friction=True)
+        self.chain, self.inertias, self.drives = arm(text)
+        self.truth = Mujoco(text, self.chain)
+        self.q = rng.uniform(-1.5, 1.5, (6, 5))
+        self.v = rng.uniform(0.05, 0.5, (6, 5)) * rng.choice([-1.0, 1.0], (6, 5)) * moving
+        self.rng = rng
+        self.window = window(self.chain, self.inertias, self.drives, self.q, self.v)
+
+    def torque(self, k: int, a: Array, friction: Array | None = None) -> Array:
+        """What the drives give at posture k for accelerations a, by MuJoCo's mechanics and the URDF's friction."""
+        damping = self.truth.model.dof_damping[self.truth.at]
+        dry = self.truth.model.dof_frictionloss[self.truth.at]
+        sign = np.sign(self.v[k]) if friction is None else friction
+        return self.truth.torque(self.q[k], self.v[k], a) + dry * sign + damping * self.v[k]
+
+
+def at_limit(torque: Array, limit: Array) -> Array:
+    return np.abs(np.abs(torque) - limit) < 1e-7 * limit
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_equivalent_bounds_take_all_of_the_drive(seed: int) -> None:
+    """One joint at its bound, the others not accelerating: its drive is at its limit, with friction as it moves."""
+    rig = Rig(seed)
+    for sign, bounds in zip((-1.0, 1.0), rig.window.equivalent(), strict=True):
+        for k in range(len(rig.q)):
+            for i in range(5):
+                a = np.zeros(5)
+                a[i] = bounds[k, i]
+                assert rig.torque(k, a)[i] == pytest.approx(sign * rig.drives.torque[i], rel=1e-9)
+
+
+def test_the_direction_of_motion_decides_the_sign_of_friction() -> None:
+    """Going up, friction leaves less for speeding up and more for slowing down, by twice what it is."""
+    rig = Rig(0)
+    ahead, back = (
+        window(rig.chain, rig.inertias, rig.drives, rig.q, sign * 1e-2 * np.ones_like(rig.q)) for sign in (1.0, -1.0)
+    )
+    gap = back.upper - ahead.upper
+    expected = 2.0 * (rig.drives.coulomb + rig.drives.viscous * 1e-2)
+    assert np.abs(gap - expected).max() < 1e-9
+    assert np.abs((back.lower - ahead.lower) - expected).max() < 1e-9
+
+
+def test_a_standing_joint_may_begin_either_way() -> None:
+    rig = Rig(1, moving=False)
+    low, high = rig.window.equivalent()
+    for i in range(5):
+        for bound, way in ((low, -1.0), (high, 1.0)):
+            a = np.zeros(5)
+            a[i] = bound[0, i]
+            assert rig.torque(0, a, np.full(5, way))[i] == pytest.approx(way * rig.drives.torque[i], rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_given_the_others_accelerations(seed: int) -> None:
+    """At either end of the interval one drive is at its limit and none beyond; outside, one is beyond."""
+    rig = Rig(10 + seed)
+    low, high = rig.window.box()
+    a = low + rig.rng.random(low.shape) * (high - low)
+    ends = rig.window.given(a)
+    for k in range(len(rig.q)):
+        for i in range(5):
+            assert ends[0][k, i] <= a[k, i] <= ends[1][k, i]
+            for way, end in zip((-1.0, 1.0), ends, strict=True):
+                b = a[k].copy()
+                b[i] = end[k, i]
+                torque = rig.torque(k, b)
+                assert at_limit(torque, rig.drives.torque).sum() >= 1
+                assert (np.abs(torque) <= rig.drives.torque * (1.0 + 1e-9)).all()
+                b[i] += way * 1e-3
+                assert (np.abs(rig.torque(k, b)) > rig.drives.torque).any()
+
+
+def test_given_accelerations_that_are_too_much() -> None:
+    """Where the others alone ask too much of a drive, there is no bound."""
+    rig = Rig(3)
+    low, high = rig.window.given(1e5 * np.ones(5))
+    assert np.isnan(low).any()
+    assert np.array_equal(np.isnan(low), np.isnan(high))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_at_every_corner_of_the_box_all_drives_are_within_their_limits(seed: int) -> None:
+    rig = Rig(20 + seed)
+    low, high = rig.window.box()
+    assert (low < 0.0).all()
+    assert (high > 0.0).all()
+    for k in range(len(rig.q)):
+        touched = np.zeros(5, bool)
+        for corner in itertools.product((0, 1), repeat=5):
+            torque = rig.torque(k, np.where(corner, high[k], low[k]))
+            assert (np.abs(torque) <= rig.drives.torque * (1.0 + 1e-9)).all()
+            touched |= at_limit(torque, rig.drives.torque)
+        assert touched.any()
+
+
+def test_no_box_is_larger() -> None:
+    """At the largest product no other box gains on the whole: Σ w z' / z ≤ Σ w, by linear programming."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        n = int(rng.integers(1, 8))
+        m = n + int(rng.integers(0, 10))
+        A = rng.normal(size=(m, n)) * 10.0 ** rng.uniform(-3, 3, n)
+        lower, upper = -rng.uniform(0.01, 10.0, m), rng.uniform(0.01, 10.0, m)
+        w = rng.uniform(0.2, 5.0, n)
+        low, high = largest_box(A[None], lower[None], upper[None], w)
+        z = np.r_[high[0], -low[0]]
+        # written anew: the worst corner of a row takes high where its coefficient is positive, low where it is not
+        rows, limits = [], []
+        for row, bottom, top in zip(A, lower, upper, strict=True):
+            rows += [np.r_[np.where(row > 0, row, 0), np.where(row < 0, -row, 0)]]
+            rows += [np.r_[np.where(row < 0, -row, 0), np.where(row > 0, row, 0)]]
+            limits += [top, -bottom]
+        B, h = np.array(rows), np.array(limits)
+        assert (B @ z <= h * (1.0 + 1e-12)).all()
+        best = linprog(-np.r_[w, w], A_ub=B * z / h[:, None], b_ub=np.ones(len(h)), bounds=(0, None))
+        assert best.status == 0
+        assert -best.fun == pytest.approx(2.0 * w.sum(), rel=1e-6)
+
+
+def test_a_box_does_not_depend_on_units() -> None:
+    """A joint reckoned in millimetres has bounds a thousand times as large, and the others the same."""
+    rng = np.random.default_rng(6)
+    A, h = rng.normal(size=(1, 4, 4)), rng.uniform(1.0, 2.0, (1, 4))
+    scale = np.array([1.0, 1e3, 1.0, 1e-3])
+    low, high = largest_box(A, -h, 2.0 * h)
+    other = largest_box(A / scale, -h, 2.0 * h)
+    assert np.allclose(other[0] / scale, low, rtol=1e-7)
+    assert np.allclose(other[1] / scale, high, rtol=1e-7)
+
+
+def test_many_boxes_at_once_are_those_of_each() -> None:
+    rig = Rig(30)
+    low, high = rig.window.box()
+    for k in range(len(rig.q)):
+        w = rig.window
+        one = Window(w.names, w.matrix[k : k + 1], w.lower[k : k + 1], w.upper[k : k + 1])
+        assert np.allclose(one.box(), (low[k : k + 1], high[k : k + 1]), rtol=1e-6)
+
+
+def test_constant_bounds_hold_at_every_posture() -> None:
+    rig = Rig(31)
+    low, high = constant_bounds(rig.window)
+    touched = False
+    for k in range(len(rig.q)):
+        for corner in itertools.product((0, 1), repeat=5):
+            torque = rig.torque(k, np.where(corner, high, low))
+            assert (np.abs(torque) <= rig.drives.torque * (1.0 + 1e-9)).all()
+            touched |= bool(at_limit(torque, rig.drives.torque).any())
+    assert touched
+
+
+def test_the_coupled_box_is_within_the_equivalent_bounds() -> None:
+    """The others only take: no joint's bound is looser than by itself."""
+    text = urdf("panda")
+    chain, inertias, drives = arm(text)
+    q = np.random.default_rng(2).uniform(chain.lower, chain.upper, (50, chain.n))
+    w = window(chain, with_payload(inertias, chain, Payload.checked(2.0)), drives, q)
+    (low, high), (own_low, own_high) = w.box(), w.equivalent()
+    assert (high <= own_high * (1.0 + 1e-9)).all()
+    assert (low >= own_low * (1.0 + 1e-9)).all()
+    assert (high < 0.9 * own_high).any(axis=1).all()  # and truly tighter somewhere at every posture
+
+
+def test_a_rotor_adds_to_its_own_joint() -> None:
+    rig = Rig(32)
+    heavier = rig.drives.with_values("rotor", {"joint_2": 0.7})
+    w = window(rig.chain, rig.inertias, heavier, rig.q, rig.v)
+    extra = w.matrix - rig.window.matrix
+    assert np.allclose(extra[:, 2, 2], 0.7)
+    extra[:, 2, 2] = 0.0
+    assert not extra.any()
+
+
+def test_part_of_the_torque() -> None:
+    rig = Rig(33)
+    half = window(rig.chain, rig.inertias, rig.drives, rig.q, rig.v, share=0.5)
+    assert np.allclose(half.upper - half.lower, rig.drives.torque)
+    assert np.allclose(half.upper + half.lower, rig.window.upper + rig.window.lower)
+
+
+def test_too_heavy_a_payload_is_said_with_the_joint() -> None:
+    chain, inertias, drives = arm(urdf("ur10"))
+    q = np.zeros((1, 6))  # stretched out
+    w = window(chain, with_payload(inertias, chain, Payload.checked(40.0)), drives, q)
+    assert not w.held()[0]
+    with pytest.raises(
+        Overloaded, match=r"joint shoulder_lift_joint: gravity, friction and speed take .* of the 330 N m"
+    ):
+        w.box()
+
+
+def test_drives_as_the_urdf_states_them() -> None:
+    text = urdf("ur10").replace(
+        'effort="150" velocity="3.15"/>', 'effort="150" velocity="0"/><dynamics damping="2" friction="3"/>'
+    )
+    chain, _, drives = arm(text)
+    assert drives.torque.tolist() == [330.0, 330.0, 150.0, 54.0, 54.0, 54.0]
+    assert drives.speed.tolist() == [2.16, 2.16, np.inf, 3.2, 3.2, 3.2]
+    assert drives.viscous.tolist() == [0.0, 0.0, 2.0, 0.0, 0.0, 0.0]
+    assert drives.coulomb[2] == 3.0
+    with pytest.raises(ValueError, match="read-only"):
+        drives.torque[0] = 1.0
+    assert drives.names == chain.names
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('effort="150"', 'effort="0"', "drive of joint elbow_joint: the robot description states no effort"),
+        ('effort="150"', 'effort="nan"', "joint elbow_joint: effort: 'nan' is not a number of 0 or more"),
+        ('effort="150"', 'effort="-1"', "joint elbow_joint: effort: '-1'"),
+        ('effort="150"', 'effort="strong"', "joint elbow_joint: effort: 'strong'"),
+    ],
+)
+def test_drives_that_cannot_be_used(old: str, new: str, said: str) -> None:
+    text = urdf("ur10").replace(old, new)
+    chain = read_chain(text)  # kinematics do not mind
+    with pytest.raises(BadRobot, match=said):
+        window(chain, read_inertias(text, chain), read_drives(text, chain), np.zeros((1, 6)))
+
+
+def test_values_given_by_hand() -> None:
+    _, _, drives = arm(urdf("ur10"))
+    assert drives.with_values("torque", {"elbow_joint": 99.0}).torque[2] == 99.0
+    for value in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(BadRobot, match="torque of joint elbow_joint"):
+            drives.with_values("torque", {"elbow_joint": value})
+    with pytest.raises(BadRobot, match="torque of joint 'elbow': is not of this arm: name one of shoulder_pan"):
+        drives.with_values("torque", {"elbow": 9.0})
+    assert drives.with_values("coulomb", {"elbow_joint": 0.0}).coulomb[2] == 0.0
+
+
+def test_an_arm_without_masses_is_refused() -> None:
+    text = re.sub(r"<inertial>.*?</inertial>", "", urdf("ur10"), flags=re.DOTALL)
+    chain, inertias, drives = arm(text)
+    with pytest.raises(BadRobot, match="joint shoulder_pan_joint: moves nothing that has a mass"):
+        window(chain, inertias, drives, np.zeros((1, 6)))
