@@ -19,6 +19,7 @@ _FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "calibrati
 _ALSO = {"errors", "geometry", "robots", "measurements"}
 ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
 ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
+ROOMS["planning"] = ROOMS["calibration"] | {"planning"}
 ROOMS["articulation"] = _ALSO | {"articulation"}
 ROOMS["compliance"] = _ALSO | {"articulation", "compliance"}
 ROOMS["report"] = {*ROOMS, "report", "top"}

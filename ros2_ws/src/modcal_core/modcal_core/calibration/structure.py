@@ -36,11 +36,16 @@ def views_of(samples: Samples) -> tuple[View, ...]:
     return tuple(View(kind, frame, samples.is_same_point(frame)) for frame, kind in pairs)
 
 
-def random_postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Joint positions (count, n), uniform within the limits; a full turn, or ±0.5 m, where there is none."""
+def joint_ranges(chain: Chain) -> tuple[Array, Array]:
+    """Least and largest joint positions (n,) [rad, m]: the limits; a full turn, or ±0.5 m, where there is none."""
     span = np.where(chain.revolute, np.pi, 0.5)
     low = np.where(np.isfinite(chain.lower), chain.lower, -span)
-    high = np.where(np.isfinite(chain.upper), chain.upper, span)
+    return low, np.where(np.isfinite(chain.upper), chain.upper, span)
+
+
+def random_postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
+    """Joint positions (count, n), uniform within the limits; a full turn, or ±0.5 m, where there is none."""
+    low, high = joint_ranges(chain)
     return rng.uniform(low, high, (count, chain.n))
 
 

@@ -4,10 +4,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import click
+
 from modcal_core.errors import BadRobot
 from modcal_core.measurements.recording import Recording
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
+from modcal_nodes.files import read_yaml
+
+BASE = click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+TIP = click.option("--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most joints.")
+TOOL = click.option(
+    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), show_default=True, metavar="X Y Z",
+    help="What the tracker sees, in the tip [m].",
+)  # fmt: skip
+
+
+def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Chain:
+    """The arm in a file: a kinematic table where its name ends in .yaml or .yml, else a URDF."""
+    if path.suffix in (".yaml", ".yml"):
+        if base is not None or tip is not None:
+            raise BadRobot(str(path), "is a table, which is one arm from end to end", "leave out --base and --tip")
+        return from_table(read_yaml(path))
+    return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
 
 
 def robot_of(recording: Recording, urdf: Path | None, base: str | None, tip: str | None) -> tuple[Chain, str]:

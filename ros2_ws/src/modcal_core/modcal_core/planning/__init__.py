@@ -1,0 +1,1 @@
+"""Before anything is measured: which parameters matter, and which stations will show them."""

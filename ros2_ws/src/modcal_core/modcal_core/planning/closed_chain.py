@@ -1,0 +1,164 @@
+"""The closed chain from the measuring frame over the arm to the point that is measured, and its parameters.
+
+    P_M = T_M_B · T_B_tool0 · P_tool0
+
+For an arm of n joints in Denavit–Hartenberg form these are 4 n + 9 parameters (33 for six joints): theta, d, a and
+alpha of every row, three shifts (along the measuring frame) and three turns (about the base) of the base, and the three
+coordinates of the point in the last frame. DH cannot hold nearly parallel axes; the directions that a calibration uses,
+one at each place, are the other choice and hold for any arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.structure import choose_parameters
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.elementary import ElementaryChain, Motion, elementary
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.dh import to_dh
+from modcal_core.robots.table_rows import read_rows
+
+_DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A parameter whose error matters. name: "JOINT/theta", "base/rx", "point/z" or as a calibration has it."""
+
+    name: str
+    unit: str
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it is a shift rather than a turn."""
+        return self.unit == "m"
+
+
+@dataclass(frozen=True)
+class ClosedChain:
+    """chain: the nominal arm. factors: the P parameters. motions: the same chain, one motion a parameter."""
+
+    chain: Chain
+    factors: tuple[Factor, ...]
+    motions: ElementaryChain
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(f.name for f in self.factors)
+
+    def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
+        """The point [m], (S, N, 3), of arms with errors (S, P) [m, rad] in postures q (N, n) [rad, m]."""
+        return self.motions.positions(q, errors)
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """d(position, orientation)/d(parameter), (N, 6, P), at postures q (N, n)."""
+        return self.motions.jacobian(q)
+
+    def index(self, name: str) -> int:
+        """Number of the named parameter. Raises BadTable."""
+        if name not in self.names:
+            raise BadTable(f"parameter '{name}'", "is not one of the chain's", f"choose from {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+def dh_closed_chain(
+    chain: Chain, T_measuring_base: Array | None = None, point: ArrayLike = (0.0, 0.0, 0.0)
+) -> ClosedChain:
+    """The closed chain in 4 n + 9 parameters. point: what is measured, in the tip [m].
+
+    Raises NotRepresentable where DH cannot hold the arm: take :func:`calibration_chain` then.
+    """
+    table = to_dh(chain)
+    rows = read_rows(table, "dh", {key for key, _ in _DH})
+    columns = {key: rows.column(key) for key, _ in _DH}
+    factors: list[Factor] = []
+    steps: list[Array | Motion] = []
+
+    def add(name: str, direction: int) -> None:
+        steps.append(Motion(direction, parameter=len(factors)))
+        factors.append(Factor(name, "m" if direction < 3 else "rad"))
+
+    for d in range(3):
+        add(f"base/{'xyz'[d]}", d)
+    steps.append(np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float))
+    for d in range(3):
+        add(f"base/r{'xyz'[d]}", 3 + d)
+    steps.append(rows.T_base)
+    for k, joint in enumerate(chain.names):
+        steps.append(Motion(5 if chain.revolute[k] else 2, joint=k))
+        for pair in (_DH[:2], _DH[2:]):  # a turn about and a shift along one axis commute
+            xi = np.zeros(6)
+            for key, direction in pair:
+                add(f"{joint}/{key}", direction)
+                xi[direction] = columns[key][k]
+            steps.append(se3.exp(xi))
+    steps.append(rows.T_tool @ se3.transform(p=point))
+    for d in range(3):
+        add(f"point/{'xyz'[d]}", d)
+    return ClosedChain(chain, tuple(factors), elementary(steps))
+
+
+def calibration_chain(
+    chain: Chain,
+    T_measuring_base: Array | None = None,
+    T_tip_tool: Array | None = None,
+    kind: str = "point",
+    fixed: Sequence[str] = (),
+) -> ClosedChain:
+    """The closed chain in the parameters that ``modcal calibrate`` would fit to readings of this kind, by its names."""
+    model = one_frame_model(chain, T_measuring_base, T_tip_tool)
+    parameters = choose_parameters(model, (View(kind, 0),), fixed).parameters
+    return chain_of_parameters(model, parameters)
+
+
+def one_frame_model(chain: Chain, T_measuring_base: Array | None = None, T_tip_tool: Array | None = None) -> Model:
+    """The nominal arm watched from one frame called ``tracker``; poses default to the identity."""
+    base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
+    tool = np.eye(4) if T_tip_tool is None else np.asarray(T_tip_tool, dtype=float)
+    return Model(chain, ("tracker",), base[None], tool)
+
+
+def chain_of_parameters(model: Model, parameters: Sequence[Parameter]) -> ClosedChain:
+    """The closed chain of a model with one frame, in these parameters of a calibration, in their order."""
+    chain = model.chain
+    at: dict[int, list[tuple[int, int]]] = {}
+    for j, p in enumerate(parameters):
+        at.setdefault(p.place, []).append((p.direction, j))
+    M = chain.along_z
+    steps: list[Array | Motion] = [model.T_frame_base[0] @ M[0]]
+    for k in range(chain.n + 1):
+        if k == chain.n:
+            steps.append(model.T_tip_tool)
+        steps += [Motion(d, parameter=j) for d, j in sorted(at.get(k, []))]
+        if k < chain.n:
+            steps += [Motion(5 if chain.revolute[k] else 2, joint=k), M[k + 1]]
+    return ClosedChain(chain, tuple(Factor(p.name, p.unit) for p in parameters), elementary(steps))
+
+
+def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:
+    """Sizes Δg of the parameters' errors, (P,): one for lengths [m], one for angles [rad], others by name or pattern.
+
+    Raises BadTable for a pattern that names nothing and for a size that is negative or not finite.
+    """
+    out = np.array([length if f.is_length else angle for f in closed.factors])
+    for pattern, size in (tolerances or {}).items():
+        hit = [k for k, name in enumerate(closed.names) if fnmatchcase(name, pattern)]
+        if not hit:
+            raise BadTable(f"tolerance of '{pattern}'", "names no parameter", f"choose from {', '.join(closed.names)}")
+        out[hit] = size
+    bad = np.flatnonzero(~np.isfinite(out) | (out < 0.0))
+    if len(bad):
+        name = closed.names[bad[0]]
+        raise BadTable(f"tolerance of '{name}'", f"is {out[bad[0]]}, at least 0 is needed", "give metres or radians")
+    return out

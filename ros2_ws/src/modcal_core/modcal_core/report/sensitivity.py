@@ -1,0 +1,186 @@
+"""What a study of sensitivity says: as data, as a table in text, in a few sentences, and as pictures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.gain import NAMED
+from modcal_core.planning.study import Study
+from modcal_core.report.figures import svg
+
+_SAME = 1e-6  # share of an index within which it is the same at every posture
+_NAMED = 3  # of the strongest parameters, in a sentence
+
+
+def to_json_data(study: Study) -> dict[str, Any]:
+    """Numbers and texts that JSON can hold."""
+    at, joint = study.indices, study.joint
+    rows = []
+    for k, factor in enumerate(study.closed.factors):
+        row: dict[str, Any] = {
+            "name": factor.name,
+            "unit": factor.unit,
+            "size": float(at.sizes[k]),
+            "sfcdpe_mm": 1e3 * float(at.multi[k]),
+            "rsfcdpe": float(at.relative_multi[k]),
+            "mean_mm": 1e3 * float(at.mean[k]),
+            "min_mm": 1e3 * float(at.single[:, k].min()),
+            "max_mm": 1e3 * float(at.single[:, k].max()),
+            "same_everywhere": bool(_constant(study)[k]),
+            "share": float(joint.before.share[k]),
+            "rms_gain_mm": 1e3 * float(joint.before.rms_gain[k]),
+        }
+        for output, indices in study.variance.items():
+            row[f"sobol_{output}"] = {
+                "first": float(indices.first[k]),
+                "std_first": float(indices.std_first[k]),
+                "total": float(indices.total[k]),
+                "std_total": float(indices.std_total[k]),
+            }
+        row["measured"] = {
+            "seen": float(joint.seen[k]),
+            "rms_gain_left_mm": 1e3 * float(joint.after.rms_gain[k]),
+            "matters_and_is_not_seen": bool(joint.unseen[k]),
+        }
+        rows.append(row)
+    return {
+        "modcal_sensitivity": 1,
+        "joints": list(study.closed.chain.names),
+        "design": {"name": study.design, "postures": len(study.q)},
+        "base_factor": at.names[at.base],
+        "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
+        "measured": {
+            "stations": len(study.measured.q),
+            "kind": study.measured.kind,
+            "std_mm": 1e3 * study.measured.std_m,
+            "std_mrad": 1e3 * study.measured.std_rad,
+        },
+        "parameters": rows,
+        "sentences": sentences(study),
+    }
+
+
+def _constant(study: Study) -> np.ndarray:
+    """True where the single-point index is the same at every posture, (P,)."""
+    single = study.indices.single
+    return np.asarray(np.ptp(single, axis=0) <= _SAME * np.maximum(single.max(axis=0), 1e-300))
+
+
+def sentences(study: Study) -> list[str]:
+    """What a person should know first."""
+    joint, names = study.joint, study.closed.names
+    lengths = np.array([f.is_length for f in study.closed.factors])
+    constant = _constant(study)
+    out = [_about_lengths(study, lengths, constant)]
+    if (~lengths).any():
+        steady = [names[k] for k in np.flatnonzero(~lengths & constant)]
+        said = (
+            f"{int((~lengths & ~constant).sum())} of {int((~lengths).sum())} angles count differently from pose to pose"
+        )
+        out.append(said + (f"; {', '.join(steady)} move the point by the same at every one." if steady else "."))
+    order = np.argsort(-joint.before.share)
+    strongest = ", ".join(f"{names[k]} ({joint.before.share[k]:.1%})" for k in order[:_NAMED])
+    out.append(f"RMS position error {1e3 * joint.before.rms:.3f} mm; the largest shares of its square: {strongest}.")
+    out.append(
+        f"{len(study.measured.q)} stations ({study.measured.kind}s, {1e3 * study.measured.std_m:.3g} mm) would leave "
+        f"{1e3 * joint.after.rms:.3f} mm."
+    )
+    for k in np.flatnonzero(joint.unseen):
+        out.append(
+            f"{names[k]} matters ({joint.before.share[k]:.1%} of the mean square error): these stations do not see it."
+        )
+    return out
+
+
+def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> str:
+    count = int(lengths.sum())
+    single = study.indices.single[:, lengths] / np.maximum(study.indices.sizes[lengths], 1e-300)
+    if count and constant[lengths].all() and np.ptp(single) <= _SAME * single.max():
+        return f"All {count} translation parameters move the point by as much as they are off, at every pose."
+    return f"{int((lengths & constant).sum())} of {count} translation parameters count the same at every pose."
+
+
+def to_text(study: Study) -> str:
+    """A Markdown table of every parameter, the strongest share first, under the sentences."""
+    joint, at = study.joint, study.indices
+    head = (
+        f"| parameter | SFCDPE mm | RSFCDPE | mean mm | min … max mm | share | S | S_T | S_T distance | gain mm "
+        f"| seen by {len(study.measured.q)} stations | gain left mm |"
+    )
+    lines = ["# Sensitivity", "", *(f"* {s}" for s in sentences(study)), "", head, "|---" * 12 + "|"]
+    vector, distance = study.variance["vector"], study.variance["distance"]
+    for k in np.argsort(-joint.before.share, kind="stable"):
+        name = at.names[k]
+        low, high = 1e3 * at.single[:, k].min(), 1e3 * at.single[:, k].max()
+        lines.append(
+            f"| {name} | {1e3 * at.multi[k]:.3f} | {at.relative_multi[k]:.3f} | {1e3 * at.mean[k]:.3f} "
+            f"| {low:.3f} … {high:.3f} | {joint.before.share[k]:.2%} | {vector.first[k]:.3f} | {vector.total[k]:.3f} "
+            f"| {distance.total[k]:.3f} | {1e3 * joint.before.rms_gain[k]:.4f} | {joint.seen[k]:.0%} "
+            f"| {1e3 * joint.after.rms_gain[k]:.4f} |"
+        )
+    lines += ["", f"Base factor {at.names[at.base]}; {study.design}, {len(study.q)} postures."]
+    return "\n".join(lines) + "\n"
+
+
+def single_csv(study: Study) -> str:
+    """Single-point indices [mm] as CSV: joints, then parameters; one row a posture."""
+    head = ",".join([*study.closed.chain.names, *study.indices.names])
+    rows = np.c_[study.q, 1e3 * study.indices.single]
+    return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
+
+
+def by_pose_figure(study: Study) -> str:
+    """Relative single-point indices as a map, parameters down and postures across."""
+    from matplotlib.figure import Figure
+
+    relative = study.indices.relative_single.T
+    figure = Figure(figsize=(1.5 + min(0.22 * len(study.q), 9.0), 1.2 + 0.17 * len(relative)), layout="constrained")
+    axes = figure.subplots()
+    image = axes.imshow(relative, aspect="auto", cmap="viridis")
+    axes.set_yticks(range(len(relative)), study.indices.names, fontsize=6)
+    axes.set_xlabel(f"posture of {study.design}")
+    bar = figure.colorbar(image, ax=axes, shrink=0.6)
+    bar.set_label(f"RSFDPE, {study.indices.names[study.indices.base]} is 1", fontsize=8)
+    return svg(figure)
+
+
+def indices_figure(study: Study) -> str:
+    """Multi-point indices beside the Sobol indices, one bar a parameter, with twice the standard error."""
+    from matplotlib.figure import Figure
+
+    names, y = study.indices.names, np.arange(len(study.indices.names))
+    figure = Figure(figsize=(8.0, 1.2 + 0.17 * len(names)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    low, high = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
+    left.barh(y, study.indices.relative_multi, color="#1f6feb", height=0.7)
+    left.hlines(y, low, high, color="#1c2330", lw=0.8)
+    left.set_xlabel("RSFCDPE (line: over the postures)", fontsize=8)
+    for output, colour, shift in (("vector", "#1f6feb", -0.2), ("distance", "#d9a441", 0.2)):
+        indices = study.variance[output]
+        bars: Array = 2.0 * indices.std_total
+        right.barh(y + shift, indices.total, 0.38, color=colour, xerr=bars, error_kw={"lw": 0.6}, label=output)
+    right.set_xlabel("S_T of the error", fontsize=8)
+    right.legend(frameon=False, fontsize=7)
+    left.set_yticks(y, names, fontsize=6)
+    left.invert_yaxis()
+    return svg(figure)
+
+
+def gain_figure(study: Study) -> str:
+    """The RMS error that is left when the strongest parameters are known, one after the other."""
+    from matplotlib.figure import Figure
+
+    share = np.sort(study.joint.before.share)[::-1]
+    left = 1e3 * study.joint.before.rms * np.sqrt(np.maximum(1.0 - np.r_[0.0, np.cumsum(share)], 0.0))
+    figure = Figure(figsize=(6.0, 2.8), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(left, ".-", color="#1f6feb", ms=4)
+    axes.axhline(1e3 * study.joint.after.rms, color="#3a7d44", lw=1.0, label="left by the measured stations")
+    axes.set_xlabel(f"parameters known, the strongest first (a share above {NAMED:.0%}: {int((share >= NAMED).sum())})")
+    axes.set_ylabel("RMS error, mm")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, fontsize=8)
+    return svg(figure)

@@ -1,0 +1,147 @@
+"""``modcal sensitivity``: which parameters of an arm its accuracy hangs on, and whether a plan would see them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
+from modcal_core.planning.designs import DESIGNS, design
+from modcal_core.planning.study import Measured, Study, study
+from modcal_core.report.sensitivity import (
+    by_pose_figure,
+    gain_figure,
+    indices_figure,
+    sentences,
+    single_csv,
+    to_json_data,
+    to_text,
+)
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.table_rows import number
+from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
+from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.files import read_yaml, to_json, write_folder
+
+_SHOWN = 12  # parameters in the terminal
+
+
+@click.command("sensitivity")
+@click.argument("robot", type=EXISTING)
+@BASE
+@TIP
+@TOOL
+@click.option(
+    "--parameters", type=click.Choice(["dh", "calibration"]), default="dh", show_default=True,
+    help="The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
+)  # fmt: skip
+@click.option(
+    "--design", "kind", type=click.Choice(DESIGNS), default=None,
+    help="Postures of the indices. Default: l25, and sobol for more than six joints.",
+)  # fmt: skip
+@click.option("--levels", type=click.IntRange(2, 31), default=5, show_default=True, help="Of --design array; a prime.")
+@click.option("--postures", type=click.IntRange(4, 4096), default=64, show_default=True, help="Of --design sobol.")
+@click.option("--length-mm", type=click.FloatRange(0.0), default=0.5, show_default=True, help="Errors of lengths.")
+@click.option("--angle-mrad", type=click.FloatRange(0.0), default=1.0, show_default=True, help="Errors of angles.")
+@click.option("--sizes", "sizes_file", type=EXISTING, default=None, help="YAML of other sizes, {NAME or PATTERN: SI}.")
+@click.option("--base-factor", default=None, metavar="NAME", help="What the others are set against. Default: base/x.")
+@click.option("--bins", type=click.IntRange(1, 1000), default=None, help="Intervals of the multi-point weights.")
+@click.option(
+    "--measured", "stations", type=EXISTING, default=None, metavar="STATIONS",
+    help="plan.yaml of modcal plan, or a CSV of joint positions: would they see what matters? Default: the design's.",
+)  # fmt: skip
+@click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
+@click.option("--noise-mm", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Of readings, per axis.")
+@click.option("--noise-mrad", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Of poses, per axis.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+def sensitivity_command(
+    robot: Path,
+    base: str | None,
+    tip: str | None,
+    tool: tuple[float, float, float],
+    parameters: str,
+    kind: str | None,
+    levels: int,
+    postures: int,
+    length_mm: float,
+    angle_mrad: float,
+    sizes_file: Path | None,
+    base_factor: str | None,
+    bins: int | None,
+    stations: Path | None,
+    reading: str,
+    noise_mm: float,
+    noise_mrad: float,
+    seed: int,
+    out: Path | None,
+) -> None:
+    """Say which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
+    chain = read_robot(robot, base, tip)
+    closed = _closed_chain(chain, parameters, tool, reading)
+    sizes = sizes_of(closed, 1e-3 * length_mm, 1e-3 * angle_mrad, _tolerances(sizes_file))
+    rng = np.random.default_rng(seed)
+    kind = kind or ("l25" if chain.n <= 6 else "sobol")
+    q = design(chain, kind, rng, levels, postures)
+    measured = Measured(read_stations(stations, chain) if stations else q, reading, 1e-3 * noise_mm, 1e-3 * noise_mrad)
+    factor = base_factor or next(f.name for f in closed.factors if f.is_length)
+    result = study(closed, q, kind, sizes, factor, measured, rng, bins)
+    out = out or Path(f"{robot.stem}_sensitivity")
+    files = {
+        "sensitivity.json": to_json(to_json_data(result)),
+        "sensitivity.md": to_text(result),
+        "single_point.csv": single_csv(result),
+        "by_pose.svg": by_pose_figure(result),
+        "indices.svg": indices_figure(result),
+        "gain.svg": gain_figure(result),
+    }
+    write_folder(out, files)
+    console = Console()
+    console.print(_table(result))
+    for line in sentences(result):
+        console.print(line, highlight=False)
+    click.echo(f"Table: {out / 'sensitivity.md'}")
+
+
+def _closed_chain(chain: Chain, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
+    if parameters == "dh":
+        return dh_closed_chain(chain, point=tool)
+    return calibration_chain(chain, T_tip_tool=se3.transform(p=tool), kind=reading)
+
+
+def _tolerances(path: Path | None) -> dict[str, float]:
+    if path is None:
+        return {}
+    data: Any = read_yaml(path)
+    if not isinstance(data, dict):
+        raise BadTable(str(path), "is not a mapping", "give {NAME or PATTERN: metres or radians}")
+    return {str(name): number(data, name, f"{path}, {name}") for name in data}
+
+
+def _table(result: Study) -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    for name in ("SFCDPE mm", "RSFCDPE", "share", "S", "S_T", "gain mm", "seen", "left mm"):
+        table.add_column(name, justify="right")
+    joint, at, vector = result.joint, result.indices, result.variance["vector"]
+    for k in np.argsort(-joint.before.share, kind="stable")[:_SHOWN]:
+        table.add_row(
+            at.names[k],
+            f"{1e3 * at.multi[k]:.3f}",
+            f"{at.relative_multi[k]:.3f}",
+            f"{joint.before.share[k]:.1%}",
+            f"{vector.first[k]:.3f}",
+            f"{vector.total[k]:.3f}",
+            f"{1e3 * joint.before.rms_gain[k]:.4f}",
+            f"{joint.seen[k]:.0%}",
+            f"{1e3 * joint.after.rms_gain[k]:.4f}",
+        )
+    return table

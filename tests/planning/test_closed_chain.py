@@ -1,0 +1,105 @@
+"""The closed chain against arms written out by hand, against MuJoCo's arm, and against the calibration's derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import record, samples_of, slider_arm, ur10
+from finite_differences import assert_jacobian
+from planning.arms import POINT, dh_point, irb1410, irb1410_table
+
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.parameters import View
+from modcal_core.calibration.structure import choose_parameters
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.planning.closed_chain import (
+    ClosedChain,
+    calibration_chain,
+    chain_of_parameters,
+    dh_closed_chain,
+    one_frame_model,
+    sizes_of,
+)
+from modcal_core.planning.designs import sobol_postures
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+
+
+def general(chain: Chain, parameters: str) -> ClosedChain:
+    T = se3.exp([0.4, -0.2, 0.3, 0.5, 0.1, -0.7])
+    if parameters == "dh":
+        return dh_closed_chain(chain, T, POINT)
+    return calibration_chain(chain, T, se3.transform(p=POINT))
+
+
+def test_thirty_three_parameters() -> None:
+    closed = dh_closed_chain(irb1410(), point=POINT)
+    assert len(closed.factors) == 33
+    assert sum(f.is_length for f in closed.factors) == 18
+    assert len({*closed.names}) == 33
+
+
+def test_errors_move_the_point_as_in_an_arm_written_by_hand(rng: np.random.Generator) -> None:
+    table, closed = irb1410_table(), dh_closed_chain(irb1410(), point=POINT)
+    q = sobol_postures(irb1410(), 6, rng)
+    errors = 0.02 * rng.standard_normal((5, 33))
+    p = closed.positions(q, errors)
+    for s in range(5):
+        named = dict(zip(closed.names, errors[s], strict=True))
+        expected = [dh_point(table, posture, named, POINT) for posture in q]
+        assert np.abs(p[s] - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("parameters", ["dh", "calibration"])
+@pytest.mark.parametrize("chain", [ur10(), slider_arm(), irb1410()], ids=["ur10", "sliders", "irb1410"])
+def test_nominal_positions_and_derivatives(chain: Chain, parameters: str, rng: np.random.Generator) -> None:
+    closed = general(chain, parameters)
+    q = sobol_postures(chain, 4, rng)
+    T = se3.exp([0.4, -0.2, 0.3, 0.5, 0.1, -0.7]) @ forward(chain, q)
+    zero = np.zeros(len(closed.factors))
+    assert np.abs(closed.positions(q, zero)[0] - se3.apply(T, POINT)).max() < 1e-12
+    J = closed.jacobian(q)[:, :3].reshape(-1, len(zero))
+    assert_jacobian(lambda x: closed.positions(q, x)[0].ravel(), J, zero, step=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["point", "pose"])
+@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
+def test_its_columns_are_those_that_calibrate_fits(chain: Chain, kind: str, rng: np.random.Generator) -> None:
+    model = one_frame_model(chain, np.eye(4), se3.exp([0.1, 0.05, 0.2, 0.4, -0.3, 0.2]))
+    parameters = choose_parameters(model, (View(kind, 0),)).parameters
+    closed = chain_of_parameters(model, parameters)
+    q = sobol_postures(chain, 7, rng)
+    samples = samples_of(chain, q, model.predict(q), kind)
+    theirs = linearise(model, parameters, np.zeros(len(parameters)), samples).J.reshape(len(parameters), -1, 7)
+    # theirs are seen from the root: lengths and angles between the columns are what a fit sees
+    ours = closed.jacobian(q)[:, : 3 * theirs.shape[1] // 3]
+    assert np.allclose(np.einsum("pcn,rcn->npr", theirs, theirs), np.einsum("ncp,ncr->npr", ours, ours), atol=1e-12)
+
+
+def test_an_arm_of_mujoco_is_met_by_what_calibrate_fits_and_not_by_dh() -> None:
+    """Axes 2 and 3 are parallel: a tilt between them out of the drawing's plane has no DH parameter."""
+    made = record(5, 60, "point", irb1410(), length_std=1e-5, angle_std=1e-5)
+    T = made.world.tool_in_tracker(made.samples.q)
+    T_tip_tool = se3.exp(np.r_[0.05, 0.03, 0.12, np.random.default_rng(5).normal(size=9)[6:]])
+    tool = se3.transform(p=T_tip_tool[:3, 3])
+
+    def left(closed: ClosedChain) -> float:
+        P = len(closed.factors)
+        gap = (T[:, :3, 3] - closed.positions(made.samples.q, np.zeros(P))[0]).ravel()
+        J = closed.jacobian(made.samples.q)[:, :3].reshape(-1, P)
+        return float(np.abs(gap - J @ np.linalg.lstsq(J, gap, rcond=1e-10)[0]).max())
+
+    assert left(calibration_chain(irb1410(), made.world.T_tracker_base, tool)) < 5e-9
+    assert left(dh_closed_chain(irb1410(), made.world.T_tracker_base, tool[:3, 3])) > 1e-6
+
+
+def test_sizes_by_name_and_pattern() -> None:
+    closed = dh_closed_chain(irb1410())
+    sizes = sizes_of(closed, 5e-4, 1e-3, {"point/*": 0.0, "joint_3/a": 2e-3})
+    by_name = dict(zip(closed.names, sizes, strict=True))
+    assert (by_name["point/y"], by_name["joint_3/a"], by_name["joint_2/a"], by_name["base/rx"]) == (0, 2e-3, 5e-4, 1e-3)
+    with pytest.raises(BadTable, match="names no parameter"):
+        sizes_of(closed, 5e-4, 1e-3, {"joint_9/a": 1.0})
+    with pytest.raises(BadTable, match="at least 0 is needed"):
+        sizes_of(closed, -1.0, 1e-3)

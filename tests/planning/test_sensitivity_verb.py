@@ -1,0 +1,88 @@
+"""``modcal sensitivity``: tables and pictures, and one line where it cannot be."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planning.arms import IRB1410
+
+from modcal_nodes.cli.main import run
+
+ROBOTS = IRB1410.parent
+
+
+def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stations = tmp_path / "stations.csv"
+    rng = np.random.default_rng(0)
+    names = [f"joint_{k}" for k in (3, 2, 1, 4, 5, 6)]
+    q = np.c_[rng.uniform(-1, 1, (30, 3)), np.tile([0.2, 0.4, -0.3], (30, 1))]
+    stations.write_text(",".join(names) + "\n" + "\n".join(",".join(map(str, row)) for row in q) + "\n")
+    out = tmp_path / "out"
+    assert run(["sensitivity", str(IRB1410), "--measured", str(stations), "--out", str(out)]) == 0
+    told = " ".join(capfd.readouterr().out.split())
+    assert "All 18 translation parameters move the point by as much as they are off, at every pose." in told
+    assert "joint_5/d matters" in told
+    assert "these stations do not see it" in told
+    assert {p.name for p in out.iterdir()} == {
+        "sensitivity.json", "sensitivity.md", "single_point.csv", "by_pose.svg", "indices.svg", "gain.svg",
+    }  # fmt: skip
+    data = json.loads((out / "sensitivity.json").read_text())
+    assert data["design"] == {"name": "l25", "postures": 25}
+    rows = {row["name"]: row for row in data["parameters"]}
+    assert len(rows) == 33
+    assert sum(row["share"] for row in rows.values()) == pytest.approx(1.0)
+    assert rows["joint_2/a"]["rsfcdpe"] == pytest.approx(1.0)
+    assert not rows["joint_2/theta"]["same_everywhere"]
+    assert rows["joint_5/d"]["measured"]["matters_and_is_not_seen"]
+    single = list(csv.DictReader((out / "single_point.csv").read_text().splitlines()))
+    assert len(single) == 25
+    assert float(single[3]["base/y"]) == pytest.approx(0.5)
+    assert (out / "by_pose.svg").read_text().startswith("<svg")
+
+
+def test_an_arm_of_seven_joints_in_the_parameters_of_a_calibration(tmp_path: Path) -> None:
+    arguments = ["--parameters", "calibration", "--postures", "16", "--out", str(tmp_path / "out")]
+    assert run(["sensitivity", str(ROBOTS / "iiwa14.urdf"), *arguments]) == 0
+    data = json.loads((tmp_path / "out" / "sensitivity.json").read_text())
+    assert data["design"] == {"name": "sobol", "postures": 16}
+    assert len(data["parameters"]) == 31
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is no prime"),
+        (["irb1410.yaml", "--base", "base"], "is a table, which is one arm from end to end"),
+        (["iiwa14.urdf", "--design", "l25"], "it has 6 columns, the arm 7 joints"),
+        (["irb1410.yaml", "--base-factor", "joint_9/a"], "is not one of the chain's"),
+    ],
+)
+def test_what_cannot_be(arguments: list[str], words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(["sensitivity", str(ROBOTS / arguments[0]), *arguments[1:], "--out", str(out)]) == 2
+    told = capfd.readouterr().err
+    assert told.count("\n") == 1
+    assert words in told
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("stations.csv", "joint_1,joint_2\n0,1\n", "joint joint_3: is not named once"),
+        ("stations.csv", "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n0,1,2,3,4,x\n", "row 2: needs 6 finite numbers"),
+        ("plan.yaml", "stations: []\n", "is no plan"),
+        ("plan.yaml", "modcal_plan: 1\njoints: [joint_1]\nstations: []\n", "is not named once|holds no station"),
+    ],
+)  # fmt: skip
+def test_stations_that_cannot_be_read(
+    name: str, text: str, words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text(text)
+    assert run(["sensitivity", str(IRB1410), "--measured", str(tmp_path / name), "--out", str(tmp_path / "out")]) == 2
+    assert re.search(words, capfd.readouterr().err)
