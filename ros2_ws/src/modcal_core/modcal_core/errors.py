@@ -43,6 +43,10 @@ class NotRepresentable(ModcalError):
     """A result that the asked-for format cannot hold, such as nearly parallel axes in a DH table."""
 
 
+class NotPlannable(ModcalError):
+    """A wish that no set of stations meets: nothing is visible, or the accuracy is finer than the arm repeats."""
+
+
 class NotReachable(ModcalError):
     """A pose that no posture within the limits reaches.
 

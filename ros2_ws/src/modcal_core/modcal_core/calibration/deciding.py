@@ -7,7 +7,7 @@ of the two it is. That station is added to what is imitated, and so on (T-optima
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from modcal_core.calibration.parameters import View as Seen
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
+from modcal_core.errors import NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -50,8 +51,18 @@ class Proposal:
         return self.separation >= DECIDES
 
 
-def propose(calibration: Calibration, effect: int, rival: int, count: int, rng: np.random.Generator) -> Proposal:
-    """The ``count`` stations, of many within the joint limits, that best separate an effect from one of its rivals."""
+def propose(
+    calibration: Calibration,
+    effect: int,
+    rival: int,
+    count: int,
+    rng: np.random.Generator,
+    allowed: Callable[[Array], np.ndarray] | None = None,
+) -> Proposal:
+    """The ``count`` stations, of many within the joint limits, that best separate an effect from one of its rivals.
+
+    allowed: says of postures (N, n) which may be proposed, (N,). Raises NotPlannable where fewer than count may.
+    """
     model = calibration.calibrated
     truth, other = model.effects[effect], calibration.rivals[effect][rival]
     rest = tuple(e for i, e in enumerate(model.effects) if i != effect)
@@ -60,11 +71,19 @@ def propose(calibration: Calibration, effect: int, rival: int, count: int, rng: 
     parameters = choose_parameters(model, [seen]).parameters
     samples = _candidates(calibration, seen, rng)
     recorded = len(calibration.postures)
+    open_ = np.r_[np.zeros(recorded, bool), _CANDIDATES * [True]]
+    if allowed is not None:
+        open_[recorded:] = allowed(samples.q[recorded:])
+    if open_.sum() < count:
+        raise NotPlannable(
+            f"{count} stations", f"only {open_.sum()} of {_CANDIDATES} postures are allowed", "ask for fewer stations"
+        )
     difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.spread)
     chosen = list(range(recorded))
     for _ in range(count):
         miss = _miss(difference, J, prior, chosen)
         miss[chosen] = 0.0
+        miss[~open_] = -1.0
         chosen.append(int(np.argmax(miss)))
     new = np.array(chosen[recorded:])
     separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))

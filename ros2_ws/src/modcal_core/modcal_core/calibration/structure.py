@@ -75,8 +75,11 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
         q_parts.append(q)
         frame += [view.frame] * len(q)
         kind += [view.kind] * len(q)
-    q = np.concatenate(q_parts)
-    frames = np.array(frame)
+    return exact_samples(model, np.concatenate(q_parts), np.array(frame), np.array(kind, dtype="U8"))
+
+
+def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray) -> Samples:
+    """Readings of these kinds (N,) in these frames (N,) at postures q (N, n), as the model's geometry makes them."""
     T = model.predict(q, frames)
     N = len(q)
     return Samples(
@@ -86,9 +89,9 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
         stamps=np.zeros(N),
         station=np.arange(N),
         frame=frames,
-        kind=np.array(kind, dtype="U8"),
+        kind=kinds,
         position=T[:, :3, 3],
-        R=np.where((np.array(kind) == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
+        R=np.where((kinds == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),
         velocity=np.zeros_like(q),

@@ -21,7 +21,7 @@ VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "sensitivity": ("sensitivity", "sensitivity_command", "Say which parameters of an arm matter most."),
-    "plan": ("plan", "plan_command", "Propose the stations that tell explanations apart."),
+    "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
     "info": ("info", "info_command", "Say what is in BAG, what it can be used for, and what looks wrong."),
     "import": ("import_tables", "import_command", "Turn CSV tables into a bag."),
     "repair": ("repair", "repair_command", "Make a whole bag of one that was cut."),

@@ -3,89 +3,104 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 from rich.console import Console
 
-from modcal_core.calibration.deciding import Proposal, propose
-from modcal_core.calibration.store import Calibration
-from modcal_core.errors import NotEnoughData
+from modcal_core.errors import BadTable
+from modcal_core.planning.criteria import ACCURACY, CRITERIA
+from modcal_core.planning.ground import CANDIDATES
+from modcal_core.planning.plan import Plan, Wish, plan
+from modcal_core.planning.site import Site, site_from_data
+from modcal_core.report.planning import figure, sentences, to_csv, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.files import to_yaml, write_folder
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.cli.deciding import decide
+from modcal_nodes.cli.robot import BASE, TIP, read_robot
+from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
-_BY_POSTURE = ("position", "load", "direction")
+_DECIDING = 16  # stations, where none are asked for
 
 
 @click.command("plan")
+@click.argument("robot", type=EXISTING, required=False)
+@BASE
+@TIP
 @click.option(
-    "--decide", "report", type=EXISTING, required=True, metavar="REPORT",
-    help="Folder or report.json of a calibration whose effects have rivals (same_as).",
+    "--site", "site_file", type=EXISTING, default=None, metavar="FILE",
+    help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
-@click.option("--stations", type=click.IntRange(min=2), default=16, show_default=True, help="How many to propose.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the candidate postures.")
+@click.option("--stations", type=click.IntRange(min=2), default=None, help="How many. With --decide 16 by default.")
+@click.option(
+    "--accuracy-mm", type=click.FloatRange(min=1e-6), default=None,
+    help="As many stations as are needed for this error of the calibrated arm.",
+)  # fmt: skip
+@click.option(
+    "--measure", type=click.Choice(["p95", "rms"]), default="p95", show_default=True, help="Of --accuracy-mm."
+)
+@click.option(
+    "--criterion", type=click.Choice(CRITERIA), default=ACCURACY, show_default=True, help="What is made best."
+)
+@click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
+@click.option("--fix", "fixed", multiple=True, metavar="NAME", help="As in modcal calibrate. Repeatable.")
+@click.option("--candidates", type=click.IntRange(10, 20_000), default=CANDIDATES, show_default=True)
+@click.option("--starts", type=click.IntRange(1, 100), default=2, show_default=True, help="Of the exchange.")
+@click.option("--speed", type=click.FloatRange(1e-3), default=0.5, show_default=True, help="Of trajectory.yaml, rad/s.")
+@click.option("--dwell", type=click.FloatRange(0.6), default=2.0, show_default=True, help="At each station, s.")
+@click.option(
+    "--decide", "report", type=EXISTING, default=None, metavar="REPORT",
+    help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
-def plan_command(report: Path, stations: int, seed: int, out: Path | None) -> None:
-    """Propose the stations that tell explanations apart which the recording could not."""
-    folder = report if report.is_dir() else report.parent
-    calibration = read_calibration(folder)
-    ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
-    if not ties:
-        raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
-    rng = np.random.default_rng(seed)
-    share = max(2, stations // len(ties))
-    console = Console()
-    proposals = []
-    for i, j in ties:
-        console.print(_tie(calibration, i, j), highlight=False)
-        if not _depends_on_posture(calibration, i, j):
-            console.print("  postures cannot decide this: repeat some stations cold and warm, and some time later")
-            continue
-        proposal = propose(calibration, i, j, share, rng)
-        console.print(f"  {_worth(proposal)}", highlight=False)
-        proposals.append(proposal)
-    deciding = [p for p in proposals if p.decides]
-    if not deciding:
+def plan_command(
+    robot: Path | None,
+    base: str | None,
+    tip: str | None,
+    site_file: Path | None,
+    stations: int | None,
+    accuracy_mm: float | None,
+    measure: str,
+    criterion: str,
+    reading: str,
+    fixed: tuple[str, ...],
+    candidates: int,
+    starts: int,
+    speed: float,
+    dwell: float,
+    report: Path | None,
+    seed: int,
+    out: Path | None,
+) -> None:
+    """Choose the stations from which ROBOT (a URDF, or a YAML table) is best calibrated, or that decide a doubt."""
+    site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
+    if report is not None:
+        if robot is not None or accuracy_mm is not None:
+            raise BadTable("--decide", "goes with no robot and no accuracy", "give REPORT alone: it holds the robot")
+        decide(report, stations or _DECIDING, seed, out, site)
         return
-    out = out or folder.with_name(f"{folder.name}_plan")
-    write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
+    if robot is None:
+        raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
+    if stations is not None and accuracy_mm is not None:
+        raise BadTable("--stations", "goes with no --accuracy-mm", "give one of them")
+    wish = Wish(
+        stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
+        candidates,
+    )  # fmt: skip
+    found = plan(read_robot(robot, base, tip), site or Site(), wish, np.random.default_rng(seed))
+    out = out or Path(f"{robot.stem}_plan")
+    write_folder(out, _files(found, speed, dwell))
+    console = Console()
+    for line in sentences(found):
+        console.print(line, highlight=False)
     click.echo(f"Stations: {out / 'plan.yaml'}")
 
 
-def _tie(calibration: Calibration, i: int, j: int) -> str:
-    effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
-    return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
-
-
-def _depends_on_posture(calibration: Calibration, i: int, j: int) -> bool:
-    effects = calibration.calibrated.effects[i], calibration.rivals[i][j]
-    return all(e.public_driver.partition(":")[0] in _BY_POSTURE for e in effects)
-
-
-def _worth(proposal: Proposal) -> str:
-    if proposal.decides:
-        return f"{len(proposal.q)} stations tell them apart, by {proposal.separation:.0f} standard deviations"
-    return "no posture within the limits tells them apart: for this tool they are the same motion"
-
-
-def _data(calibration: Calibration, proposals: list[Proposal]) -> dict[str, object]:
-    names = calibration.nominal.chain.names
+def _files(found: Plan, speed: float, dwell: float) -> dict[str, Any]:
     return {
-        "modcal_plan": 1,
-        "joints": list(names),
-        "ties": [
-            {
-                "between": [p.effect.label, p.rival.label],
-                "separation": float(p.separation),
-                "stations": [
-                    {
-                        "position": [float(x) for x in q],
-                        **({"approach": [int(x) for x in a]} if a.any() else {}),
-                    }
-                    for q, a in zip(p.q, p.approach, strict=True)
-                ],
-            }
-            for p in proposals
-        ],
+        "plan.yaml": to_yaml(to_plan_data(found)),
+        "stations.csv": to_csv(found),
+        "trajectory.yaml": to_yaml(to_trajectory_data(found, speed, dwell)),
+        "stations.svg": figure(found),
     }

@@ -25,7 +25,7 @@ from modcal_core.report.sensitivity import (
     to_text,
 )
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.table_rows import number
+from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
 from modcal_nodes.cli.stations import read_stations
@@ -123,7 +123,7 @@ def _tolerances(path: Path | None) -> dict[str, float]:
     data: Any = read_yaml(path)
     if not isinstance(data, dict):
         raise BadTable(str(path), "is not a mapping", "give {NAME or PATTERN: metres or radians}")
-    return {str(name): number(data, name, f"{path}, {name}") for name in data}
+    return {str(name): float(vector([size], 1, f"{path}, {name}")[0]) for name, size in data.items()}
 
 
 def _table(result: Study) -> Table:

@@ -1,0 +1,142 @@
+"""What there is to choose from: postures that the arm may take and the tracker sees, and where accuracy counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.structure import choose_parameters, joint_ranges
+from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.accuracy import Accuracy, Workspace
+from modcal_core.planning.closed_chain import one_frame_model
+from modcal_core.planning.designs import sobol_postures
+from modcal_core.planning.rows import Rows, position_rows, station_rows
+from modcal_core.planning.site import Site
+from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
+from modcal_core.robots.chain import Chain
+
+CANDIDATES = 1500
+_WORKSPACE = 400
+_ROADMAP = 1500  # postures that ways may lead over
+_OFF_LIMITS = 0.02  # rad or m that is kept from the joints' limits
+_DRAWN = 40  # times as many postures are drawn as are wanted, before it is said that hardly any is allowed
+_RANDOM = 20  # random sets that a plan is compared with
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What there is to choose from.
+
+    model: with its one frame at the tracker. q: allowed and seen postures (N, n). rows: what they tell. workspace:
+    where accuracy counts. free_q: postures that are allowed, seen or not. shares: of the postures drawn that touch
+    nothing, and of these seen.
+    """
+
+    model: Model
+    site: Site
+    spheres: Spheres
+    parameters: tuple[Parameter, ...]
+    reading: str
+    q: Array
+    rows: Rows
+    workspace: Workspace
+    free_q: Array
+    shares: tuple[float, float]
+
+
+def survey(
+    chain: Chain,
+    site: Site,
+    rng: np.random.Generator,
+    reading: str = "point",
+    fixed: tuple[str, ...] = (),
+    candidates: int = CANDIDATES,
+) -> Ground:
+    """The postures that are allowed and seen, and what each would tell. Raises NotPlannable where there are none.
+
+    reading: ``point`` or ``pose``. fixed: parameters that are not fitted. candidates: how many postures.
+    """
+    chain = with_limits(chain, site)
+    spheres = spheres_of(chain, site)
+    T = np.eye(4)
+    if site.tracker is not None:
+        T[:3, 3] = -site.tracker.position  # how the tracker is turned does not matter
+    model = one_frame_model(chain, T, se3.transform(p=site.target.position))
+    parameters = choose_parameters(model, (View(reading, 0),), fixed).parameters
+    drawn = sobol_postures(chain, min(_DRAWN * candidates, 1 << 16), rng)
+    free, seen, tried = [], [], 0
+    for block in np.array_split(drawn, max(1, len(drawn) // 2048)):
+        allowed = block[clearance(spheres, site, block) >= 0.0]
+        free.append(allowed)
+        seen.append(allowed[visible(spheres, site, allowed)])
+        tried += len(block)
+        if sum(map(len, seen)) >= candidates and sum(map(len, free)) >= _WORKSPACE:
+            break
+    all_free, q = np.concatenate(free), np.concatenate(seen)[:candidates]
+    shares = (len(all_free) / tried, sum(map(len, seen)) / max(len(all_free), 1))
+    if len(q) < 2:
+        what = "touches nothing" if not len(all_free) else "is seen by the tracker"
+        raise NotPlannable(
+            f"{tried} postures within the joints' limits",
+            f"{'none' if not len(q) else 'one'} {what}",
+            "check the site: radii, floor, obstacles, the tracker's place, cone and range",
+        )
+    inside = all_free
+    if site.box is not None:
+        at = model.predict(inside)[:, :3, 3] - T[:3, 3]
+        inside = inside[((at >= site.box[0]) & (at <= site.box[1])).all(axis=1)]
+        if not len(inside):
+            raise NotPlannable("workspace box", "no allowed posture holds the target in it", "correct box_m")
+    inside = inside[:_WORKSPACE]
+    rows = station_rows(model, parameters, q, reading, site.noise)
+    workspace = Workspace(*position_rows(model, parameters, inside, site.noise))
+    return Ground(model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares)
+
+
+def with_limits(chain: Chain, site: Site) -> Chain:
+    """The chain within the site's narrower limits. Raises BadTable for a joint that is not there.
+
+    Where the site states none, a joint that turns farther than once is held to the one turn about its middle: geometry
+    looks the same after a turn, and the ways get shorter. A little is kept free at either end, where controllers stop.
+    """
+    lower, upper = joint_ranges(chain)
+    off = np.minimum(_OFF_LIMITS, 0.05 * (upper - lower))
+    lower, upper = lower + off, upper - off
+    wide = chain.revolute & (upper - lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
+    middle = 0.5 * (lower + upper)
+    lower, upper = np.where(wide, middle - np.pi, lower), np.where(wide, middle + np.pi, upper)
+    for name, (low, high) in site.limits.items():
+        if name not in chain.names:
+            raise BadTable(f"limits of '{name}'", "there is no such joint", f"choose from {', '.join(chain.names)}")
+        k = chain.names.index(name)
+        lower[k], upper[k] = max(low, lower[k]), min(high, upper[k])
+        if lower[k] >= upper[k]:
+            raise BadTable(f"limits of '{name}'", "leave nothing of the robot's own", "give [least, largest] in SI")
+    return replace(chain, lower=lower, upper=upper)
+
+
+def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
+    """What as many stations would give that are drawn from the same postures."""
+    return [
+        ground.workspace.accuracy(ground.rows.covariance(rng.choice(len(ground.q), count, replace=False)))
+        for _ in range(sets)
+    ]
+
+
+def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
+    """Says of postures (N, n) whether this arm, by its nominal model, may take them at a site and is seen there."""
+    chain = with_limits(calibration.nominal.chain, site)
+    spheres = spheres_of(chain, site)
+
+    def may(q: Array) -> np.ndarray:
+        inside = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
+        return np.asarray(inside & (clearance(spheres, site, q) >= 0.0) & visible(spheres, site, q))
+
+    return may

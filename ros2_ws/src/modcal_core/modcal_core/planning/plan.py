@@ -1,0 +1,215 @@
+"""Which stations to measure: the main path of ``modcal plan``.
+
+    joints' ranges → postures that are allowed and seen → rows → exchange → accuracy → how many → the way through them
+
+The parameters are those that ``modcal calibrate`` will fit, its weights and its prior count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER
+from modcal_core.calibration.split import SHARES
+from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.accuracy import Accuracy
+from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
+from modcal_core.planning.exchange import Exchange, exchange
+from modcal_core.planning.ground import CANDIDATES, Ground, random_accuracies, survey
+from modcal_core.planning.route import Route, route
+from modcal_core.planning.rows import Rows, station_rows
+from modcal_core.planning.site import Site
+from modcal_core.planning.spheres import clearance, visible
+from modcal_core.robots.chain import Chain
+
+_REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
+_MOVED = 24  # new candidates for every station and round
+_FEWER = 5  # stations fewer that are tried at the end, one by one
+_QUICK = (1, 2)  # starts and passes while the number of stations is looked for
+_MOST = 400  # stations
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of a plan.
+
+    stations: how many; None: as many as the accuracy needs. accuracy: [m], of what measure says: ``rms`` or ``p95``.
+    criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that are not fitted. starts: of the
+    exchange. candidates: postures to choose from.
+    """
+
+    stations: int | None = None
+    accuracy: float | None = None
+    measure: str = "p95"
+    criterion: str = ACCURACY
+    reading: str = "point"
+    fixed: tuple[str, ...] = ()
+    starts: int = 2
+    candidates: int = CANDIDATES
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stations, and what is expected of them.
+
+    q: in the order of the way through them, (k, n) [rad, m]. accuracy, indices: of the calibration from them.
+    random: accuracies of as many stations drawn at random from the same postures. curve: (number, accuracy) of the
+    sets that were tried while looking for the number. values: of the criterion, one a start, then when refined.
+    """
+
+    wish: Wish
+    ground: Ground
+    q: Array
+    route: Route
+    accuracy: Accuracy
+    indices: Observability
+    random: tuple[Accuracy, ...]
+    values: tuple[float, ...]
+    curve: tuple[tuple[int, Accuracy], ...] = field(default=())
+
+
+def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan:
+    """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
+    if wish.stations is None and wish.accuracy is None:
+        raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")
+    ground = survey(chain, site, rng, wish.reading, wish.fixed, wish.candidates)
+    good = criterion(wish.criterion, ground.workspace.gamma)
+    least = least_stations(len(ground.parameters), wish.reading)
+    curve: tuple[tuple[int, Accuracy], ...] = ()
+    if wish.stations is None:
+        count, curve = _how_many(ground, wish, good, least, rng)
+    else:
+        count = wish.stations
+        _require(count, least, len(ground.q))
+    best = _best(ground, count, good, wish.starts, rng)
+    if wish.stations is None:  # the quick search that said how many does not refine
+        for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
+            other = _best(ground, fewer, good, 1, rng)
+            if _measure(other.accuracy, wish) > _wished(wish):
+                break
+            best = other
+        while _measure(best.accuracy, wish) > _wished(wish) and len(best.q) < len(ground.q):
+            best = _best(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
+    count = len(best.q)
+    way = through(ground, best.q)
+    return Plan(
+        wish,
+        ground,
+        best.q[way.order],
+        way,
+        best.accuracy,
+        observability(best.rows.information(np.arange(count)), count),
+        tuple(random_accuracies(ground, count, rng)),
+        best.values,
+        curve,
+    )
+
+
+@dataclass(frozen=True)
+class _Best:
+    """Stations (k, n), what they tell, the accuracy they give, and the criterion: one value a start, then refined."""
+
+    q: Array
+    rows: Rows
+    accuracy: Accuracy
+    values: tuple[float, ...]
+
+
+def _best(ground: Ground, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> _Best:
+    found = exchange(ground.rows, count, good, rng, starts)
+    q, rows, value = refined(ground, found, good, rng)
+    accuracy = ground.workspace.accuracy(rows.covariance(np.arange(count)))
+    return _Best(q, rows, accuracy, (*found.starts, value))
+
+
+def refined(ground: Ground, found: Exchange, good: Criterion, rng: np.random.Generator) -> tuple[Array, Rows, float]:
+    """Stations (k, n) near those that were found and better, what they tell, and the criterion.
+
+    Round by round every station gets candidates around it, allowed and seen, and the exchange goes on among these.
+    """
+    chain, site, count = ground.model.chain, ground.site, len(found.chosen)
+    q, value = ground.q[found.chosen], found.value
+    rows = ground.rows.of(found.chosen)
+    for size in _REFINED:
+        moved = np.repeat(q, _MOVED, axis=0)
+        moved = np.clip(moved + size * rng.standard_normal(moved.shape), chain.lower, chain.upper)
+        moved = moved[clearance(ground.spheres, site, moved) >= 0.0]
+        moved = np.concatenate([q, moved[visible(ground.spheres, site, moved)]])
+        more = station_rows(ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.spread)
+        better = exchange(more, count, good, rng, begin=np.arange(count))
+        q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
+    return q, rows, value
+
+
+def least_stations(parameters: int, reading: str) -> int:
+    """The fewest stations from which ``modcal calibrate`` fits so many parameters: it fits to a share of them first."""
+    equations = SHARES[0] * (6.0 if reading == "pose" else 3.0)
+    return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
+
+
+def through(ground: Ground, q: Array) -> Route:
+    """The way through these stations, free of touching by the spheres."""
+
+    def free(postures: Array) -> np.ndarray:
+        return np.asarray(clearance(ground.spheres, ground.site, postures) >= 0.0)
+
+    return route(q, free, ground.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)))
+
+
+def _require(count: int, least: int, there: int) -> None:
+    if count < least:
+        raise NotPlannable(f"{count} stations", f"modcal calibrate needs at least {least}", "ask for more stations")
+    if count > there:
+        raise NotPlannable(
+            f"{count} stations",
+            f"only {there} of the postures tried are allowed and seen",
+            "ask for fewer, or widen the site",
+        )
+
+
+def _wished(wish: Wish) -> float:
+    assert wish.accuracy is not None
+    return wish.accuracy
+
+
+def _measure(accuracy: Accuracy, wish: Wish) -> float:
+    return accuracy.rms if wish.measure == "rms" else accuracy.p95
+
+
+def _how_many(
+    ground: Ground, wish: Wish, good: Criterion, least: int, rng: np.random.Generator
+) -> tuple[int, tuple[tuple[int, Accuracy], ...]]:
+    """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
+    most = min(_MOST, len(ground.q))
+    _require(least, least, len(ground.q))
+    floor = ground.workspace.accuracy(np.zeros((len(ground.parameters),) * 2))
+    if _measure(floor, wish) >= _wished(wish):
+        raise NotPlannable(
+            f"{wish.measure} of {1e3 * _wished(wish):.3g} mm",
+            f"what the joints do not repeat alone makes {1e3 * _measure(floor, wish):.3g} mm",
+            "ask for less, or correct the noise of the site",
+        )
+    tried: dict[int, Accuracy] = {}
+
+    def enough(count: int) -> bool:
+        if count not in tried:
+            chosen = exchange(ground.rows, count, good, rng, *_QUICK).chosen
+            tried[count] = ground.workspace.accuracy(ground.rows.covariance(chosen))
+        return _measure(tried[count], wish) <= _wished(wish)
+
+    low, high = least, least
+    while not enough(high):
+        if high >= most:
+            raise NotPlannable(
+                f"{wish.measure} of {1e3 * _wished(wish):.3g} mm",
+                f"{high} stations leave {1e3 * _measure(tried[high], wish):.3g} mm",
+                "ask for less, take a better tracker, or read poses",
+            )
+        low, high = high, min(2 * high, most)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high, tuple(sorted(tried.items()))

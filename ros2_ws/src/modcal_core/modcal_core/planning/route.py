@@ -1,0 +1,145 @@
+"""The order in which stations are visited, and the way between them, in the joints' space.
+
+Ways are straight there. Where one would touch something, a way over other postures that are allowed is looked for: a
+roadmap whose edges are checked only when a shortest way wants to use them (lazy PRM; Bohlin & Kavraki 2000). The checks
+are those of the spheres, at steps of 0.05 rad; they do not take the place of a motion planner's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from modcal_core.geometry.so3 import Array
+
+_STEP = 0.05  # rad or m, of the joint that moves most
+_NEIGHBOURS = 20
+_TRIED = 200  # ways over the roadmap before one is given up
+_ROUNDS = 20
+
+Free = Callable[[Array], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Route:
+    """order: of the stations, (k,). ways: for each of the k − 1 ways the postures in between, (m, n), mostly none.
+    blocked: the ways, by number, for which nothing was found.
+    """
+
+    order: np.ndarray
+    ways: tuple[Array, ...]
+    blocked: tuple[int, ...]
+
+    def stops(self, q: Array) -> list[Array]:
+        """For each way all its postures, from station to station, (2 + m, n). q: the stations in order, (k, n)."""
+        return [np.concatenate([a[None], way, b[None]]) for a, b, way in zip(q, q[1:], self.ways, strict=False)]
+
+    def length(self, q: Array) -> float:
+        """How far the joint that moves most has to go in all [rad or m]. q: the stations in order, (k, n)."""
+        return float(sum(np.abs(np.diff(stop, axis=0)).max(axis=1).sum() for stop in self.stops(q)))
+
+
+def route(q: Array, free: Free, between: Array, start: Array | None = None) -> Route:
+    """A short way through stations q (k, n), from the one nearest to start.
+
+    free: says of postures (N, n) which are allowed, (N,). between: allowed postures that ways may lead over, (N, n).
+    """
+    first = 0 if start is None else int(np.argmin(np.abs(q - start).max(axis=1)))
+    order = _shortened(q, _nearest(q, first))
+    roadmap = _Roadmap(np.concatenate([q[order], between]), free)
+    ways, blocked = [], []
+    for i in range(len(q) - 1):
+        way = roadmap.way(i, i + 1)
+        if way is None:
+            blocked.append(i)
+        ways.append(np.empty((0, q.shape[1])) if way is None else way)
+    return Route(order, tuple(ways), tuple(blocked))
+
+
+def _nearest(q: Array, first: int) -> np.ndarray:
+    left, order = set(range(len(q))) - {first}, [first]
+    while left:
+        rest = np.array(sorted(left))
+        order.append(int(rest[np.argmin(np.abs(q[rest] - q[order[-1]]).max(axis=1))]))
+        left.discard(order[-1])
+    return np.array(order)
+
+
+def _shortened(q: Array, order: np.ndarray) -> np.ndarray:
+    """The order with stretches turned round as long as that makes it shorter (2-opt); its first station stays."""
+    D = np.abs(q[:, None] - q[None]).max(axis=2)
+    k = len(order)
+    for _ in range(_ROUNDS):
+        gained = False
+        for i in range(1, k - 1):
+            j = np.arange(i + 1, k)
+            before, here, there = order[i - 1], order[i], order[j]
+            last = j == k - 1
+            after = order[np.minimum(j + 1, k - 1)]
+            saved = D[before, here] - D[before, there] + np.where(last, 0.0, D[there, after] - D[here, after])
+            best = int(np.argmax(saved))
+            if saved[best] > 1e-9:
+                order[i : j[best] + 1] = order[i : j[best] + 1][::-1].copy()
+                gained = True
+        if not gained:
+            break
+    return order
+
+
+class _Roadmap:
+    """Allowed postures (N, n), and the ways between near ones, each free until it has been looked at."""
+
+    def __init__(self, q: Array, free: Free) -> None:
+        self.q, self.free = q, free
+        near = cKDTree(q).query(q, k=min(_NEIGHBOURS + 1, len(q)), p=np.inf)[1].reshape(len(q), -1)
+        ends = np.stack([np.repeat(np.arange(len(q)), near.shape[1]), near.ravel()], axis=1)
+        self.edges = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
+        self.length = np.abs(q[self.edges[:, 0]] - q[self.edges[:, 1]]).max(axis=1)
+        self.number = {(int(a), int(b)): i for i, (a, b) in enumerate(self.edges)}
+        self.open = np.ones(len(self.edges), dtype=bool)
+        self.looked_at = np.zeros(len(self.edges), dtype=bool)
+
+    def way(self, a: int, b: int) -> Array | None:
+        """Postures between two of the map, (m, n): none where the straight way is free; None where no way is."""
+        if self.free(_line(self.q[a], self.q[b])).all():
+            return np.empty((0, self.q.shape[1]))
+        for _ in range(_TRIED):
+            path = self._shortest(a, b)
+            if path is None:
+                return None
+            if self._free_all_along(path):
+                return np.array(self.q[path[1:-1]])
+        return None
+
+    def _free_all_along(self, path: list[int]) -> bool:
+        """Whether every way on a path is free; the first one that is not is closed."""
+        for i, j in pairwise(path):
+            k = self.number[min(i, j), max(i, j)]
+            if not self.looked_at[k]:
+                self.looked_at[k] = True
+                self.open[k] = self.free(_line(self.q[i], self.q[j])).all()
+            if not self.open[k]:
+                return False
+        return True
+
+    def _shortest(self, a: int, b: int) -> list[int] | None:
+        there = self.edges[self.open]
+        graph = csr_matrix((self.length[self.open], there.T), shape=(len(self.q),) * 2)
+        length, before = dijkstra(graph, directed=False, indices=np.array(a), return_predecessors=True)
+        if not np.isfinite(length[b]):
+            return None
+        path = [b]
+        while path[-1] != a:
+            path.append(int(before[path[-1]]))
+        return path[::-1]
+
+
+def _line(a: Array, b: Array) -> Array:
+    count = max(2, int(np.ceil(np.abs(b - a).max() / _STEP)) + 1)
+    return a + (b - a) * np.linspace(0.0, 1.0, count)[:, None]

@@ -1,0 +1,213 @@
+"""Where an arm is measured: what the tracker sees, what the arm must not touch, and how well things are read.
+
+Positions and axes of the tracker, and what to keep out of, are given in the arm's base link; those of the target in its
+tip. Links are named by the joint that moves them, the first one ``base``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.table_rows import vector
+
+FORMAT = 1
+BASE = "base"
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Where something looks. axis: unit vector (3,). half_angle: [rad]."""
+
+    axis: Array
+    half_angle: float
+
+    def contains(self, directions: Array) -> np.ndarray:
+        """True for unit directions (N, 3) within the cone, (N,)."""
+        return np.asarray(directions @ self.axis >= np.cos(self.half_angle))
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """position: (3,) [m]. view: its field of view; None where it turns every way. nearest, farthest: range [m]."""
+
+    position: Array
+    view: Cone | None = None
+    nearest: float = 0.0
+    farthest: float = np.inf
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the tracker sees. position: (3,) in the tip [m]. facing: from where it is seen; None: from everywhere."""
+
+    position: Array = field(default_factory=lambda: np.array([0.05, 0.0, 0.1]))
+    facing: Cone | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations per axis. position [m], and what is added to it per metre of distance; rotation [rad], of
+    pose readings; joint_turn [rad], joint_slide [m]: by which joints do not repeat.
+    """
+
+    position: float = 5e-5
+    per_metre: float = 0.0
+    rotation: float = 5e-5
+    joint_turn: float = 2e-5
+    joint_slide: float = 2e-5
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A sphere. link: BASE or the joint that moves it, None for one of the surroundings. centre: (3,) [m]; radius [m].
+
+    Of a link the centre is given in the frame of the joint, as a URDF has it.
+    """
+
+    centre: Array
+    radius: float
+    link: str | None = None
+
+
+@dataclass(frozen=True)
+class Site:
+    """Everything that a plan must heed.
+
+    tracker: None where everything can be seen. spheres: of the arm; where there are none, they are put along its links
+    with link_radius [m], or 4 % of its reach. margin: [m] that is kept free. floor: height [m] below which no sphere of
+    a moving link may be; None where there is none. obstacles: of the surroundings. limits: narrower ones than the
+    robot's, by joint [rad, m]. box: (2, 3) corners [m] between which the target's accuracy counts; None: everywhere.
+    """
+
+    tracker: Tracker | None = None
+    target: Target = field(default_factory=Target)
+    noise: Noise = field(default_factory=Noise)
+    spheres: tuple[Ball, ...] = ()
+    link_radius: float | None = None
+    margin: float = 0.0
+    floor: float | None = None
+    obstacles: tuple[Ball, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    box: Array | None = None
+
+
+_TOP = {"modcal_site", "tracker", "target", "noise", "arm", "surroundings", "limits", "workspace"}
+_KEYS = {
+    "tracker": {"position_m", "axis", "half_angle_deg", "range_m"},
+    "target": {"position_m", "axis", "half_angle_deg"},
+    "noise": {"position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m"},
+    "arm": {"spheres", "link_radius_m", "margin_m"},
+    "surroundings": {"floor_m", "spheres"},
+    "workspace": {"box_m"},
+}
+
+
+def site_from_data(data: Any, source: str) -> Site:
+    """The site in nested mappings, such as a YAML file holds. Raises BadTable; docs/planning.md shows one."""
+    top = _mapping(data, _TOP, source)
+    if top.get("modcal_site", FORMAT) != FORMAT:
+        raise BadTable(source, f"modcal_site is {top['modcal_site']!r}, {FORMAT} is known", "correct the file")
+    part = {key: _mapping(top.get(key) or {}, keys, f"{source}, {key}") for key, keys in _KEYS.items()}
+    arm, around, noise = part["arm"], part["surroundings"], part["noise"]
+    usual = Noise()
+    box = part["workspace"].get("box_m")
+    return Site(
+        tracker=_tracker(part["tracker"], f"{source}, tracker") if part["tracker"] else None,
+        target=Target(
+            _point(part["target"], "position_m", f"{source}, target", Target().position),
+            _cone(part["target"], f"{source}, target"),
+        ),
+        noise=Noise(
+            *(
+                _size(noise, key, f"{source}, noise", default)
+                for key, default in (
+                    ("position_m", usual.position),
+                    ("position_m_per_m", usual.per_metre),
+                    ("rotation_rad", usual.rotation),
+                    ("joint_rad", usual.joint_turn),
+                    ("joint_m", usual.joint_slide),
+                )
+            )
+        ),
+        spheres=_balls(arm.get("spheres"), True, f"{source}, arm"),
+        link_radius=None if "link_radius_m" not in arm else _size(arm, "link_radius_m", f"{source}, arm", 0.0),
+        margin=_size(arm, "margin_m", f"{source}, arm", 0.0),
+        floor=None if around.get("floor_m") is None else _number(around, "floor_m", f"{source}, surroundings"),
+        obstacles=_balls(around.get("spheres"), False, f"{source}, surroundings"),
+        limits={str(k): _pair(v, f"{source}, limits: {k}") for k, v in (top.get("limits") or {}).items()},
+        box=None if box is None else _box(box, f"{source}, workspace: box_m"),
+    )
+
+
+def _mapping(data: Any, keys: set[str], what: str) -> Mapping[str, Any]:
+    if not isinstance(data, Mapping):
+        raise BadTable(what, "is not a mapping", f"give keys of {', '.join(sorted(keys))}")
+    unknown = sorted(str(key) for key in set(data) - keys)
+    if unknown:
+        raise BadTable(what, f"'{unknown[0]}' is not one of its keys", f"choose from {', '.join(sorted(keys))}")
+    return data
+
+
+def _number(data: Mapping[str, Any], key: str, what: str) -> float:
+    return float(vector([data.get(key)], 1, f"{what}: {key}")[0])
+
+
+def _size(data: Mapping[str, Any], key: str, what: str, default: float) -> float:
+    value = default if data.get(key) is None else _number(data, key, what)
+    if value < 0.0:
+        raise BadTable(f"{what}: {key}", f"is {value:g}, at least 0 is needed", "correct the file")
+    return value
+
+
+def _point(data: Mapping[str, Any], key: str, what: str, default: Array | None = None) -> Array:
+    if key not in data and default is not None:
+        return default
+    return vector(data.get(key), 3, f"{what}: {key}")
+
+
+def _cone(data: Mapping[str, Any], what: str) -> Cone | None:
+    if "axis" not in data and "half_angle_deg" not in data:
+        return None
+    axis = _point(data, "axis", what)
+    length = float(np.linalg.norm(axis))
+    angle = _number(data, "half_angle_deg", what)
+    if length < 1e-9 or not 0.0 < angle <= 180.0:
+        raise BadTable(what, "its cone has no axis or no angle", "give axis: [x, y, z] and half_angle_deg: 1 to 180")
+    return Cone(axis / length, float(np.radians(angle)))
+
+
+def _tracker(data: Mapping[str, Any], what: str) -> Tracker:
+    near, far = _pair(data["range_m"], f"{what}: range_m") if "range_m" in data else (0.0, np.inf)
+    return Tracker(_point(data, "position_m", what), _cone(data, what), near, far)
+
+
+def _pair(values: Any, what: str) -> tuple[float, float]:
+    low, high = vector(values, 2, what)
+    if low >= high:
+        raise BadTable(what, f"{low:g} is not below {high:g}", "give [least, largest]")
+    return float(low), float(high)
+
+
+def _box(values: Any, what: str) -> Array:
+    if not isinstance(values, list) or len(values) != 3:
+        raise BadTable(what, "needs three ranges", "give [[x0, x1], [y0, y1], [z0, z1]]")
+    return np.array([_pair(v, what) for v in values]).T
+
+
+def _balls(rows: Any, of_arm: bool, what: str) -> tuple[Ball, ...]:
+    keys = {"center_m", "radius_m"} | ({"link"} if of_arm else set())
+    out = []
+    for i, row in enumerate(rows or ()):
+        here = f"{what}, sphere {i + 1}"
+        row = _mapping(row, keys, here)
+        if of_arm and not isinstance(row.get("link"), str):
+            raise BadTable(here, "names no link", f"give link: {BASE}, or the joint that moves it")
+        radius = _size(row, "radius_m", here, 0.0)
+        out.append(Ball(_point(row, "center_m", here), radius, str(row["link"]) if of_arm else None))
+    return tuple(out)

@@ -1,0 +1,166 @@
+"""The arm as spheres: whether it touches itself, the floor, or what stands around, and whether it hides the target.
+
+Spheres stand along the straight lines from joint to joint, or where a site puts them. Two of them are compared where
+they are more than twice the sum of their radii apart along the arm: nearer ones are neighbours round a bend, which
+touch as the joint's own housing does. That finds folds sharper than about 120 degrees, and all that
+comes from farther away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.site import BASE, Ball, Site
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import Frames, frames
+
+_SHARE_OF_REACH = 0.04
+_NEIGHBOURS = 2.0  # sums of radii along the arm within which spheres are not compared
+_BLOCK = 2000  # postures at a time
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """S spheres of an arm.
+
+    link: number of the link, 0 for the base … n behind the last joint, (S,). centre: in the frame that the link carries
+    (see :class:`Frames`), (S, 3) [m]. radius: (S,) [m]. along: how far out along the arm they are, (S,) [m].
+    pairs: those that are compared, (K, 2).
+    """
+
+    chain: Chain
+    link: np.ndarray
+    centre: Array
+    radius: Array
+    along: Array
+    pairs: np.ndarray
+
+    def at(self, f: Frames) -> Array:
+        """Centres in the base, (S, 3, N), for the frames of N postures."""
+        return np.einsum("sdcn,sd->scn", f.axes[self.link], self.centre) + f.p[self.link]
+
+
+def spheres_of(chain: Chain, site: Site) -> Spheres:
+    """The spheres of an arm at a site. Raises BadTable for a sphere on a link that is not there."""
+    lines = _lines(chain, site.target.position)
+    start = np.r_[0.0, np.cumsum([np.linalg.norm(b - a) for a, b in lines])]
+    if site.spheres:
+        link, centre = _given(chain, site.spheres)
+        radius = np.array([b.radius for b in site.spheres])
+    else:
+        size = _SHARE_OF_REACH * chain.reach() if site.link_radius is None else site.link_radius
+        parts = [(k, p) for k, (a, b) in enumerate(lines) for p in _along(a, b, size)]
+        link, centre = np.array([k for k, _ in parts]), np.array([p for _, p in parts])
+        radius = np.full(len(parts), size)
+    along = np.array([start[k] + _share(lines[k], c) for k, c in zip(link, centre, strict=True)])
+    i, j = np.triu_indices(len(link), 1)
+    far = (link[i] != link[j]) & (np.abs(along[i] - along[j]) > _NEIGHBOURS * (radius[i] + radius[j]))
+    return Spheres(chain, link, centre, radius, along, np.stack([i[far], j[far]], axis=1))
+
+
+def _lines(chain: Chain, target: Array) -> list[tuple[Array, Array]]:
+    """The two ends of every link, joint to joint, in the frame it carries; the last one ends at the target."""
+    M = chain.along_z
+    out = [(-M[0, :3, :3].T @ M[0, :3, 3], np.zeros(3))]
+    for k in range(1, chain.n + 1):
+        out.append((se3.inverse(M[k])[:3, 3], np.zeros(3)))
+    return [*out[:-1], (out[-1][0], target)]
+
+
+def _along(a: Array, b: Array, spacing: float) -> list[Array]:
+    count = int(np.ceil(np.linalg.norm(b - a) / max(spacing, 1e-3)))
+    return [a + (b - a) * t for t in np.linspace(0.0, 1.0, count + 1)] if count else []
+
+
+def _share(line: tuple[Array, Array], point: Array) -> float:
+    a, way = line[0], line[1] - line[0]
+    length = float(np.linalg.norm(way))
+    return float(np.clip((point - a) @ way / length, 0.0, length)) if length > 1e-9 else 0.0
+
+
+def _given(chain: Chain, balls: Sequence[Ball]) -> tuple[np.ndarray, Array]:
+    M, links, centres = chain.along_z, [], []
+    names = (BASE, *chain.names)
+    for ball in balls:
+        if ball.link not in names:
+            raise BadTable(f"sphere on link '{ball.link}'", "there is no such link", f"choose from {', '.join(names)}")
+        k = names.index(ball.link)
+        inside = ball.centre if k == 0 else chain.joint_basis[k - 1].T @ ball.centre
+        links.append(k)
+        centres.append(se3.apply(se3.inverse(M[k]), inside))
+    return np.array(links), np.array(centres)
+
+
+def clearance(spheres: Spheres, site: Site, q: Array) -> Array:
+    """The least free distance [m] at postures q (N, n), (N,): to itself, the floor, and the obstacles; inf if to none.
+
+    It is negative where something touches, and the site's margin is taken off already.
+    """
+    out = np.full(len(q), np.inf)
+    for first in range(0, len(q), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        out[rows] = _clearance(spheres, site, q[rows])
+    return out - site.margin
+
+
+def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
+    at = spheres.at(frames(spheres.chain, q))
+    out = np.full(len(q), np.inf)
+    for i in np.unique(spheres.pairs[:, 0]):
+        others = spheres.pairs[spheres.pairs[:, 0] == i, 1]
+        gap = np.linalg.norm(at[others] - at[i], axis=1) - (spheres.radius[others] + spheres.radius[i])[:, None]
+        out = np.minimum(out, gap.min(axis=0))
+    moving = spheres.link > 0
+    for ball in site.obstacles:
+        gap = np.linalg.norm(at[moving] - ball.centre[:, None], axis=1) - spheres.radius[moving, None] - ball.radius
+        out = np.minimum(out, gap.min(axis=0, initial=np.inf))
+    if site.floor is not None:
+        # what the first joint carries stands on the floor
+        high = spheres.link > 1
+        gap = at[high, 2] - spheres.radius[high, None] - site.floor
+        out = np.minimum(out, gap.min(axis=0, initial=np.inf))
+    return out
+
+
+def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
+    """True for postures q (N, n) in which the tracker sees the target, (N,): range, both cones, nothing in between."""
+    tracker = site.tracker
+    if tracker is None:
+        return np.ones(len(q), dtype=bool)
+    f = frames(spheres.chain, q)
+    p = f.p[-1].T + np.einsum("dcn,d->nc", f.axes[-1], site.target.position)
+    way = p - tracker.position
+    distance = np.linalg.norm(way, axis=1)
+    ray = way / np.maximum(distance, 1e-9)[:, None]
+    seen = (distance >= tracker.nearest) & (distance <= tracker.farthest)
+    if tracker.view is not None:
+        seen &= tracker.view.contains(ray)
+    if site.target.facing is not None:
+        outward = np.einsum("dcn,d->nc", f.axes[-1], site.target.facing.axis)
+        seen &= np.sum(outward * -ray, axis=1) >= np.cos(site.target.facing.half_angle)
+    rows = np.flatnonzero(seen)
+    seen[rows] &= ~_hidden(spheres, site, tracker.position, f, p, rows)
+    return seen
+
+
+def _hidden(spheres: Spheres, site: Site, eye: Array, f: Frames, p: Array, rows: np.ndarray) -> np.ndarray:
+    """True where a sphere stands between eye and target, (len(rows),); those next to the target do not count."""
+    at = spheres.at(Frames(f.axes[..., rows], f.p[..., rows]))
+    end = float(spheres.along.max(initial=0.0))
+    blocking = end - spheres.along > _NEIGHBOURS * spheres.radius
+    centres = [*at[blocking], *(np.repeat(b.centre[:, None], len(rows), axis=1) for b in site.obstacles)]
+    radii = [*spheres.radius[blocking], *(b.radius for b in site.obstacles)]
+    way = p[rows].T - eye[:, None]
+    square = np.maximum(np.sum(way**2, axis=0), 1e-12)
+    out = np.zeros(len(rows), dtype=bool)
+    for centre, radius in zip(centres, radii, strict=True):
+        to = centre - eye[:, None]
+        share = np.clip(np.sum(to * way, axis=0) / square, 0.0, 1.0)
+        out |= np.linalg.norm(to - share * way, axis=0) < radius
+    return out

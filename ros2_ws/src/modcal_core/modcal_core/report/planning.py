@@ -1,0 +1,141 @@
+"""What a plan says: stations as data, as a table, as a trajectory, in a few sentences, and as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.accuracy import Accuracy
+from modcal_core.planning.plan import Plan
+from modcal_core.report.figures import svg
+from modcal_core.robots.table_rows import plain
+
+_RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
+
+
+def to_plan_data(plan: Plan) -> dict[str, Any]:
+    """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
+    random = _middle(plan.random)
+    indices = plan.indices
+    return {
+        "modcal_plan": 1,
+        "joints": list(plan.ground.model.chain.names),
+        "reading": plan.wish.reading,
+        "criterion": plan.wish.criterion,
+        "parameters": [p.name for p in plan.ground.parameters],
+        "expected_mm": _sizes(plan.accuracy),
+        "random_expected_mm": _sizes(random),
+        "ratio_to_random": {
+            "total_rms": plan.accuracy.rms / random.rms,
+            "model_rms": plan.accuracy.model / random.model,
+        },
+        "observability": {
+            **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
+            "rank": indices.rank,
+        },
+        "tried": [{"stations": n, **_sizes(a)} for n, a in plan.curve],
+        "postures": {
+            "candidates": len(plan.ground.q),
+            "share_free": plan.ground.shares[0],
+            "share_of_these_seen": plan.ground.shares[1],
+        },
+        "blocked_ways": [int(i) + 1 for i in plan.route.blocked],
+        "stations": [{"position": plain(q)} for q in plan.q],
+    }
+
+
+def _sizes(a: Accuracy) -> dict[str, float]:
+    return {"rms": 1e3 * a.rms, "p95": 1e3 * a.p95, "rms_model": 1e3 * a.model, "rms_not_repeated": 1e3 * a.repeat}
+
+
+def _middle(sets: Sequence[Accuracy]) -> Accuracy:
+    """The medians of several accuracies."""
+    return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("rms", "p95", "model", "repeat")))
+
+
+def sentences(plan: Plan) -> list[str]:
+    """What a person should know."""
+    wish, a, k = plan.wish, plan.accuracy, len(plan.q)
+    asked = "" if wish.accuracy is None else f" are needed for {1e3 * wish.accuracy:.3g} mm ({wish.measure})"
+    out = [
+        f"{k} stations{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
+        f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."
+    ]
+    random = _middle(plan.random)
+    out.append(
+        f"{k} stations drawn at random from the same postures would leave {1e3 * random.model:.3f} mm where these "
+        f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / random.model:.2f}."
+    )
+    free, seen = plan.ground.shares
+    said = f"{free:.0%} of the postures within the limits touch nothing"
+    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {seen:.0%}."))
+    if plan.ground.site.floor is None:
+        out.append("No floor is given: stations may lie below the base.")
+    P = len(plan.ground.parameters)
+    if plan.indices.rank < P:
+        out.append(f"These stations show {plan.indices.rank} of {P} parameters: what is missing is left as drawn.")
+    if plan.route.blocked:
+        ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
+        out.append(f"No free way was found from station {ways}: let a motion planner or a person lead the arm there.")
+    return out
+
+
+def to_csv(plan: Plan) -> str:
+    """Joint positions [rad, m], one station a row, under the joints' names."""
+    rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in plan.q)
+    return ",".join(plan.ground.model.chain.names) + "\n" + rows
+
+
+def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]:
+    """The way through the stations as a trajectory_msgs/JointTrajectory: at rest at every posture, still at stations.
+
+    speed: largest of any joint [rad/s, m/s]. dwell: [s] at each station. It ends before the first blocked way.
+    """
+    points: list[dict[str, Any]] = []
+    now = 0.0
+
+    def stand(q: Array) -> None:
+        points.append({"positions": plain(q), "velocities": [0.0] * len(q), "time_from_start": _duration(now)})
+
+    stand(plan.q[0])
+    now += dwell
+    stand(plan.q[0])
+    for i, stops in enumerate(plan.route.stops(plan.q)):
+        if i in plan.route.blocked:
+            break
+        for before, here in pairwise(stops):
+            now += _RISE * float(np.abs(here - before).max()) / speed
+            stand(here)
+        now += dwell
+        stand(stops[-1])
+    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    nanoseconds = round(seconds * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def figure(plan: Plan) -> str:
+    """Where the target stands at the stations, from above and from the side, among all that could be chosen."""
+    from matplotlib.figure import Figure
+
+    ground, tracker = plan.ground, plan.ground.site.tracker
+    origin = ground.model.T_frame_base[0][:3, 3]
+    could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (ground.q, plan.q))
+    drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
+    for axes, (i, j) in zip(drawn.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
+        axes.plot(could[:, i], could[:, j], ".", ms=1.5, color="#b0b7c3", label="could be chosen")
+        axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color="#1f6feb", label="stations, in order")
+        axes.plot(0.0, 0.0, "s", ms=6.0, color="#1c2330", label="base")
+        if tracker is not None:
+            axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color="#d1495b", label="tracker")
+        axes.set_xlabel(f"{'xyz'[i]}, m")
+        axes.set_ylabel(f"{'xyz'[j]}, m")
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(frameon=False, fontsize=7)
+    return svg(drawn)

@@ -1,0 +1,84 @@
+"""``modcal plan --decide``: the stations that tell two explanations of the same error apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+
+from modcal_core.calibration.deciding import Proposal, propose
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import NotEnoughData
+from modcal_core.planning.ground import allowed
+from modcal_core.planning.site import Site
+from modcal_nodes.files import to_yaml, write_folder
+from modcal_nodes.inputs import read_calibration
+
+_BY_POSTURE = ("position", "load", "direction")
+
+
+def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
+    """Propose the stations that tell explanations apart, print them, and write plan.yaml."""
+    folder = report if report.is_dir() else report.parent
+    calibration = read_calibration(folder)
+    ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
+    if not ties:
+        raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
+    rng = np.random.default_rng(seed)
+    share = max(2, stations // len(ties))
+    console = Console()
+    proposals = []
+    for i, j in ties:
+        console.print(_tie(calibration, i, j), highlight=False)
+        if not _depends_on_posture(calibration, i, j):
+            console.print("  postures cannot decide this: repeat some stations cold and warm, and some time later")
+            continue
+        proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
+        console.print(f"  {_worth(proposal)}", highlight=False)
+        proposals.append(proposal)
+    deciding = [p for p in proposals if p.decides]
+    if not deciding:
+        return
+    out = out or folder.with_name(f"{folder.name}_plan")
+    write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
+    click.echo(f"Stations: {out / 'plan.yaml'}")
+
+
+def _tie(calibration: Calibration, i: int, j: int) -> str:
+    effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
+    return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
+
+
+def _depends_on_posture(calibration: Calibration, i: int, j: int) -> bool:
+    effects = calibration.calibrated.effects[i], calibration.rivals[i][j]
+    return all(e.public_driver.partition(":")[0] in _BY_POSTURE for e in effects)
+
+
+def _worth(proposal: Proposal) -> str:
+    if proposal.decides:
+        return f"{len(proposal.q)} stations tell them apart, by {proposal.separation:.0f} standard deviations"
+    return "no posture within the limits tells them apart: for this tool they are the same motion"
+
+
+def _data(calibration: Calibration, proposals: list[Proposal]) -> dict[str, object]:
+    names = calibration.nominal.chain.names
+    return {
+        "modcal_plan": 1,
+        "joints": list(names),
+        "ties": [
+            {
+                "between": [p.effect.label, p.rival.label],
+                "separation": float(p.separation),
+                "stations": [
+                    {
+                        "position": [float(x) for x in q],
+                        **({"approach": [int(x) for x in a]} if a.any() else {}),
+                    }
+                    for q, a in zip(p.q, p.approach, strict=True)
+                ],
+            }
+            for p in proposals
+        ],
+    }

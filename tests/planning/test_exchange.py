@@ -1,0 +1,128 @@
+"""Rows against the calibration's normal equations, criteria against singular values, exchange against all that there is."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from cells import samples_of, ur10
+from finite_differences import assert_jacobian
+from planning.sites import ground, hall
+
+from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.errors import BadTable
+from modcal_core.planning.criteria import CRITERIA, criterion, observability
+from modcal_core.planning.exchange import exchange
+from modcal_core.planning.rows import Rows
+
+
+def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> Rows:
+    J = 4.0 * rng.standard_normal((N, c, P))
+    return Rows(J, np.tile(np.eye(c), (N, 1, 1)), np.ones(P), np.zeros(N), np.zeros(c))
+
+
+@pytest.mark.parametrize("reading", ["point", "pose"])
+def test_information_is_that_of_the_normal_equations(reading: str) -> None:
+    """With the weights that a fit has: a reading's own variance, and one spread for all."""
+    there, noise = ground(reading), hall().noise
+    q = there.q[:25]
+    model, parameters = there.model, there.parameters
+    samples = samples_of(ur10(), q, model.predict(q), reading)
+    distance = np.linalg.norm(samples.position, axis=1)
+    position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.rows.spread[0])
+    weight = np.tile(position, 3)
+    if reading == "pose":
+        weight = np.r_[weight, np.full(75, 1.0 / (noise.rotation**2 + there.rows.spread[3]))]
+    H, _ = normal_equations(model, parameters, np.zeros(len(parameters)), samples, weight)
+    ours = there.rows.information(np.arange(25)) / np.outer(there.rows.scale, there.rows.scale)
+    assert np.allclose(ours, H, rtol=1e-9, atol=1e-9 * np.abs(H).max())
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_slopes_of_the_criteria(name: str) -> None:
+    rng = np.random.default_rng(2)
+    rows = small(rng)
+    H = np.eye(5) + rows.information(np.arange(6))
+    good = criterion(name, rows.information([7, 8]) / 2.0)
+    D = rng.standard_normal((3, 5, 5))
+    D = D + D.transpose(0, 2, 1)
+    slope = np.array([[np.sum(good.gradient(H) * d) for d in D]])
+    assert_jacobian(
+        lambda x: np.atleast_1d(good.value(H + np.tensordot(x, D, axes=1))),
+        slope,
+        np.zeros(3),
+        step=1e-2,
+        tolerance=1e-7,
+    )
+
+
+def test_indices_are_those_of_the_singular_values() -> None:
+    rows = small(np.random.default_rng(3))
+    s = np.linalg.svd(rows.J[:7].reshape(21, 5), compute_uv=False)
+    found = observability(rows.information(np.arange(7)), 7)
+    assert found.o1 == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(7))
+    assert found.o2 == pytest.approx(s[-1] / s[0])
+    assert found.o3 == pytest.approx(s[-1])
+    assert found.o4 == pytest.approx(s[-1] ** 2 / s[0])
+    assert found.o5 == pytest.approx(1.0 / np.sum(1.0 / s))
+    assert found.rank == 5
+    short = observability(rows.information([0]), 1)
+    assert (short.o1, short.rank) == (0.0, 3)
+
+
+def test_each_criterion_ranks_sets_as_its_index() -> None:
+    rows = small(np.random.default_rng(4))
+    sets = list(combinations(range(12), 6))[::40]
+    information = [rows.information(np.array(s)) for s in sets]
+    for name in ("o1", "o2", "o3", "o4", "o5"):
+        good = criterion(name, np.eye(5))
+        index = [getattr(observability(H, 6), name) for H in information]
+        assert np.array_equal(np.argsort(index), np.argsort([float(good.value(H)) for H in information]))
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        rows = small(rng, N=11)
+        good = criterion(name, rows.information(np.arange(11)) / 11.0)
+        best = max(float(good.value(np.eye(5) + rows.information(np.array(s)))) for s in combinations(range(11), 5))
+        found = exchange(rows, 5, good, rng, starts=40)
+        assert found.value == pytest.approx(best, rel=1e-9)
+        assert found.value == pytest.approx(float(good.value(np.eye(5) + rows.information(found.chosen))), rel=1e-9)
+        assert len(set(found.chosen.tolist())) == 5
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_no_single_exchange_makes_it_better(name: str) -> None:
+    """For the criteria with exact updates; the others, ranked by slope, must at least beat what is drawn at random."""
+    rng, there = np.random.default_rng(6), ground()
+    good = criterion(name, there.workspace.gamma)
+    found = exchange(there.rows, 24, good, rng, starts=1, passes=20)
+    H = np.eye(27) + there.rows.information(found.chosen)
+    if name in ("accuracy", "d", "o1"):
+        for out in found.chosen[::5]:
+            without = H - there.rows.information([out])
+            others = np.setdiff1d(np.arange(len(there.rows)), found.chosen)
+            J = there.rows.J[others]
+            assert good.value(without + J.transpose(0, 2, 1) @ J).max() <= found.value + 1e-5 * abs(found.value)
+    drawn = [there.rows.information(rng.choice(len(there.rows), 24, replace=False)) for _ in range(200)]
+    assert found.value > max(float(good.value(np.eye(27) + H)) for H in drawn)
+
+
+def test_what_is_known_already_is_not_measured_again() -> None:
+    rows = small(np.random.default_rng(7))
+    known = np.zeros((5, 5))
+    known[:3, :3] = 1e6 * np.eye(3)
+    found = exchange(rows, 3, criterion("d", np.eye(5)), np.random.default_rng(0), starts=8, given=known)
+    best = max(
+        combinations(range(12), 3),
+        key=lambda s: np.linalg.slogdet(np.eye(5) + known + rows.information(np.array(s)))[1],
+    )
+    assert tuple(found.chosen) == best
+
+
+def test_a_criterion_that_is_not_known_is_refused() -> None:
+    with pytest.raises(BadTable, match="is not known"):
+        criterion("o6", np.eye(2))

@@ -1,0 +1,201 @@
+"""Where an arm may go and be seen, against cases by hand and against kinematics taken joint by joint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from cells import slider_arm, ur10
+from planning.arms import irb1410
+from planning.sites import HALL, ground, hall
+
+from modcal_core.calibration.structure import random_postures
+from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.geometry.so3 import Array
+from modcal_core.planning.ground import survey, with_limits
+from modcal_core.planning.site import site_from_data
+from modcal_core.planning.spheres import clearance, spheres_of, visible
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward, frames
+
+
+def site(**parts: Any) -> Any:
+    return site_from_data(parts, "test")
+
+
+def test_a_straight_arm_is_free_and_a_folded_one_is_not() -> None:
+    spheres = spheres_of(ur10(), site())
+    straight, folded = np.zeros(6), np.array([0.0, 0.0, np.pi - 0.05, 0.0, 0.0, 0.0])
+    free = clearance(spheres, site(), np.stack([straight, folded]))
+    assert free[0] > 0.0 > free[1]
+
+
+@pytest.mark.parametrize("chain", [ur10(), slider_arm(), irb1410()], ids=["ur10", "sliders", "irb1410"])
+def test_given_spheres_stand_in_the_frames_of_their_joints(chain: Chain) -> None:
+    """Against the arm cut off behind each joint: its tip is then the frame that a URDF gives the link."""
+    centre = [0.1, -0.07, 0.05]
+    links = ("base", *chain.names)
+    given = site(arm={"spheres": [{"link": link, "center_m": centre, "radius_m": 0.01} for link in links]})
+    q = random_postures(chain, 5, np.random.default_rng(0))
+    at = spheres_of(chain, given).at(frames(chain, q))
+    for k in range(chain.n + 1):
+        if k == 0:
+            expected = np.tile(centre, (5, 1))
+        else:
+            cut = Chain.build(
+                chain.names[:k],
+                np.concatenate([chain.origins[:k], np.eye(4)[None]]),
+                chain.axes[:k],
+                chain.revolute[:k],
+            )
+            expected = (forward(cut, q[:, :k]) @ np.array([*centre, 1.0]))[:, :3]
+        assert np.abs(at[k].T - expected).max() < 1e-12
+
+
+def test_spheres_along_the_links_join_joint_to_joint() -> None:
+    """Neighbours touch, so nothing slips between them, from the first joint to the target."""
+    chain = ur10()
+    spheres = spheres_of(chain, site(arm={"link_radius_m": 0.05}, target={"position_m": [0.0, 0.0, 0.2]}))
+    at = spheres.at(frames(chain, np.array([[0.3, -1.0, 0.7, 0.2, 0.9, 0.1]])))[:, :, 0]
+    assert np.linalg.norm(np.diff(at, axis=0), axis=1).max() <= 0.05 + 1e-9
+    T = forward(chain, [0.3, -1.0, 0.7, 0.2, 0.9, 0.1])
+    assert np.allclose(at[-1], T[:3, 3] + 0.2 * T[:3, 2], atol=1e-12)
+
+
+def test_clearance_is_the_least_distance_pair_by_pair() -> None:
+    chain = irb1410()
+    here = site(
+        arm={"link_radius_m": 0.08, "margin_m": 0.01},
+        surroundings={"floor_m": 0.05, "spheres": [{"center_m": [0.9, 0.2, 0.5], "radius_m": 0.2}]},
+    )
+    spheres = spheres_of(chain, here)
+    q = random_postures(chain, 40, np.random.default_rng(1))
+    at = spheres.at(frames(chain, q))
+    for i in range(40):
+        p = at[..., i]
+        least = np.inf
+        for a in range(len(p)):
+            if spheres.link[a] > 0:
+                least = min(least, np.linalg.norm(p[a] - [0.9, 0.2, 0.5]) - 0.28)
+            if spheres.link[a] > 1:
+                least = min(least, p[a, 2] - 0.08 - 0.05)
+            for b in range(a):
+                if spheres.link[a] != spheres.link[b] and abs(spheres.along[a] - spheres.along[b]) > 0.32:
+                    least = min(least, np.linalg.norm(p[a] - p[b]) - 0.16)
+        assert clearance(spheres, here, q[i : i + 1])[0] == pytest.approx(least - 0.01, abs=1e-12)
+
+
+def one_joint() -> Chain:
+    """One joint about z; the tip 1 m out along x, its x axis outwards."""
+    tip = np.eye(4)
+    tip[0, 3] = 1.0
+    return Chain.build(["turn"], [np.eye(4), tip], lower=[-np.pi], upper=[np.pi])
+
+
+TARGET = {"position_m": [0.0, 0.0, 0.0], "axis": [1, 0, 0], "half_angle_deg": 60}
+
+
+@pytest.mark.parametrize(
+    ("tracker", "angle", "seen"),
+    [
+        ({"position_m": [3, 0, 0]}, 0.0, True),
+        ({"position_m": [3, 0, 0]}, 0.5 * np.pi, False),  # the target looks along y
+        ({"position_m": [3, 0, 0], "range_m": [0.1, 1.5]}, 0.0, False),
+        ({"position_m": [3, 0, 0], "range_m": [2.5, 9.0]}, 0.0, False),
+        ({"position_m": [3, 0, 0], "axis": [-1, 0, 0], "half_angle_deg": 10}, 0.0, True),
+        ({"position_m": [3, 0, 0], "axis": [0, 1, 0], "half_angle_deg": 45}, 0.0, False),
+        ({"position_m": [3, 0, 0], "axis": [-1, 0, 0], "half_angle_deg": 5}, 0.3, False),  # 8 degrees aside
+        ({"position_m": [3, 0, 0], "axis": [-1, 0, 0], "half_angle_deg": 9}, 0.3, True),
+    ],
+)
+def test_what_the_tracker_sees(tracker: dict[str, Any], angle: float, seen: bool) -> None:
+    here = site(tracker=tracker, target=TARGET, arm={"link_radius_m": 0.02})
+    assert visible(spheres_of(one_joint(), here), here, np.array([[angle]]))[0] == seen
+
+
+def test_what_stands_in_between_hides_the_target() -> None:
+    chain = one_joint()
+    behind = {"tracker": {"position_m": [-3, 0, 0]}, "target": {"position_m": [0.0, 0.0, 0.0]}}
+    # from behind, the arm itself stands before its tip; turned away it does not
+    here = site(**behind, arm={"link_radius_m": 0.05})
+    assert list(visible(spheres_of(chain, here), here, np.array([[0.0], [1.5]]))) == [False, True]
+    front = site(
+        tracker={"position_m": [3, 0, 0]},
+        target=TARGET,
+        surroundings={"spheres": [{"center_m": [2, 0.1, 0], "radius_m": 0.2}]},
+    )
+    assert not visible(spheres_of(chain, front), front, np.zeros((1, 1)))[0]
+
+
+def test_what_is_chosen_from_is_within_limits_free_and_seen() -> None:
+    here, there = hall(), ground()
+    q = there.q
+    assert len(q) == 300
+    assert (np.abs(q) <= np.pi).all()
+    spheres = spheres_of(ur10(), here)
+    assert (clearance(spheres, here, q) >= 0.0).all()
+    assert visible(spheres, here, q).all()
+    T = forward(ur10(), q)
+    p = T[:, :3, 3] + T[:, :3, :3] @ here.target.position
+    way = p - here.tracker.position
+    assert (np.linalg.norm(way, axis=1) < 8.0).all()
+    toward = -way / np.linalg.norm(way, axis=1)[:, None]
+    assert (np.einsum("nc,nc->n", T[:, :3, 2], toward) >= np.cos(np.radians(80.0)) - 1e-12).all()
+    assert (toward[:, 0] >= np.cos(np.radians(40.0)) - 1e-12).all()
+    assert not visible(spheres, here, there.free_q).all()
+
+
+def test_limits_of_the_site_hold() -> None:
+    chain = with_limits(irb1410(), site(limits={"joint_2": [-0.5, 9.0]}))
+    assert (chain.lower[1], chain.upper[1]) == pytest.approx((-0.5, 1.2217 - 0.02), abs=1e-3)
+    assert chain.upper[5] - chain.lower[5] == pytest.approx(2 * np.pi)
+    assert (chain.lower >= irb1410().lower).all()
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"traker": {}}, "'traker' is not one of its keys"),
+        ({"tracker": {"range_m": [1, 2]}}, "position_m: needs 3 finite numbers"),
+        ({"tracker": {"position_m": [1, 2, 3], "range_m": [2, 1]}}, "2 is not below 1"),
+        ({"target": {"axis": [0, 0, 0], "half_angle_deg": 20}}, "its cone has no axis or no angle"),
+        ({"noise": {"position_m": -1e-5}}, "is -1e-05, at least 0 is needed"),
+        ({"noise": {"joint_rad": "small"}}, "joint_rad: needs 1 finite number, has"),
+        ({"arm": {"spheres": [{"center_m": [0, 0, 0], "radius_m": 0.1}]}}, "names no link"),
+        ({"workspace": {"box_m": [[0, 1]]}}, "needs three ranges"),
+        ({"modcal_site": 2}, "1 is known"),
+    ],
+)
+def test_sites_that_make_no_sense(parts: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadTable, match=words):
+        site_from_data(parts, "site.yaml")
+
+
+@pytest.mark.parametrize(
+    ("parts", "words", "kind"),
+    [
+        ({"arm": {"spheres": [{"link": "arm", "center_m": [0, 0, 0], "radius_m": 0.1}]}}, "no such link", BadTable),
+        ({"limits": {"joint_9": [0, 1]}}, "no such joint", BadTable),
+        ({"limits": {"joint_2": [2.0, 3.0]}}, "leave nothing of the robot's own", BadTable),
+        ({"tracker": {"position_m": [50, 0, 0], "range_m": [0, 8]}}, "none is seen by the tracker", NotPlannable),
+        ({"surroundings": {"floor_m": 5.0}}, "none touches nothing", NotPlannable),
+        ({"workspace": {"box_m": [[5, 6], [0, 1], [0, 1]]}}, "no allowed posture", NotPlannable),
+    ],
+)
+def test_sites_that_leave_nothing(parts: dict[str, Any], words: str, kind: type[Exception]) -> None:
+    with pytest.raises(kind, match=words):
+        survey(irb1410(), site_from_data(parts, "site.yaml"), np.random.default_rng(0), candidates=20)
+
+
+def test_the_accuracy_that_counts_is_that_of_the_box() -> None:
+    box = np.array([[0.4, 0.8], [-0.5, 0.5], [0.2, 0.9]])
+    here = site_from_data({**HALL, "workspace": {"box_m": box.tolist()}}, "hall")
+    whole, part = ground("point", 40), survey(ur10(), here, np.random.default_rng(8), candidates=40)
+
+    def mean(g: Array) -> float:
+        return float(np.mean(g[:, :, -1] ** 2))
+
+    assert len(part.workspace.G) < len(part.free_q)
+    assert part.workspace.accuracy(np.eye(27)).model != whole.workspace.accuracy(np.eye(27)).model
+    assert mean(part.workspace.G) > 0.0
