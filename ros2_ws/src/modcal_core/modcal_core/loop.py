@@ -64,13 +64,13 @@ def calibrate(
     """
     cell = cell or Cell()
     cell.require_frames(samples.frames)
-    count = parameter_count(chain, samples, cell.fixed, cell.distances)
+    count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     sets = split(samples, rng, block)
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
     nominal = fit_cell(chain, train, cell, inertias)
-    choice = choose_parameters(nominal.model, views_of(samples), cell.fixed, cell.distances)
+    choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train)

@@ -16,6 +16,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, cut_stations
@@ -154,7 +155,7 @@ def _delays(samples: Samples, chain: Chain) -> Array:
     out = np.zeros(len(samples.frames))
     for f in range(len(out)):
         rows = np.flatnonzero((samples.frame == f) & samples.moving & np.isfinite(samples.velocity).all(axis=1))
-        if not len(rows):
+        if not len(rows) or not is_direct(np.unique(samples.kind[rows]).tolist()):
             continue
         few = samples.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))])
         few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int))

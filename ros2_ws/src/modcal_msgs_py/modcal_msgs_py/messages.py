@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,9 +15,9 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
     PART,
-    WIDTH,
     JointTrack,
     ReadingTrack,
     Recording,
@@ -125,7 +125,7 @@ class RecordingBuilder:
         elif role in READINGS:
             kind = READINGS[role]
             values = np.hstack([column(path) for path in READING_PATHS[kind]])
-            self._readings.setdefault((topic, kind, frame), _Rows(WIDTH[kind])).extend(stamps, received, values)
+            self._readings.setdefault((topic, kind, frame), _Rows(kinds()[kind].width)).extend(stamps, received, values)
         elif role == ROBOT_DESCRIPTION:
             self._description[topic] = layout.texts["data"]
         elif role == NOTES:
@@ -197,7 +197,7 @@ class RecordingBuilder:
         self._joints.setdefault((topic, names), _Rows(3 * n)).extend(stamps, received, np.hstack(known))
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
-        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(WIDTH[kind]))
+        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(kinds()[kind].width))
         rows.append(self._stamp(topic, message, received), received, READING[kind](message))
 
     def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
@@ -222,20 +222,24 @@ def _pose(message: Any) -> tuple[float, ...]:
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
-READING = {
-    "pose": _pose,
-    "point": lambda m: (m.point.x, m.point.y, m.point.z),
-    "range": lambda m: (m.range,),
-    "bearing": lambda m: (m.vector.x, m.vector.y, m.vector.z),
+# the numbers of a reading, by the type of its message, and the same in a layout
+_NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/PointStamped": lambda m: (m.point.x, m.point.y, m.point.z),
+    "geometry_msgs/msg/Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
+    "sensor_msgs/msg/Range": lambda m: (m.range,),
 }
-
-
-READING_PATHS = {  # the same, in a layout
-    "pose": [*(f"pose/position/{a}" for a in "xyz"), *(f"pose/orientation/{a}" for a in "xyzw")],
-    "point": [f"point/{a}" for a in "xyz"],
-    "range": ["range"],
-    "bearing": [f"vector/{a}" for a in "xyz"],
+_PATHS = {
+    "geometry_msgs/msg/PoseStamped": [
+        *(f"pose/position/{a}" for a in "xyz"),
+        *(f"pose/orientation/{a}" for a in "xyzw"),
+    ],
+    "geometry_msgs/msg/PointStamped": [f"point/{a}" for a in "xyz"],
+    "geometry_msgs/msg/Vector3Stamped": [f"vector/{a}" for a in "xyz"],
+    "sensor_msgs/msg/Range": ["range"],
 }
+READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items() if kind.message in _NUMBERS}
+READING_PATHS = {name: _PATHS[kind.message] for name, kind in kinds().items() if kind.message in _PATHS}
 
 
 def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.measurements.recording import POSE, Recording
+from modcal_core.measurements.recording import Recording
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, TYPES
 from modcal_msgs_py.types import message_class
@@ -18,7 +18,7 @@ _NO_NUMBERS = np.empty(0)
 
 
 def write_recording(recording: Recording, folder: Path) -> None:
-    """Write joint states, poses, points, temperatures, the robot description and notes of a recording as a bag."""
+    """Write joint states, readings, temperatures, the robot description and notes of a recording as a bag."""
     stamped = sorted(_messages(recording), key=lambda m: m[0])
     start = stamped[0][0] if stamped else 0
     with BagWriter(folder) as bag:
@@ -50,10 +50,11 @@ def _messages(recording: Recording) -> Iterator[tuple[int, str, Any]]:
                 ),
             )
     for reading in recording.readings:
-        make = _pose_stamped if reading.kind == POSE else _point_stamped
+        role = _TOPIC_OF[reading.kind]
+        make = _MAKERS[TYPES[role]]
         for stamp, values in zip(reading.stamps, reading.values, strict=True):
             ns = _ns(stamp)
-            yield ns, _TOPIC_OF[reading.kind], make(_header(ns, reading.frame), [float(v) for v in values])
+            yield ns, role, make(_header(ns, reading.frame), [float(v) for v in values])
     for signal in recording.signals:
         role, _, frame = signal.name.partition(":")
         if role == TEMPERATURE:
@@ -89,3 +90,25 @@ def _pose_stamped(header: Any, values: list[float]) -> Any:
 
 def _point_stamped(header: Any, values: list[float]) -> Any:
     return message_class("geometry_msgs/msg/PointStamped")(header=header, point=_point(values))
+
+
+def _vector_stamped(header: Any, values: list[float]) -> Any:
+    vector = message_class("geometry_msgs/msg/Vector3")(x=values[0], y=values[1], z=values[2])
+    return message_class("geometry_msgs/msg/Vector3Stamped")(header=header, vector=vector)
+
+
+def _range(header: Any, values: list[float]) -> Any:
+    make = message_class("sensor_msgs/msg/Range")
+    # of a gauge nothing is known but what it reads; the message has no type for one
+    return make(
+        header=header, radiation_type=make.INFRARED, field_of_view=0.0, min_range=0.0, max_range=0.0, range=values[0],
+        variance=0.0,
+    )  # fmt: skip
+
+
+_MAKERS = {
+    "geometry_msgs/msg/PoseStamped": _pose_stamped,
+    "geometry_msgs/msg/PointStamped": _point_stamped,
+    "geometry_msgs/msg/Vector3Stamped": _vector_stamped,
+    "sensor_msgs/msg/Range": _range,
+}

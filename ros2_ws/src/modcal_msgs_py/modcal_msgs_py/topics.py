@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modcal_core.measurements.recording import BEARING, POINT, POSE, RANGE
+from modcal_core.measurements.kinds.registry import kinds
 
 JOINT_STATES = "joint_states"
 ROBOT_DESCRIPTION = "robot_description"
@@ -10,22 +10,14 @@ TEMPERATURE = "temperature"
 WRENCH = "wrench"
 NOTES = "modcal/notes"
 
-READINGS = {
-    "tracker/pose": POSE,
-    "tracker/point": POINT,
-    "tracker/range": RANGE,
-    "tracker/bearing": BEARING,
-}
+READINGS = {kind.topic: kind.name for kind in kinds().values()}
 TYPES = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
     ROBOT_DESCRIPTION: "std_msgs/msg/String",
-    "tracker/pose": "geometry_msgs/msg/PoseStamped",
-    "tracker/point": "geometry_msgs/msg/PointStamped",
-    "tracker/range": "sensor_msgs/msg/Range",
-    "tracker/bearing": "geometry_msgs/msg/Vector3Stamped",
     TEMPERATURE: "sensor_msgs/msg/Temperature",
     WRENCH: "geometry_msgs/msg/WrenchStamped",
     NOTES: "std_msgs/msg/String",
+    **{kind.topic: kind.message for kind in kinds().values()},
 }
 LATCHED = (ROBOT_DESCRIPTION, NOTES)
 

@@ -12,6 +12,7 @@ from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import with_prior
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
@@ -25,14 +26,28 @@ _WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from wh
 class Cell:
     """What is known of the surroundings.
 
-    distances: between the origins of frames. fixed: parameters that must not change, by name, place or pattern.
+    distances: between the origins of frames. fixed: parameters that must not change, by name, place or pattern. known:
+    frames whose place relative to others, or to the base, is known. own_target: frames whose instrument watches a point
+    of the tool of its own.
     """
 
     distances: tuple[Distance, ...] = ()
     fixed: tuple[str, ...] = ()
+    known: tuple[Known, ...] = ()
+    own_target: tuple[str, ...] = ()
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Patterns of parameters that must not change: those fixed, and frames that are known in the base."""
+        return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base"))
 
     def require_frames(self, frames: Sequence[str]) -> None:
-        """Raises BadTable for a known distance to a frame that no reading came in."""
+        """Raises BadTable for something known of a frame that no reading came in."""
+        stated = [(k.frame, k.to) for k in self.known]
+        for name in dict.fromkeys([*(n for pair in stated for n in pair if n != "base"), *self.own_target]):
+            if name not in frames:
+                said = f"no reading has the frame '{name}'"
+                raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")
         for distance in self.distances:
             for name in distance.between:
                 if name not in frames:
@@ -56,18 +71,19 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
     Raises BadTable where the bases are kept and the model does not know a frame.
     """
     if base and tool:
-        start = locate(place_model(model.chain, samples.frames), samples)
+        start = locate(place_model(model.chain, samples.frames), samples, cell.known, cell.own_target)
     elif base:
-        start = locate_base(Model(model.chain, samples.frames, _identities(samples), model.T_tip_tool), samples)
+        unplaced = Model(model.chain, samples.frames, _identities(samples), model.T_tip_tool)
+        start = locate_base(unplaced, samples, cell.known, cell.own_target)
     else:
         start = with_frames(model, samples.frames)
     start = replace(start, arm=model.arm)
     choice = choose_parameters(
         start,
         views_of(samples),
-        cell.fixed,
+        cell.kept,
         cell.distances,
-        among=lambda p: not p.of_arm and ((base and p.place == 0) or (tool and p.place > 0)),
+        among=lambda p: not p.of_arm and ((base and p.place <= 0) or (tool and p.place > 0)),
     )
     start = start.with_effects(model.effects)
     return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, keep_effects=True)
@@ -83,7 +99,13 @@ def with_frames(model: Model, frames: Sequence[str]) -> Model:
                 "give --refit-base to find the base again",
             )
     rows = [model.frames.index(name) for name in frames]
-    return replace(model, frames=tuple(frames), T_frame_base=model.T_frame_base[rows])
+    return replace(
+        model,
+        frames=tuple(frames),
+        T_frame_base=model.T_frame_base[rows],
+        instruments=tuple(i for i in model.instruments if i.frame in frames),
+        leaders=(),  # nothing moves any more
+    )
 
 
 def _identities(samples: Samples) -> np.ndarray:

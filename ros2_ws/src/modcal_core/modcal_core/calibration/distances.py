@@ -36,7 +36,7 @@ def distance_rows(
     model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[Distance]
 ) -> DistanceRows:
     """Residuals of known distances, and derivatives, with the parameters at these values about the given model."""
-    errors = deviations(parameters, values, model.chain.n, len(model.frames))
+    errors = deviations(model, parameters, values)
     now = apply_deviations(model, errors)
     T_root_frame = se3.inverse(now.T_frame_base @ (model.chain.origins[0] @ se3.transform(model.chain.joint_basis[0])))
     origin = T_root_frame[:, :3, 3]

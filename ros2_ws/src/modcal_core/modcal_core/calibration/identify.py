@@ -19,11 +19,19 @@ from modcal_core.calibration.distances import Distance, distance_rows
 from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread, excess_spread, robust_spread, robust_weights, standard_score
+from modcal_core.calibration.noise import (
+    Groups,
+    Spread,
+    excess_spread,
+    robust_spread,
+    robust_weights,
+    standard_score,
+)
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import dimensions, kinds
 from modcal_core.measurements.samples import Samples
 
 MAX_ITERATIONS = 60
@@ -92,7 +100,7 @@ def identify(
     require_enough(samples, len(parameters), len(distances))
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
-    dimensions = np.where(pose, 6.0, 3.0)
+    groups = Groups.of(samples, bool(start.instruments))
     around = start.circumstances(samples)
     P = len(parameters)
     fitted = () if keep_effects else start.effects
@@ -102,8 +110,8 @@ def identify(
     damping = 0.0
     at = linearise(start, parameters, values, samples, jacobian=False, circumstances=around)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
-        weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(values), robust)
-        row_weight = _row_weights(weights, pose, spread, known_p, known_r)
+        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
+        row_weight = row_weights(weights, spread, samples)
         H_data, g = normal_equations(start, parameters, values, samples, row_weight)
         if distances:
             rows = distance_rows(start, parameters, values[:P], distances)
@@ -124,9 +132,9 @@ def identify(
             break
         damping = 0.0 if damping < 1e-3 else damping / 10.0
 
-    weights, spread = _weigh(at, pose, known_p, known_r, dimensions, len(values), robust)
+    weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
     covariance = np.outer(scale, scale) * _solve(H * np.outer(scale, scale), np.eye(len(values)), 0.0)
-    model = apply_deviations(start, deviations(parameters, values[:P], start.chain.n, len(start.frames)))
+    model = apply_deviations(start, deviations(start, parameters, values[:P]))
     if fitted:
         model = model.with_effects(_estimated(fitted, values[P:], np.sqrt(np.diag(covariance)[P:])))
     return Fit(
@@ -155,7 +163,7 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
 
     known: equations that come on top, such as known distances.
     """
-    equations = share * (3 * len(samples) + 3 * int(samples.is_pose.sum()))
+    equations = share * float(dimensions(samples).sum())
     need = EQUATIONS_PER_PARAMETER * parameters - known
     if equations < need:
         least = int(np.ceil(need / max(equations / max(samples.stations, 1), 1e-9)))
@@ -172,30 +180,39 @@ def _known(sigma: Array) -> Array:
 
 
 def _weigh(
-    at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, dimensions: Array, parameters: int, robust: bool
+    at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, groups: Groups, parameters: int, robust: bool
 ) -> tuple[Array, Spread]:
     """Robust weights of the samples and the spread left, at these residuals."""
     square_p = np.einsum("ij,ij->j", at.position, at.position)
     square_r = np.einsum("ij,ij->j", at.rotation, at.rotation)
     weights = np.ones(len(square_p))
     if robust:
-        rough = robust_spread(at.position, at.rotation)
+        rough = robust_spread(at.position, at.rotation, groups)
         total = square_p / (rough.position**2 + known_p**2)
+        for kind, of_kind in groups.others.items():
+            total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
         if len(square_r):
             total[pose] += square_r / (rough.rotation**2 + known_r**2)
-        weights = robust_weights(standard_score(total, dimensions))
-    rows = 3.0 * len(square_p) + 3.0 * len(square_r)
+        weights = robust_weights(standard_score(total, groups.dimensions))
+    each = parameters / groups.rows  # degrees of freedom that a row gives up
+
+    def left(rows: np.ndarray | slice, directions: int) -> float:
+        seen = at.position[:, rows]
+        return excess_spread(seen, known_p[rows], weights[rows], each * directions * seen.shape[1], directions)
+
     spread = Spread(
-        excess_spread(at.position, known_p, weights, parameters * 3.0 * len(square_p) / rows),
-        excess_spread(at.rotation, known_r, weights[pose], parameters * 3.0 * len(square_r) / rows),
+        left(groups.positions, 3),
+        excess_spread(at.rotation, known_r, weights[pose], each * 3.0 * len(square_r)),
+        {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
     )
     return weights, spread
 
 
-def _row_weights(weights: Array, pose: np.ndarray, spread: Spread, known_p: Array, known_r: Array) -> Array:
-    """Weight of each row of J, (3 N + 3 M,)."""
-    w_p = weights / (spread.position**2 + known_p**2)
-    w_r = weights[pose] / (spread.rotation**2 + known_r**2)
+def row_weights(weights: Array, spread: Spread, samples: Samples) -> Array:
+    """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
+    pose = samples.is_pose
+    w_p = weights / (spread.of(samples) ** 2 + _known(samples.sigma_position) ** 2)
+    w_r = weights[pose] / (spread.rotation**2 + _known(samples.sigma_rotation[pose]) ** 2)
     return np.concatenate([np.tile(w_p, 3), np.tile(w_r, 3)])
 
 

@@ -9,37 +9,75 @@ second, so poses are located both ways and the better one is kept. Fixed points 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from modcal_core.calibration.instruments import new_instruments
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.placing import Known, find_tool, leaders, place_instruments, require_readings, spread_rows
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import indirect_rows
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 
-MOST_ROWS = 500  # a start needs no more; spread over the recording
 _GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
 
 
-def locate(model: Model, samples: Samples) -> Model:
-    """The model with base frames and tool placed so that the readings are roughly met.
+def locate(model: Model, samples: Samples, known: Sequence[Known] = (), own_target: Sequence[str] = ()) -> Model:
+    """The model with base frames, tool and instruments placed so that the readings are roughly met.
 
-    Raises NotEnoughData where a frame has fewer than 3 readings.
+    known: frames whose place relative to others is known. own_target: frames whose instrument watches a point of the
+    tool of its own. Raises NotEnoughData where a frame has fewer than 3 readings, or an instrument fewer than it needs.
     """
+    instruments = new_instruments(samples, own_target)
+    led = leaders(model.frames, known)
+    if not instruments:
+        return _known_relative(_locate(model, samples), known, led)
+    require_readings(instruments, samples)
+    indirect = indirect_rows(samples)
+    shown = np.unique(samples.frame[~indirect]).tolist()
+    located = model
+    if shown:
+        located = _locate(model, samples.select(np.flatnonzero(~indirect)), shown)
     T_base_tip = forward(model.chain, samples.q)
-    for f, name in enumerate(model.frames):
-        _require_readings(name, int((samples.frame == f).sum()))
-    order = sorted(range(len(model.frames)), key=lambda f: -_knowledge(samples, f))
+    tool = located.T_tip_tool
+    if not shown:
+        tool = find_tool(instruments, samples, T_base_tip, located.T_frame_base, known)
+    placed, poses = place_instruments(instruments, samples, T_base_tip @ tool, located.T_frame_base, shown, known)
+    located = replace(located, T_tip_tool=tool, T_frame_base=poses, instruments=placed)
+    return _known_relative(located, known, led)
+
+
+def _known_relative(model: Model, known: Sequence[Known], led: tuple[int, ...]) -> Model:
+    """The model with the frames whose place is known put there."""
+    if not known:
+        return model
+    poses = np.array(model.T_frame_base)
+    for _ in known:  # what is known relative to something known
+        for k in known:
+            if k.frame in model.frames:
+                poses[model.frames.index(k.frame)] = k.T_frame_base(model.frames, poses)
+    return replace(model, T_frame_base=poses, leaders=led)
+
+
+def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) -> Model:
+    """The model with tool and base frames, or those of them that are shown, placed from positions."""
+    order = list(range(len(model.frames))) if shown is None else list(shown)
+    T_base_tip = forward(model.chain, samples.q)
+    for f in order:
+        _require_readings(model.frames[f], int((samples.frame == f).sum()))
+    order = sorted(order, key=lambda f: -_knowledge(samples, f))
     T_frame_base = np.array(model.T_frame_base)
     tool: Array | None = None
     if all(samples.is_same_point(f) for f in order):
-        tool, T_frame_base = _fixed_points(samples, T_base_tip)
+        tool, T_frame_base = _fixed_points(samples, T_base_tip, order, T_frame_base)
         order = []
     for f in order:
-        rows = _spread(np.flatnonzero(samples.frame == f))
+        rows = spread_rows(np.flatnonzero(samples.frame == f))
         A = T_base_tip[rows]
         if samples.is_pose[rows].all():
             base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.position[rows]))
@@ -54,11 +92,15 @@ def locate(model: Model, samples: Samples) -> Model:
     return replace(model, T_frame_base=T_frame_base, T_tip_tool=tool)
 
 
-def locate_base(model: Model, samples: Samples) -> Model:
-    """The model, its tool kept, with the base frames placed so that the readings are roughly met."""
+def locate_base(model: Model, samples: Samples, known: Sequence[Known] = (), own_target: Sequence[str] = ()) -> Model:
+    """The model, its tool kept, with the base frames and instruments placed so that the readings are roughly met."""
     T_frame_base = np.array(model.T_frame_base)
-    for f in range(len(model.frames)):
-        rows = np.flatnonzero(samples.frame == f)
+    instruments = new_instruments(samples, own_target)
+    require_readings(instruments, samples)
+    indirect = indirect_rows(samples)
+    shown = np.unique(samples.frame[~indirect]).tolist()
+    for f in shown:
+        rows = np.flatnonzero((samples.frame == f) & ~indirect)
         _require_readings(model.frames[f], len(rows))
         T = forward(model.chain, samples.q[rows]) @ model.T_tip_tool
         if samples.is_same_point(f):
@@ -68,7 +110,10 @@ def locate_base(model: Model, samples: Samples) -> Model:
             T_frame_base[f] = se3.transform(R, (samples.position[rows] - T[:, :3, 3] @ R.T).mean(axis=0))
         else:
             T_frame_base[f] = _procrustes(T[:, :3, 3], samples.position[rows])
-    return replace(model, T_frame_base=T_frame_base)
+    T = forward(model.chain, samples.q) @ model.T_tip_tool
+    placed, T_frame_base = place_instruments(instruments, samples, T, T_frame_base, shown, known)
+    located = replace(model, T_frame_base=T_frame_base, instruments=placed)
+    return _known_relative(located, known, leaders(model.frames, known))
 
 
 def _require_readings(frame: str, count: int) -> None:
@@ -80,10 +125,6 @@ def _knowledge(samples: Samples, frame: int) -> int:
     """How much a frame says of the tool: poses before points, then the number of readings."""
     rows = samples.frame == frame
     return int(rows.sum()) * (1000 if samples.is_pose[rows].all() else 1)
-
-
-def _spread(rows: np.ndarray) -> np.ndarray:
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).astype(int)]
 
 
 def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:
@@ -147,16 +188,18 @@ def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:
     return best[1], best[2]
 
 
-def _fixed_points(samples: Samples, T_base_tip: Array) -> tuple[Array, Array]:
+def _fixed_points(
+    samples: Samples, T_base_tip: Array, order: Sequence[int], T_frame_base: Array
+) -> tuple[Array, Array]:
     """Tool and frames where every frame shows one fixed point: linear in the tool point and the points' positions."""
-    F, N = len(samples.frames), len(samples)
+    F, N = len(order), len(samples)
     G = np.zeros((N, 3, 3 + 3 * F))
     G[:, :, :3] = T_base_tip[:, :3, :3]
-    for f in range(F):
-        G[samples.frame == f, :, 3 + 3 * f : 6 + 3 * f] = -np.eye(3)
+    for i, f in enumerate(order):
+        G[samples.frame == f, :, 3 + 3 * i : 6 + 3 * i] = -np.eye(3)
     x = np.linalg.lstsq(G.reshape(-1, 3 + 3 * F), -T_base_tip[:, :3, 3].reshape(-1), rcond=1e-9)[0]
-    T_frame_base = np.tile(np.eye(4), (F, 1, 1))
-    for f in range(F):
+    T_frame_base = T_frame_base.copy()
+    for i, f in enumerate(order):
         reading = samples.position[np.flatnonzero(samples.frame == f)[0]]
-        T_frame_base[f, :3, 3] = reading - x[3 + 3 * f : 6 + 3 * f]
+        T_frame_base[f, :3, 3] = reading - x[3 + 3 * i : 6 + 3 * i]
     return se3.transform(p=x[:3]), T_frame_base

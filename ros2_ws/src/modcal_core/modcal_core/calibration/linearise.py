@@ -25,8 +25,9 @@ import numpy as np
 
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.effects import READING, Effect, Term, all_columns, motion
+from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -71,21 +72,28 @@ def local_twists(twist: Array) -> Array:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Six error values at every place: frames (F, 6) in front of the arm, places (n, 6) for places 1 … n."""
+    """Six error values at every place: frames (F, 6) in front of the arm, places (n, 6) for places 1 … n.
+
+    instruments: changes of the constants of each, where there are any.
+    """
 
     frames: Array
     places: Array
+    instruments: tuple[Array, ...] = ()
 
 
-def deviations(parameters: Sequence[Parameter], values: Array, n: int, frames: int) -> Deviations:
-    """The errors at every place that these parameter values stand for."""
-    out = Deviations(np.zeros((frames, 6)), np.zeros((n, 6)))
+def deviations(model: Model, parameters: Sequence[Parameter], values: Array) -> Deviations:
+    """The errors at every place of a model that these parameter values stand for."""
+    own = tuple(np.zeros(len(i.constants)) for i in model.instruments)
+    out = Deviations(np.zeros((len(model.frames), 6)), np.zeros((model.chain.n, 6)), own)
     for parameter, value in zip(parameters, values, strict=True):
-        if parameter.place == 0:
+        if parameter.place == INSTRUMENT:
+            out.instruments[parameter.instrument][parameter.direction] += value
+        elif parameter.place == 0:
             out.frames[parameter.frame, parameter.direction] += value
         else:
             out.places[parameter.place - 1, parameter.direction] += value
-    return out
+    return replace(out, frames=out.frames[list(model.leaders)]) if model.leaders else out
 
 
 def apply_deviations(model: Model, errors: Deviations) -> Model:
@@ -98,7 +106,14 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
     T_base_root = chain.origins[0] @ A[0]
     T_frame_base = model.T_frame_base @ T_base_root @ error_transform(errors.frames) @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]
-    return replace(model, chain=chain.with_origins(origins), T_frame_base=T_frame_base, T_tip_tool=T_tip_tool)
+    instruments = tuple(i.moved(d) for i, d in zip(model.instruments, errors.instruments, strict=True))
+    return replace(
+        model,
+        chain=chain.with_origins(origins),
+        T_frame_base=T_frame_base,
+        T_tip_tool=T_tip_tool,
+        instruments=instruments,
+    )
 
 
 def linearise(
@@ -128,20 +143,24 @@ def linearise(
 def model_at(model: Model, parameters: Sequence[Parameter], values: Array) -> Model:
     """The model with these values put in: those of the parameters, then, where given, those of its effects."""
     P = len(parameters)
-    now = apply_deviations(model, deviations(parameters, values[:P], model.chain.n, len(model.frames)))
+    now = apply_deviations(model, deviations(model, parameters, values[:P]))
     return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
 
 
 def geometry_rows(view: View, model: Model, parameters: Sequence[Parameter], values: Array) -> Array:
     """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values."""
     J = np.empty((len(parameters), view.position.size + view.rotation.size))
-    errors = deviations(parameters, values[: len(parameters)], model.chain.n, len(model.frames))
+    errors = deviations(model, parameters, values[: len(parameters)])
     of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
+    own = [i.moved_by(d) for i, d in zip(model.instruments, errors.instruments, strict=True)]
     for j, parameter in enumerate(parameters):
+        if parameter.place == INSTRUMENT:
+            view.own_column(parameter.instrument, own[parameter.instrument][:, parameter.direction], out=J[j])
+            continue
         twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
         view.column(parameter.place, twist, out=J[j])
         if parameter.place == 0 and len(model.frames) > 1:
-            view.only_frame(parameter.frame, J[j])
+            view.only_frame(model.frames_led_by(parameter.frame), J[j])
     return J
 
 
@@ -163,6 +182,7 @@ class View:
     position: Array
     rotation: Array
     reading: Array
+    sights: Sights | None = None
     _units: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     @classmethod
@@ -190,7 +210,11 @@ class View:
             R = f.rotation(n) if len(pose) == N else f.rotation(n)[pose]
             R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
             rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
-        return cls(samples, pose, f, y - f.p[n], rotation, reading)
+        view = cls(samples, pose, f, y - f.p[n], rotation, reading)
+        if now.instruments:
+            view.sights = look(now.instruments, samples, true, T_root_frame, f)
+            view.sights.put_into(view.position, view.reading)
+        return view
 
     def column(self, place: int, twist: Array, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of a twist (6,) at a place."""
@@ -199,22 +223,35 @@ class View:
         if place == READING:
             position[:], rotation[:] = self.reading, 0.0
             return
+        p = self.f.p[-1] if self.sights is None else self.sights.watched
         flat = self.f.axes[place].reshape(3, 3 * N)
         if not twist[3:].any():
             np.matmul(twist[:3], flat, out=out[: 3 * N])
             rotation[:] = 0.0
-            return
-        turn = (twist[3:] @ flat).reshape(3, N)
-        cross(turn, self.f.p[-1] - self.f.p[place], out=position)
-        rotation[:] = turn if M == N else turn[:, self.pose]
-        if twist[:3].any():
-            position += (twist[:3] @ flat).reshape(3, N)
+        else:
+            turn = (twist[3:] @ flat).reshape(3, N)
+            cross(turn, p - self.f.p[place], out=position)
+            rotation[:] = turn if M == N else turn[:, self.pose]
+            if twist[:3].any():
+                position += (twist[:3] @ flat).reshape(3, N)
+        if self.sights is not None:
+            self.sights.look_through(position)
 
-    def only_frame(self, frame: int, out: Array) -> None:
-        """Make a column (3 N + 3 M,) zero for samples of other frames."""
+    def own_column(self, instrument: int, change: Array, out: Array) -> None:
+        """Write what changes, (3 N + 3 M,), per unit of a change of an instrument's constants."""
         N = self.position.shape[1]
-        out[: 3 * N].reshape(3, N)[:, self.samples.frame != frame] = 0.0
-        out[3 * N :].reshape(3, -1)[:, self.samples.frame[self.pose] != frame] = 0.0
+        out[:] = 0.0
+        assert self.sights is not None
+        rows, by_constants = self.sights.constants[instrument]
+        out[: 3 * N].reshape(3, N)[:, rows] = np.tensordot(change, by_constants, 1)
+
+    def only_frame(self, frames: Sequence[int], out: Array) -> None:
+        """Make a column (3 N + 3 M,) zero for samples of other frames than these."""
+        N = self.position.shape[1]
+        here = self.samples.frame
+        away = here != frames[0] if len(frames) == 1 else ~np.isin(here, frames)
+        out[: 3 * N].reshape(3, N)[:, away] = 0.0
+        out[3 * N :].reshape(3, -1)[:, away[self.pose]] = 0.0
 
     def moved_by(self, terms: Sequence[Term]) -> Array:
         """The motion of the tool, (3 N + 3 M,), that the terms of one amplitude make together."""

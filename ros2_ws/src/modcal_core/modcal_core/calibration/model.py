@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modcal_core.calibration.circumstances import Arm, Circumstances
 from modcal_core.calibration.effects import Effect, motion
+from modcal_core.calibration.instruments import Instrument
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
@@ -24,7 +25,9 @@ class Model:
 
     chain: the arm. frames: names of the frames readings come in. T_frame_base: pose of the robot's base in each,
     (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m]. effects: what geometry cannot
-    say. arm: the nominal arm that loads are computed from; None where there are no effects.
+    say. arm: the nominal arm that loads are computed from; None where there are no effects. instruments: those whose
+    readings are no positions. leaders: for each frame the one whose errors it shares, by index, where some are known
+    relative to others; empty where each stands for itself.
     """
 
     chain: Chain
@@ -33,6 +36,16 @@ class Model:
     T_tip_tool: Array
     effects: tuple[Effect, ...] = ()
     arm: Arm | None = None
+    instruments: tuple[Instrument, ...] = ()
+    leaders: tuple[int, ...] = ()
+
+    def leader(self, frame: int) -> int:
+        """The frame whose errors this one shares."""
+        return self.leaders[frame] if self.leaders else frame
+
+    def frames_led_by(self, frame: int) -> tuple[int, ...]:
+        """The frames that share this one's errors, itself among them."""
+        return tuple(f for f in range(len(self.frames)) if self.leader(f) == frame)
 
     def predict(self, q: ArrayLike, frame: IntArray | int = 0) -> Array:
         """Poses of the tool by geometry alone, (N, 4, 4), in the frames with these indices, for postures q (N, n)."""

@@ -8,12 +8,14 @@ far outside, judged by its whole residual against a χ² law, counts less (Huber
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from modcal_core.calibration.chances import median_chi2
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import indirect_rows, kinds
+from modcal_core.measurements.samples import Samples
 
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160
 REJECT_Z = 6.0
@@ -22,28 +24,71 @@ _FLOOR = 1e-9  # m or rad; exact data must not divide by zero
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations that no reading explains, per axis: position [m], rotation [rad]."""
+    """Standard deviations that no reading explains, per axis: position [m], rotation [rad], and of readings that are
+    no positions, by kind and in its unit.
+    """
 
     position: float
     rotation: float
+    others: dict[str, float] = field(default_factory=dict)
+
+    def of(self, samples: Samples) -> Array | float:
+        """That of the position, or what stands in its place, of each sample, (N,), or one number for all."""
+        if not self.others:
+            return self.position
+        out = np.full(len(samples), self.position)
+        for kind, size in self.others.items():
+            out[samples.kind == kind] = size
+        return out
 
 
-def robust_spread(position: Array, rotation: Array) -> Spread:
+@dataclass(frozen=True)
+class Groups:
+    """Samples by what shares its noise. positions: rows (or all). others: rows by kind, of those that are no positions.
+    dimensions: directions in which each sample sees, (N,).
+    """
+
+    positions: np.ndarray | slice
+    others: dict[str, np.ndarray]
+    dimensions: Array
+
+    @classmethod
+    def of(cls, samples: Samples, mixed: bool) -> Groups:
+        """The groups of these samples. mixed: whether there may be readings that are no positions."""
+        dimensions = np.where(samples.is_pose, 6.0, 3.0)
+        if not mixed or not (indirect := indirect_rows(samples)).any():
+            return cls(slice(None), {}, dimensions)
+        others = {}
+        for name in np.unique(samples.kind[indirect]).tolist():
+            others[name] = np.flatnonzero(samples.kind == name)
+            dimensions[others[name]] = kinds()[name].dimensions
+        return cls(np.flatnonzero(~indirect), others, dimensions)
+
+    @property
+    def rows(self) -> float:
+        """Equations that the samples give."""
+        return float(self.dimensions.sum())
+
+
+def robust_spread(position: Array, rotation: Array, groups: Groups | None = None) -> Spread:
     """The spread of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
-    median3 = float(np.sqrt(median_chi2(3)))
 
-    def one(r: Array) -> float:
-        return max(float(np.median(np.sqrt(np.einsum("ij,ij->j", r, r)))) / median3, _FLOOR) if r.size else _FLOOR
+    def one(r: Array, dimensions: int = 3) -> float:
+        usual = float(np.sqrt(median_chi2(dimensions)))
+        return max(float(np.median(np.sqrt(np.einsum("ij,ij->j", r, r)))) / usual, _FLOOR) if r.size else _FLOOR
 
-    return Spread(one(position), one(rotation))
+    if groups is None or not groups.others:
+        return Spread(one(position), one(rotation))
+    others = {name: one(position[:, rows], kinds()[name].dimensions) for name, rows in groups.others.items()}
+    return Spread(one(position[:, groups.positions]), one(rotation), others)
 
 
-def excess_spread(residual: Array, known: Array, weight: Array, lost: float) -> float:
+def excess_spread(residual: Array, known: Array, weight: Array, lost: float, dimensions: int = 3) -> float:
     """s for residuals (3, N) with known deviations (N,) and robust weights (N,), ``lost`` degrees of freedom spent."""
     if not residual.size:
         return _FLOOR
     square = np.einsum("ij,ij->j", residual, residual)
-    freedom = max(3.0 * float(weight.sum()) - lost, 1.0)
+    freedom = max(dimensions * float(weight.sum()) - lost, 1.0)
     if not known.any():
         return max(float(np.sqrt(weight @ square / freedom)), _FLOOR)
     s2 = float(weight @ square) / freedom

@@ -21,15 +21,20 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
+from modcal_core.calibration.instruments import Instrument
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import ORIGIN
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.robots.chain import Chain
 
 # How far an arm is expected to be from its drawing, and base and tool from where the drawing's arm would put them.
 # It only decides directions that the data hardly shows, so that they cannot drift into large, cancelling values.
 PRIOR_LENGTH_M = 0.01
 PRIOR_ANGLE_RAD = 0.02
+_WIDE = 5.0
 
+INSTRUMENT = -2  # the place of an instrument's own constants
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -39,7 +44,8 @@ class Parameter:
 
     name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
     place's frame with the joint's axis along z. frame: index of the frame at place 0, else -1. prior_std: [m or rad],
-    inf where nothing at all is expected.
+    inf where nothing at all is expected. instrument: index of the instrument that it is a constant of (place
+    INSTRUMENT, direction the constant's number, own_unit its unit), else -1.
     """
 
     name: str
@@ -47,16 +53,23 @@ class Parameter:
     direction: int
     frame: int = -1
     prior_std: float = np.inf
+    instrument: int = -1
+    own_unit: str = ""
 
     @property
     def of_arm(self) -> bool:
         """Whether it changes the arm itself, rather than where its base or tool are."""
-        return not (self.name.startswith("frame ") or self.name.startswith("tool/"))
+        return not self.name.startswith(("frame ", "tool/", "instrument "))
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is one of the three turns of its place."""
+        return self.direction >= 3
 
     @property
     def unit(self) -> str:
         """m or rad."""
-        return "m" if self.direction < 3 else "rad"
+        return self.own_unit or ("m" if self.direction < 3 else "rad")
 
 
 @dataclass(frozen=True)
@@ -76,8 +89,16 @@ def direction_names(basis: Array) -> tuple[str, ...]:
     return (*axes, *("r" + a for a in axes))
 
 
-def ordered_candidates(chain: Chain, frames: Sequence[str], views: Sequence[View]) -> list[Parameter]:
+def ordered_candidates(
+    chain: Chain,
+    frames: Sequence[str],
+    views: Sequence[View],
+    instruments: Sequence[Instrument] = (),
+    leaders: Sequence[int] = (),
+) -> list[Parameter]:
     """Every direction, the ones to keep first.
+
+    instruments, leaders: as in the model. Constants of instruments come before the tool, which they may be imitated by.
 
     What each joint of the arm stops comes first, then the tool, then the frames; the first frame's turn about and shift
     along the first joint come late, for that is the pair every single-frame cell has to give up. Last stand the
@@ -91,17 +112,26 @@ def ordered_candidates(chain: Chain, frames: Sequence[str], views: Sequence[View
         for d in range(6):
             parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
             (out if d in stopped else passing).append(parameter)
+    for i, instrument in enumerate(instruments):
+        for d, constant in enumerate(instrument.constants):
+            name = f"instrument {instrument.frame}/{constant.name}"
+            frame = frames.index(instrument.frame)
+            out.append(Parameter(name, INSTRUMENT, d, frame, constant.prior_std, i, constant.unit))
     orientation_seen = any(v.kind == "pose" for v in views)
     out += [
         Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d, prior_std=_prior(d)) for d in range(6 if orientation_seen else 3)
     ]
-    fixed_point = {f: all(v.same_point for v in views if v.frame == f) for f in range(len(frames))}
+    led = list(leaders) or list(range(len(frames)))
+    of_frame = {f: [v for v in views if led[v.frame] == f] for f in range(len(frames))}
+    fixed_point = {f: all(v.same_point or kinds()[v.kind].frame == ORIGIN for v in of_frame[f]) for f in of_frame}
+    # what shows positions puts its frame where the drawing's arm would; others may err by far more at first
+    wide = {f: 1.0 if any(kinds()[v.kind].direct for v in of_frame[f]) else _WIDE for f in of_frame}
     base = direction_names(chain.joint_basis[0])
-    for f in [*range(1, len(frames)), 0]:
+    for f in [f for f in (*range(1, len(frames)), 0) if led[f] == f]:
         order = (0, 1, 3, 4, 2, 5) if chain.revolute[0] else (3, 4, 0, 1, 2, 5)
         for d in order:
             if d < 3 or not fixed_point[f]:
-                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, _prior(d)))
+                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
     return out + passing
 
 
@@ -109,20 +139,22 @@ def _prior(direction: int) -> float:
     return PRIOR_LENGTH_M if direction < 3 else PRIOR_ANGLE_RAD
 
 
-def independent_columns(J: Array, tolerance: float = 1e-7) -> np.ndarray:
+def independent_columns(J: Array, tolerance: Sequence[float] | float = 1e-7) -> np.ndarray:
     """Indices of the columns of J (m, P) that add something to the ones before them, in order.
 
-    Gram-Schmidt with each column scaled to unit length; a column whose remainder is below the tolerance is dropped.
+    Gram-Schmidt with each column scaled to unit length; a column whose remainder is below the tolerance, of all or of
+    each (P,), is dropped.
     """
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     basis = np.zeros((J.shape[0], 0))
+    least = np.broadcast_to(tolerance, J.shape[1:])
     kept = []
     for j in range(J.shape[1]):
         rest = J[:, j]
         for _ in range(2):  # the second pass removes what rounding left of the first
             rest = rest - basis @ (basis.T @ rest)
         size = np.linalg.norm(rest)
-        if size > tolerance:
+        if size > least[j]:
             kept.append(j)
             basis = np.c_[basis, rest / size]
     return np.array(kept, dtype=int)

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import REJECT_Z, Spread, robust_spread, standard_score
+from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, robust_spread, standard_score
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 
 _REPEAT_RAD = 2e-4  # postures this close count as the same one, visited again
@@ -38,15 +40,25 @@ class ErrorSize:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of samples: position (N, 3) [m] in each reading's frame, rotation (M, 3) [rad] of the M pose samples."""
+    """Errors of samples: position (N, 3) [m] in each reading's frame, rotation (M, 3) [rad] of the M pose samples.
+
+    Of a reading that is no position it is the miss at the tool along what the reading shows, from the root. lever:
+    metres at the tool per unit of the reading, (N,); None where all are positions.
+    """
 
     position: Array
     rotation: Array
+    lever: Array | None = None
 
     @property
     def position_norm(self) -> Array:
         """Distances [m], (N,)."""
         return np.linalg.norm(self.position, axis=1)
+
+    @property
+    def reading_norm(self) -> Array:
+        """Sizes in the unit that each reading's noise is in, (N,)."""
+        return self.position_norm if self.lever is None else self.position_norm / self.lever
 
     @property
     def rotation_norm(self) -> Array:
@@ -67,36 +79,53 @@ def errors(model: Model, samples: Samples) -> Errors:
     T = model.predict_samples(samples)
     pose = samples.is_pose
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
-    return Errors(samples.position - T[:, :3, 3], rotation)
+    gap, lever = samples.position - T[:, :3, 3], None
+    if model.instruments:
+        view = View.of(model, samples, model.circumstances(samples))
+        assert view.sights is not None
+        lever, rows = view.sights.lever, view.sights.rows
+        gap[rows] = (view.sights.residual * lever[rows]).T
+    return Errors(gap, rotation, lever)
 
 
 def outlying(model: Model, spread: Spread, samples: Samples) -> np.ndarray:
     """True for samples so far outside this spread that a fit would have rejected them, (N,)."""
-    return _scores(errors(model, samples), samples, spread) > REJECT_Z
+    return _scores(errors(model, samples), samples, spread, bool(model.instruments)) > REJECT_Z
 
 
 def spread_of(model: Model, samples: Samples) -> Spread:
     """The spread of a model's errors, by medians: what is usual for it on these samples."""
     e = errors(model, samples)
-    return robust_spread(e.position.T, e.rotation.T)
+    position = e.position if e.lever is None else e.position / e.lever[:, None]
+    return robust_spread(position.T, e.rotation.T, Groups.of(samples, bool(model.instruments)))
 
 
-def _scores(e: Errors, samples: Samples, spread: Spread) -> Array:
+def squared_misses(e: Errors, samples: Samples, spread: Spread, finest: float = 0.0) -> Array:
+    """Squares of each sample's error, (N,), in variances: of this spread, no less than the finest, and of the reading's
+    own scatter.
+    """
     known_p = np.nan_to_num(samples.sigma_position)
-    total = e.position_norm**2 / (max(spread.position, FINEST) ** 2 + known_p**2)
+    total = e.reading_norm**2 / (np.maximum(spread.of(samples), finest) ** 2 + known_p**2)
     pose = samples.is_pose
     if pose.any():
         known_r = np.nan_to_num(samples.sigma_rotation[pose])
-        total[pose] += e.rotation_norm**2 / (max(spread.rotation, FINEST) ** 2 + known_r**2)
-    return standard_score(total, np.where(pose, 6.0, 3.0))
+        total[pose] += e.rotation_norm**2 / (max(spread.rotation, finest) ** 2 + known_r**2)
+    return total
+
+
+def _scores(e: Errors, samples: Samples, spread: Spread, mixed: bool) -> Array:
+    return standard_score(squared_misses(e, samples, spread, FINEST), Groups.of(samples, mixed).dimensions)
 
 
 def noise_floor(samples: Samples) -> float | None:
     """RMS distance [m] between a reading and what a perfect model would say, or None when the data cannot tell.
 
     Postures visited again show it with everything included that does not repeat; failing those, the scatter within the
-    stations is taken, which is a lower bound.
+    stations is taken, which is a lower bound. Nothing is said of recordings with readings that are no positions: what
+    is noise differs from one instrument to the next.
     """
+    if not is_direct(np.unique(samples.kind).tolist()):
+        return None
     if len(samples) > _MOST_SEARCHED:  # an arm that stood still while the tracker ran makes pairs without number
         samples = samples.select(np.linspace(0, len(samples) - 1, _MOST_SEARCHED).astype(int))
     from scipy.spatial import cKDTree  # at the top, it would keep every node waiting

@@ -12,6 +12,7 @@ import numpy as np
 from modcal_core.calibration.circumstances import Arm
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
@@ -20,6 +21,7 @@ from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -114,6 +116,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         "recorded": {
             "kind": calibration.kind,
             "spread": [calibration.spread.position, calibration.spread.rotation],
+            **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
         },
@@ -138,7 +141,8 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         recorded = data["recorded"]
         rivals = tuple(tuple(_effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
         postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
-        spread = Spread(*(float(x) for x in recorded["spread"]))
+        others = {str(kind): float(x) for kind, x in recorded.get("spread_of", {}).items()}
+        spread = Spread(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
@@ -180,7 +184,11 @@ def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
     """The parameters, and the rows of the covariance up to the diagonal."""
     return {
         "parameters": [
-            {"name": p.name, "place": p.place, "direction": p.direction, "frame": p.frame, "prior": float(p.prior_std)}
+            {
+                **{"name": p.name, "place": p.place, "direction": p.direction, "frame": p.frame},
+                "prior": float(p.prior_std),
+                **({"instrument": p.instrument, "unit": p.own_unit} if p.instrument >= 0 else {}),
+            }
             for p in known.parameters
         ],
         "covariance": [_floats(row[: i + 1]) for i, row in enumerate(known.covariance)],
@@ -191,7 +199,10 @@ def _uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
     if data is None:
         return None
     parameters = tuple(
-        Parameter(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"]))
+        Parameter(
+            *(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"])),
+            *(int(p.get("instrument", -1)), str(p.get("unit", ""))),
+        )
         for p in data["parameters"]
     )
     rows = data["covariance"]
@@ -239,7 +250,27 @@ def _model_to_data(model: Model) -> dict[str, Any]:
         "tip_origin": _matrix(chain.origins[-1]),
         "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
         "tool": _matrix(model.T_tip_tool),
+        **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
+        **({"leaders": list(model.leaders)} if model.leaders else {}),
     }
+
+
+def _instrument_to_data(instrument: Instrument) -> dict[str, Any]:
+    return {
+        "frame": instrument.frame,
+        "kind": instrument.kind,
+        "constants": _floats(instrument.values),
+        "target": None if instrument.target is None else _floats(instrument.target),
+    }
+
+
+def _instrument_from_data(data: Mapping[str, Any], frames: Sequence[str]) -> Instrument:
+    kind = kinds().get(str(data["kind"]))
+    values = np.array(data["constants"], dtype=float)
+    target = None if data["target"] is None else np.array(data["target"], dtype=float)
+    if kind is None or data["frame"] not in frames or values.shape != kind.start().shape:
+        raise ValueError(f"no instrument of kind {data['kind']} in frame {data['frame']} with {values.size} constants")
+    return Instrument(str(data["frame"]), kind.name, values, target)
 
 
 def _model_from_data(data: Mapping[str, Any]) -> Model:
@@ -255,7 +286,14 @@ def _model_from_data(data: Mapping[str, Any]) -> Model:
         str(data["tip"]),
     )
     frames = tuple(str(name) for name in data["frames"])
-    return Model(chain, frames, np.stack([_transform(T) for T in data["frames"].values()]), _transform(data["tool"]))
+    return Model(
+        chain,
+        frames,
+        np.stack([_transform(T) for T in data["frames"].values()]),
+        _transform(data["tool"]),
+        instruments=tuple(_instrument_from_data(i, frames) for i in data.get("instruments", ())),
+        leaders=tuple(int(f) for f in data.get("leaders", ())),
+    )
 
 
 def _matrix(T: Array) -> list[list[float]]:

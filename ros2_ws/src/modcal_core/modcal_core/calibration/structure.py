@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import (
@@ -19,6 +20,8 @@ from modcal_core.calibration.parameters import (
 )
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import PLANE, scene_in
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
@@ -27,6 +30,10 @@ from modcal_core.robots.kinematics import forward, spatial_jacobian
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
 
 # a tool that lies on no joint's axis
+_EXACTLY = 1e-7  # what is left of a column that says nothing new, rounding alone
+_NEARLY = 5e-3  # the same for planes: one that stands across an axis but for the error of its placing is taken to do so
+_SPARE = 6  # postures drawn for each that is kept, where an instrument cannot read at all of them
+_GENERAL_FRAME = se3.transform(so3.exp([0.4, 0.7, -0.3]), [1.3, -0.8, 0.6])
 _GENERAL_TOOL = se3.transform(so3.exp([0.3, -0.2, 0.5]), [0.11, 0.07, 0.13])
 
 
@@ -69,7 +76,11 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
     rng = np.random.default_rng(_SEED)
     q_parts, frame, kind = [], [], []
     for view in views:
-        q = random_postures(model.chain, each, rng)
+        instrument = _instrument(model, view)
+        q = random_postures(model.chain, each if instrument is None else _SPARE * each, rng)
+        if instrument is not None:
+            scene = scene_in(model.T_frame_base[view.frame], forward(model.chain, q) @ model.T_tip_tool)
+            q = q[np.argsort(~instrument.of_kind.usable(scene, instrument.values), kind="stable")[:each]]
         if view.same_point:
             q = postures_at_point(model.chain, model.T_tip_tool, random_postures(model.chain, 3 * each, rng))[:each]
         q_parts.append(q)
@@ -82,6 +93,12 @@ def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray)
     """Readings of these kinds (N,) in these frames (N,) at postures q (N, n), as the model's geometry makes them."""
     T = model.predict(q, frames)
     N = len(q)
+    position = T[:, :3, 3]
+    for instrument in model.instruments:
+        rows = np.flatnonzero((frames == model.frames.index(instrument.frame)) & (kinds == instrument.kind))
+        T_base_tool = forward(model.chain, q[rows]) @ model.T_tip_tool
+        scene = scene_in(model.T_frame_base[model.frames.index(instrument.frame)], T_base_tool, instrument.target)
+        position[rows] = instrument.of_kind.predict(scene, instrument.values)
     return Samples(
         names=model.chain.names,
         frames=model.frames,
@@ -90,13 +107,20 @@ def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray)
         station=np.arange(N),
         frame=frames,
         kind=kinds,
-        position=T[:, :3, 3],
+        position=position,
         R=np.where((kinds == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),
         velocity=np.zeros_like(q),
         moving=np.zeros(N, bool),
     )
+
+
+def _instrument(model: Model, view: View) -> Instrument | None:
+    for instrument in model.instruments:
+        if (instrument.frame, instrument.kind) == (model.frames[view.frame], view.kind):
+            return instrument
+    return None
 
 
 @dataclass(frozen=True)
@@ -119,23 +143,63 @@ def choose_parameters(
     fixed: names, places or patterns that must stay as they are. distances: known distances between frames, which can
     make scale visible. among: which parameters to consider. Raises BadTable for a pattern that names nothing.
     """
-    candidates = drop_fixed(ordered_candidates(model.chain, model.frames, views), fixed)
-    candidates = [p for p in candidates if among(p)]
+    candidates = ordered_candidates(model.chain, model.frames, views, model.instruments, model.leaders)
+    candidates = [p for p in drop_fixed(candidates, fixed) if among(p)]
+    views = _counting(model, views)
     samples = general_samples(model, views, each=max(12, -(-len(candidates) // len(views))))
     model = _meet_fixed_points(model, views, samples)
     J = linearise(model, candidates, np.zeros(len(candidates)), samples).J
     if distances:
         J = np.c_[J, distance_rows(model, candidates, np.zeros(len(candidates)), distances).J]
-    kept = set(independent_columns(J.T).tolist())
-    parameters = sorted((candidates[j] for j in kept), key=lambda p: (p.place, p.frame, p.direction))
+    order = _steepest_first(model, candidates, J)
+    candidates, J = [candidates[j] for j in order], J[order]
+    planes = _of_planes(model)
+    kept = set(independent_columns(J.T, [_NEARLY if p.frame in planes else _EXACTLY for p in candidates]).tolist())
+    parameters = sorted((candidates[j] for j in kept), key=lambda p: (p.place, p.frame, p.instrument, p.direction))
     passing = (2, 5)
     left_out = [c.name for j, c in enumerate(candidates) if j not in kept and (c.direction in passing or c.of_arm)]
     return Choice(tuple(parameters), tuple(left_out))
 
 
+def _counting(model: Model, views: Sequence[View]) -> list[View]:
+    """The views whose parameters are fitted: some kinds leave to priors what they cannot see."""
+    out: list[View] = []
+    for view in views:
+        other = kinds()[view.kind].counts_as
+        instrument = _instrument(model, view)
+        if not other or (instrument is not None and instrument.target is not None):
+            out.append(view)
+        if other:
+            out.append(replace(view, kind=other))
+    return list(dict.fromkeys(out))
+
+
+def _steepest_first(model: Model, candidates: Sequence[Parameter], J: Array) -> list[int]:
+    """The candidates' order with the directions of planes' frames put by how much they show: a plane has three, and
+    they must not be written along those that hardly move it.
+    """
+    order = list(range(len(candidates)))
+    for f in _of_planes(model):
+        for turns in (False, True):
+            mine = [j for j, p in enumerate(candidates) if p.place == 0 and p.frame == f and p.turns == turns]
+            for place, j in zip(mine, sorted(mine, key=lambda j: -float(np.linalg.norm(J[j]))), strict=True):
+                order[place] = j
+    return order
+
+
+def _of_planes(model: Model) -> set[int]:
+    """The frames that are planes, by index."""
+    return {model.frames.index(i.frame) for i in model.instruments if i.of_kind.frame == PLANE}
+
+
 def parameter_count(chain: Chain, samples: Samples, fixed: Sequence[str], distances: Sequence[Distance]) -> int:
     """How many parameters these readings call for, wherever base and tool may turn out to be."""
     somewhere = Model(chain, samples.frames, np.tile(np.eye(4), (len(samples.frames), 1, 1)), _GENERAL_TOOL)
+    if instruments := new_instruments(samples):
+        # where an anchor or a plane stands must not be on a joint's axis
+        somewhere = replace(
+            somewhere, instruments=instruments, T_frame_base=np.stack([_GENERAL_FRAME] * len(samples.frames))
+        )
     return len(choose_parameters(somewhere, views_of(samples), fixed, distances).parameters)
 
 

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.calibration.distances import Distance, distance_rows
 from modcal_core.calibration.effects import prior_stds
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.identify import Fit, row_weights
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
@@ -53,7 +53,7 @@ def uncertainty(
     values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
     around = model.circumstances(samples)
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
-    H, _ = normal_equations(model, parameters, values, samples, _row_weights(fit, samples))
+    H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.spread, samples))
     if distances:
         rows = distance_rows(model, parameters, values[:P], distances)
         H[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
@@ -66,12 +66,3 @@ def uncertainty(
         inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
     covariance = inverse * np.outer(scale, scale)
     return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
-
-
-def _row_weights(fit: Fit, samples: Samples) -> Array:
-    """Weight of each row of a linearisation, (3 N + 3 M,), as the fit had them."""
-    pose = samples.is_pose
-    known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation[pose])
-    position = fit.weights / (fit.spread.position**2 + known_p**2)
-    rotation = fit.weights[pose] / (fit.spread.rotation**2 + known_r**2)
-    return np.concatenate([np.tile(position, 3), np.tile(rotation, 3)])

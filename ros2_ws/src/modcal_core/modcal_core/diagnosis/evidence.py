@@ -26,6 +26,7 @@ from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.effects import AXIS, LENGTH, Effect, columns, length_direction, place_index
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import View, linearise
+from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -247,8 +248,8 @@ class _Space:
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
         residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
-        rows = 3 * N + 3 * int(samples.is_pose.sum())
-        return cls(view, weight, residual, Q, rows - round(float(np.sum(Q**2))))
+        rows = Groups.of(samples, bool(fit.model.instruments)).rows
+        return cls(view, weight, residual, Q, round(rows) - round(float(np.sum(Q**2))))
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
@@ -262,7 +263,7 @@ class _Space:
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
     """Inverse standard deviations of the readings, (6, N)."""
-    position = np.sqrt(fit.spread.position**2 + np.nan_to_num(samples.sigma_position) ** 2)
+    position = np.sqrt(fit.spread.of(samples) ** 2 + np.nan_to_num(samples.sigma_position) ** 2)
     rotation = np.sqrt(fit.spread.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
     return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
 

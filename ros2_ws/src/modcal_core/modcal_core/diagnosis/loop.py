@@ -16,13 +16,12 @@ from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import FLIPS, Scanner
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.vocabulary import vocabulary
-from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 SIGNIFICANT = 0.002
@@ -208,21 +207,14 @@ class _Search:
 
     def _missed(self, fit: Fit) -> float:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
-        spread, pose = self._geometric.spread, self.explain.is_pose
-        e = errors(fit.model, self.explain)
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
-        square = e.position_norm**2 / (spread.position**2 + _known(self.explain.sigma_position) ** 2)
-        square[pose] += e.rotation_norm**2 / (spread.rotation**2 + _known(self.explain.sigma_rotation[pose]) ** 2)
+        square = squared_misses(errors(fit.model, self.explain), self.explain, self._geometric.spread)
         return float(np.mean(np.minimum(square, 25.0 * np.median(square) + 1e-300)))
 
 
 def _linear(effect: Effect) -> Effect:
     count = len(effect.amplitudes)
     return replace(effect, values=effect.values[:count], std=effect.std[:count])
-
-
-def _known(sigma: Array) -> Array:
-    return np.where(np.isfinite(sigma), sigma, 0.0)
 
 
 def _evenly(rows: np.ndarray, most: int) -> np.ndarray:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.kinds.kind import FARTHEST
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
 
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
 MOST_TURNS_ENDLESS = 50.0
-FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
-_UNIT = 1e-3  # how far from 1 a quaternion's norm may be
+POSITIONS = "tracker/pose or tracker/point"
 
 
 def require_usable(recording: Recording, chain: Chain) -> None:
@@ -61,11 +62,11 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Chain) -> None:
 
 
 def _require_readings(recording: Recording, chain: Chain) -> None:
-    tracks = [r for r in recording.readings if len(r.stamps) and r.kind in (POSE, POINT)]
+    tracks = [r for r in recording.readings if len(r.stamps) and r.kind in kinds()]
     if not tracks:
         raise BadRecording(
             "tracker",
-            "no message on tracker/pose or tracker/point",
+            f"no message on {POSITIONS}, nor on {', '.join(k.topic for k in kinds().values() if not k.direct)}",
             "check that the tracker runs and sees its target, and the topic's name and QoS",
         )
     for track in tracks:
@@ -81,20 +82,5 @@ def _require_reading(track: ReadingTrack, chain: Chain) -> None:
             f"not a number in {len(bad)} of {len(track.values)} readings, first at stamp {track.stamps[bad[0]]:.3f} s",
             "leave out readings without a target, or record again",
         )
-    position = track.values[:, :3]
-    spread = float(np.linalg.norm(position - np.median(position, axis=0), axis=1).mean())
-    far = float(np.linalg.norm(np.median(position, axis=0)))
-    if spread > 5.0 * chain.reach() or far > max(FARTHEST, 20.0 * chain.reach()):
-        limit = f"the arm reaches {chain.reach():.2f} m"
-        raise BadRecording(
-            name, f"positions spread over {spread:.0f} m and {limit}: it looks like millimetres", "record metres"
-        )
-    if track.kind == POSE:
-        norm = np.linalg.norm(track.values[:, 3:], axis=1)
-        worst = int(np.argmax(np.abs(norm - 1.0)))
-        if abs(norm[worst] - 1.0) > _UNIT:
-            raise BadRecording(
-                name,
-                f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s, 1 ± {_UNIT:g} is allowed",
-                "publish unit quaternions x y z w",
-            )
+    if (complaint := kinds()[track.kind].complaint(track, chain.reach())) is not None:
+        raise BadRecording(name, *complaint)

@@ -12,9 +12,8 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 
-POSE, POINT, RANGE, BEARING = "pose", "point", "range", "bearing"
+POSE, POINT, RANGE, BEARING, TOUCH, RAY = "pose", "point", "range", "bearing", "touch", "ray"
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
-WIDTH = {POSE: 7, POINT: 3, RANGE: 1, BEARING: 3}
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,9 @@ class JointTrack:
 class ReadingTrack:
     """Readings of one instrument in one frame.
 
-    kind: pose, point, range or bearing. values (m, 7): x y z qx qy qz qw, or (m, 3), (m, 1), (m, 3), in m and unit
-    length. frame: the readings' frame_id.
+    kind: one of measurements/kinds, of which pose, point, range, bearing, touch and ray have names here. values: (m, 7)
+    x y z qx qy qz qw for poses, as many numbers as the kind has for others, in m and unit length. frame: the readings'
+    frame_id.
     """
 
     kind: str

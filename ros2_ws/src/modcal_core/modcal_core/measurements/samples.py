@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE, SignalTrack
+from modcal_core.measurements.recording import POINT, POSE, SignalTrack
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,11 @@ class Samples:
 
     q: joint positions [rad, m], (N, n), columns in the order of ``names``.
     stamps: [s], (N,). station: number of the dwell or moment; readings of one station share it, and splits keep them
-    together. frame: index into ``frames``. kind: "pose" or "point".
-    position: reading in its frame [m], (N, 3). R: orientation reading, (N, 3, 3), identity for points.
-    sigma_position [m], sigma_rotation [rad]: standard deviation of the reading per axis, (N,), NaN where unknown.
+    together. frame: index into ``frames``. kind: "pose", "point" or another (see measurements/kinds).
+    position: reading in its frame [m], (N, 3); of other kinds their one to three numbers, zeros behind them.
+    R: orientation reading, (N, 3, 3), identity where there is none.
+    sigma_position [m, or the kind's unit], sigma_rotation [rad]: standard deviation of the reading per axis, (N,), NaN
+    where unknown.
     velocity: of the joints [rad/s, m/s], (N, n), zero in a dwell, NaN where unknown. moving: taken in motion.
 
     What led up to a sample and went on beside it, where it is known: acceleration: of the joints, (N, n), zero where
@@ -110,6 +112,6 @@ class Samples:
     def is_same_point(self, frame: int) -> bool:
         """Whether every reading in this frame is one and the same point, as of a ball held in a socket."""
         rows = self.frame == frame
-        if self.is_pose[rows].any() or rows.sum() < 2:
+        if (self.kind[rows] != POINT).any() or rows.sum() < 2:
             return False
         return bool(np.ptp(self.position[rows], axis=0).max() == 0.0)

@@ -17,8 +17,8 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
-    POINT,
     POSE,
     ReadingTrack,
     Recording,
@@ -72,7 +72,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
     common.
     """
     rules = rules or StationRules()
-    tracks = [r for r in recording.readings if r.kind in (POSE, POINT) and len(r.stamps)]
+    tracks = [r for r in recording.readings if r.kind in kinds() and len(r.stamps)]
     t, q = joint_stamps_and_positions(recording, names)
     order = np.argsort(t, kind="stable")
     t, q = t[order], q[order]
@@ -172,6 +172,8 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
     values = track.values[rows]
     if track.kind == POSE:
         return values[:, :3], so3.from_quaternion(values[:, 3:])
+    if values.shape[1] < 3:
+        values = np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
     return values, np.tile(np.eye(3), (len(values), 1, 1))
 
 
@@ -233,7 +235,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
                 0.5 * (start + end),
                 p_mean,
                 R_mean,
-                deviation_of_mean(position - p_mean),
+                deviation_of_mean(position - p_mean, min(3, kinds()[track.kind].dimensions)),
                 deviation_of_mean(turned) if track.kind == POSE else np.nan,
             )
         )
@@ -251,8 +253,8 @@ def _inliers(position: Array) -> np.ndarray:
     return off <= limit
 
 
-def deviation_of_mean(residual: Array) -> float:
-    """Standard deviation per axis of the mean of residuals (k, 3); NaN below 4 of them.
+def deviation_of_mean(residual: Array, dimensions: int = 3) -> float:
+    """Standard deviation per axis of the mean of residuals (k, 3), which vary along so many axes; NaN below 4 of them.
 
     Neighbouring readings of a tracker are correlated (filters, vibration), so the k of them count as
     ``k (1 − ρ) / (1 + ρ)`` with ρ their correlation at lag one.
@@ -260,7 +262,7 @@ def deviation_of_mean(residual: Array) -> float:
     k = len(residual)
     if k < 4:
         return float("nan")
-    variance = float(np.sum(residual**2)) / (3.0 * (k - 1))
+    variance = float(np.sum(residual**2)) / (dimensions * (k - 1))
     if variance == 0.0:
         return 0.0
     rho = float(np.sum(residual[1:] * residual[:-1]) / np.sum(residual**2))

@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.calibration.effects import all_columns, motion
 from modcal_core.calibration.linearise import View, deviations, local_twists, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -26,15 +26,17 @@ class Frozen:
     def __init__(self, start: Model, parameters: Sequence[Parameter], values: Array) -> None:
         """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
         now = model_at(start, parameters, values)
-        errors = deviations(parameters, values[: len(parameters)], start.chain.n, len(start.frames))
+        errors = deviations(start, parameters, values[: len(parameters)])
         of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
         twists = np.zeros((len(parameters), 6))
         for j, p in enumerate(parameters):
+            if p.place == INSTRUMENT:
+                continue  # of an instrument whose readings do not come here: nothing moves with it
             twists[j] = (of_places[p.place - 1] if p.place else of_frames[p.frame])[p.direction]
         self._model = now
         self._effects = len(values) > len(parameters)
         self._shift, self._turn = twists[:, :3, None], twists[:, 3:, None]
-        self._place = np.array([p.place for p in parameters], dtype=int)
+        self._place = np.array([max(p.place, 0) for p in parameters], dtype=int)
         self._frame = np.array([p.frame for p in parameters], dtype=int)
         chain = now.chain
         T_base_root = chain.origins[0] @ se3.transform(chain.joint_basis[0])

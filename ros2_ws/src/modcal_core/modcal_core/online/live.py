@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.estimator import Estimator, Wander
 from modcal_core.online.suspicion import Suspicion, suspect
@@ -18,7 +19,7 @@ class Live:
 
     estimator: the parameters as they stand now. watch: whether the calibration still holds. suspicion: what has
     changed, None while nothing has. changed: since when [s]. since: samples taken in after that. strange: samples of
-    frames that the calibration does not know.
+    frames that the calibration does not know, and of kinds that are no positions.
     """
 
     def __init__(self, calibration: Calibration, wander: Wander | None = None) -> None:
@@ -38,7 +39,8 @@ class Live:
 
     def add(self, sample: Samples) -> None:
         """Take in one sample (a row)."""
-        if int(sample.frame[0]) >= len(self.calibration.calibrated.frames):
+        known = int(sample.frame[0]) < len(self.calibration.calibrated.frames)
+        if not known or not is_direct([str(sample.kind[0])]):
             self.strange += 1
             return
         self.estimator.update(sample)

@@ -17,7 +17,8 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.recording import POSE, WIDTH, ReadingTrack
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.recording import POSE, ReadingTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, averaged
 
@@ -96,7 +97,7 @@ class Stream:
 
     def reading(self, kind: str, frame: str, stamp: float, values: Array) -> None:
         """Take one reading, as wide as its kind. Raises BadRecording for one that is not finite or no rotation."""
-        if len(values) != WIDTH[kind] or not (np.isfinite(values).all() and np.isfinite(stamp)):
+        if len(values) != kinds()[kind].width or not (np.isfinite(values).all() and np.isfinite(stamp)):
             raise BadRecording(f"{kind} in {frame}", "is no number", "leave out readings without a target")
         if kind == POSE and abs(float(np.linalg.norm(values[3:])) - 1.0) > _UNIT:
             raise BadRecording(

@@ -1,0 +1,139 @@
+"""The instruments of a cell whose readings are no positions, and what they say of a model at given samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import Constant, Kind, Scene, Sight
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import Frames
+
+_TARGET = tuple(Constant(f"target_{axis}", "m", 0.05) for axis in "xyz")
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One kind of reading in one frame. values: constants of the kind, (V,). target: where the point that it watches
+    sits in the tool's frame [m], (3,); None where it is the tool's origin, as for all others.
+    """
+
+    frame: str
+    kind: str
+    values: Array
+    target: Array | None = None
+
+    @property
+    def of_kind(self) -> Kind:
+        """The kind itself."""
+        return kinds()[self.kind]
+
+    @property
+    def constants(self) -> tuple[Constant, ...]:
+        """What is fitted: the kind's constants, then the target, where it is its own."""
+        return (*self.of_kind.constants, *(() if self.target is None else _TARGET))
+
+    def moved(self, change: Array) -> Instrument:
+        """The instrument with its constants changed by parameters (k,)."""
+        own = len(self.of_kind.constants)
+        target = None if self.target is None else self.target + change[own:]
+        return replace(self, values=self.of_kind.moved(self.values, change[:own]), target=target)
+
+    def moved_by(self, change: Array) -> Array:
+        """d(values, target)/d(parameters), at this change."""
+        own = len(self.of_kind.constants)
+        J = self.of_kind.moved_by(self.values, change[:own])
+        if self.target is None:
+            return J
+        out = np.zeros((J.shape[0] + 3, J.shape[1] + 3))
+        out[: J.shape[0], : J.shape[1]] = J
+        out[J.shape[0] :, J.shape[1] :] = np.eye(3)
+        return out
+
+    def rows(self, samples: Samples) -> np.ndarray:
+        """Indices of its samples."""
+        return np.flatnonzero((samples.frame == samples.frames.index(self.frame)) & (samples.kind == self.kind))
+
+    def scene(self, T_root_frame: Array, f: Frames, rows: np.ndarray) -> Scene:
+        """Where its target is at these rows; f: frames of the chain from the root, the tool last."""
+        axes, tool = f.axes[-1][:, :, rows], f.p[-1][:, rows]
+        target = tool if self.target is None else tool + np.einsum("dim,d->im", axes, self.target)
+        return Scene(T_root_frame, target, tool, axes)
+
+    def see(self, scene: Scene, reading: Array) -> Sight:
+        """What its readings (m, 3) say, the target's derivatives behind those of its constants."""
+        sight = self.of_kind.see(scene, self.values, reading)
+        if self.target is None:
+            return sight
+        by_target = np.einsum("ijm,djm->dim", sight.through, scene.axes)
+        return replace(sight, constants=np.concatenate([sight.constants, by_target]))
+
+
+def new_instruments(samples: Samples, own_target: Sequence[str] = ()) -> tuple[Instrument, ...]:
+    """An instrument, its constants unknown yet, for every kind in every frame that gives no positions.
+
+    own_target: frames whose instrument watches a point of the tool of its own.
+    """
+    pairs = sorted({(int(f), str(k)) for f, k in zip(samples.frame, samples.kind, strict=True)})
+    return tuple(
+        Instrument(samples.frames[f], k, kinds()[k].start(), np.zeros(3) if samples.frames[f] in own_target else None)
+        for f, k in pairs
+        if not kinds()[k].direct
+    )
+
+
+@dataclass
+class Sights:
+    """What the readings of all instruments say, among N samples.
+
+    watched: the point of each sample that counts, (3, N). rows: of the instruments' samples, (m,). residual, scale: in
+    the kind's unit; scale is the change of the prediction per unit of an error of scale, (3, m). through: (3, 3, m).
+    lever: metres at the tool per unit of residual, (N,), one for positions. constants: for each instrument its rows
+    and the change of the prediction per constant, (V, 3, m).
+    """
+
+    watched: Array
+    rows: np.ndarray
+    residual: Array
+    scale: Array
+    through: Array
+    lever: Array
+    constants: list[tuple[np.ndarray, Array]]
+
+    def put_into(self, position: Array, reading: Array) -> None:
+        """Write the residuals, and what an error of scale does, among those of positions, (3, N) each."""
+        position[:, self.rows] = self.residual
+        reading[:, self.rows] = self.scale
+
+    def look_through(self, motion: Array) -> None:
+        """Replace motions (3, N) of the watched points by what the instruments see of them."""
+        motion[:, self.rows] = np.einsum("ijm,jm->im", self.through, motion[:, self.rows])
+
+
+def look(instruments: Sequence[Instrument], samples: Samples, reading: Array, T_root_frame: Array, f: Frames) -> Sights:
+    """What the instruments say of a chain.
+
+    reading: the samples' readings, free of an error of scale, (N, 3). T_root_frame: (F, 4, 4). f: frames of the chain
+    from the root, the tool last.
+    """
+    watched, lever = f.p[-1].copy(), np.ones(len(samples))
+    parts: list[tuple[np.ndarray, Sight]] = []
+    for instrument in instruments:
+        rows = instrument.rows(samples)
+        scene = instrument.scene(T_root_frame[samples.frames.index(instrument.frame)], f, rows)
+        sight = instrument.see(scene, reading[rows])
+        watched[:, rows], lever[rows] = sight.watched, sight.lever
+        parts.append((rows, sight))
+    return Sights(
+        watched,
+        np.concatenate([rows for rows, _ in parts]),
+        np.concatenate([sight.residual for _, sight in parts], axis=1),
+        np.concatenate([sight.scale for _, sight in parts], axis=1),
+        np.concatenate([np.broadcast_to(sight.through, (3, 3, len(rows))) for rows, sight in parts], axis=2),
+        lever,
+        [(rows, sight.constants) for rows, sight in parts],
+    )

@@ -1,0 +1,50 @@
+"""Poses and points: readings that are positions in the frame of a tracker, the former with an orientation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.measurements.kinds.kind import FARTHEST, Kind
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
+
+_UNIT = 1e-3  # how far from 1 a quaternion's norm may be
+
+
+class Point(Kind):
+    """A target's position in the frame of a tracker; in a frame where it never changes, a ball held in a socket."""
+
+    name = POINT
+    topic = "tracker/point"
+    message = "geometry_msgs/msg/PointStamped"
+    width = 3
+    dimensions = 3
+    direct = True
+
+    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
+        """Positions in millimetres."""
+        position = track.values[:, :3]
+        spread = float(np.linalg.norm(position - np.median(position, axis=0), axis=1).mean())
+        far = float(np.linalg.norm(np.median(position, axis=0)))
+        if spread > 5.0 * reach or far > max(FARTHEST, 20.0 * reach):
+            said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: it looks like millimetres"
+            return said, "record metres"
+        return None
+
+
+class Pose(Point):
+    """A target's pose in the frame of a tracker."""
+
+    name = POSE
+    topic = "tracker/pose"
+    message = "geometry_msgs/msg/PoseStamped"
+    width = 7
+    dimensions = 6
+
+    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
+        """Positions in millimetres, quaternions that are none."""
+        norm = np.linalg.norm(track.values[:, 3:], axis=1)
+        worst = int(np.argmax(np.abs(norm - 1.0)))
+        if (said := super().complaint(track, reach)) is None and abs(norm[worst] - 1.0) > _UNIT:
+            length = f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s"
+            return f"{length}, 1 ± {_UNIT:g} is allowed", "publish unit quaternions x y z w"
+        return said

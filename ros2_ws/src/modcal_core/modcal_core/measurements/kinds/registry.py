@@ -1,0 +1,62 @@
+"""The kinds of reading there are: those of the house, and those that installed packages add.
+
+A package adds a kind with an entry point of the group ``modcal.measurement_kinds`` that names an instance of
+:class:`~modcal_core.measurements.kinds.kind.Kind`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import entry_points
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.bearing import Bearing
+from modcal_core.measurements.kinds.distance import Distance
+from modcal_core.measurements.kinds.kind import Kind
+from modcal_core.measurements.kinds.positions import Point, Pose
+from modcal_core.measurements.kinds.ray import Ray
+from modcal_core.measurements.kinds.touch import Touch
+from modcal_core.measurements.samples import Samples
+
+GROUP = "modcal.measurement_kinds"
+_OWN: tuple[Kind, ...] = (Pose(), Point(), Distance(), Bearing(), Touch(), Ray())
+
+
+@cache
+def kinds() -> dict[str, Kind]:
+    """Every kind by its name. Raises BadTable for one of a package that is no kind, or that takes another's name."""
+    out = {kind.name: kind for kind in _OWN}
+    for point in entry_points(group=GROUP):
+        kind = point.load()
+        if not isinstance(kind, Kind):
+            raise BadTable(f"entry point {point.name} of {GROUP}", f"names a {type(kind).__name__}", "name a Kind")
+        if kind.name in out or kind.topic in {k.topic for k in out.values()}:
+            raise BadTable(f"entry point {point.name} of {GROUP}", "its name or topic is taken", "choose others")
+        out[kind.name] = kind
+    return out
+
+
+def is_direct(names: Iterable[str]) -> bool:
+    """Whether all of these kinds are positions in a frame."""
+    return all(kinds()[name].direct for name in names)
+
+
+def indirect_rows(samples: Samples) -> np.ndarray:
+    """True for readings that are no positions, (N,)."""
+    out = np.zeros(len(samples), bool)
+    for name in np.unique(samples.kind).tolist():
+        if not kinds()[name].direct:
+            out |= samples.kind == name
+    return out
+
+
+def dimensions(samples: Samples) -> Array:
+    """In how many directions each reading sees, (N,)."""
+    out = np.empty(len(samples))
+    for name in np.unique(samples.kind).tolist():
+        out[samples.kind == name] = kinds()[name].dimensions
+    return out

@@ -1,0 +1,79 @@
+"""Constraint planes: the tool touches a plane, or a gauge says how high above it the tool is.
+
+The plane is z = 0 of the frame that ``frame_id`` names. The reading is the height h of the target above it, zero when
+it touches: ``h = n · (p − c)``, ∂h/∂p = nᵀ. A probe's ball of unknown radius shifts the plane and nothing else.
+
+Place: touched points lie in the plane of least squares, whose normal is the direction of their least spread; heights
+that differ decide on which side is up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import PLANE, Kind, Scene, Sight, frame_on_plane, millimetres, plane_of
+from modcal_core.measurements.recording import TOUCH, ReadingTrack
+
+
+class Touch(Kind):
+    """Height of the target above a plane of unknown pose, zero where it touches."""
+
+    name = TOUCH
+    topic = "tracker/plane"
+    message = "sensor_msgs/msg/Range"
+    width = 1
+    dimensions = 1
+    frame = PLANE
+    least = 6
+    blind = (
+        "A plane that is touched shows heights only: shifts in it and turns about its normal are open, and so is the "
+        "scale; three planes, steeply to each other, or a known distance show more."
+    )
+
+    def see(self, scene: Scene, values: Array, reading: Array) -> Sight:
+        """Residuals along the normal."""
+        n, c = plane_of(scene.T_root_frame)
+        height = n @ (scene.target - c[:, None])
+        m = len(height)
+        return Sight(
+            n[:, None] * (reading[:, 0] - height),
+            np.broadcast_to(np.outer(n, n)[:, :, None], (3, 3, m)),
+            scene.target,
+            np.zeros((0, 3, m)),
+            n[:, None] * reading[:, 0],
+            np.ones(m),
+        )
+
+    def predict(self, scene: Scene, values: Array) -> Array:
+        """Heights, then two zeros."""
+        n, c = plane_of(scene.T_root_frame)
+        height = n @ (scene.target - c[:, None])
+        return np.stack([height, 0.0 * height, 0.0 * height], axis=1)
+
+    def place(self, T_base_tool: Array, reading: Array, known: Array | None = None) -> tuple[Array, Array]:
+        """By the plane of least squares."""
+        from scipy.optimize import least_squares  # slow to import, and not for looking into a bag
+
+        if known is not None:
+            return known, np.empty(0)
+        p, h = T_base_tool[:, :3, 3], reading[:, 0]
+        centre = p.mean(axis=0)
+        n = np.linalg.svd(p - centre, full_matrices=False)[2][-1]
+        up = float(((p - centre) @ n) @ (h - h.mean())) if np.ptp(h) > 1e-9 else -float(n @ centre)
+        n = n if up >= 0.0 else -n
+        across = np.linalg.svd(n[None])[2][1:]
+
+        def normal(x: Array) -> Array:
+            tilted = n + x[:2] @ across
+            return tilted / np.linalg.norm(tilted)
+
+        def miss(x: Array) -> Array:
+            return np.asarray((p - centre) @ normal(x) - x[2] - h)
+
+        x = least_squares(miss, np.r_[0.0, 0.0, -h.mean()]).x
+        return frame_on_plane(normal(x), float(normal(x) @ centre + x[2])), np.empty(0)
+
+    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
+        """Heights in millimetres."""
+        return millimetres("heights reach", float(np.abs(track.values[:, 0]).max()), 2.0 * reach)
