@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak doors synthesis modular lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak doors synthesis modular planning lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -66,6 +66,9 @@ synthesis: setup-test build  ## the published task: genetic search, search as pr
 
 modular: setup-test build  ## calibration after re-assembly, with and without what is known of the modules
 	@$(PY) bench/modular.py $(BENCH_ARGS)
+
+planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
+	@$(PY) bench/pose_planning.py $(BENCH_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py

@@ -16,6 +16,8 @@ from modcal_core.calibration.store import to_data
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Result, calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.planning.site import site_from_data
+from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
 from modcal_nodes.files import to_yaml
@@ -85,6 +87,22 @@ def test_the_command_writes_stations(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert (stations <= ur10().upper).all()
     assert np.abs(stations[:, WRIST_1] - stations[:, WRIST_2]).max() > 0.5
     assert "or" in capfd.readouterr().out
+    only_there(tmp_path, report)
+
+
+def only_there(tmp_path: Path, report: Path) -> None:
+    """With a site, only what is free and seen is proposed."""
+    written = {"tracker": {"position_m": [3.0, 0.0, 0.5]}, "surroundings": {"floor_m": 0.0}}
+    (tmp_path / "site.yaml").write_text(to_yaml(written))
+    arguments = ["--site", str(tmp_path / "site.yaml"), "--out", str(tmp_path / "seen")]
+    assert run(["plan", "--decide", str(report), *arguments]) == 0
+    plan = yaml.safe_load((tmp_path / "seen" / "plan.yaml").read_text())
+    q = np.array([s["position"] for tie in plan["ties"] for s in tie["stations"]])
+    site = site_from_data(written, "site")
+    spheres = spheres_of(ur10(), site)
+    assert len(q) == 16
+    assert (clearance(spheres, site, q) >= 0.0).all()
+    assert visible(spheres, site, q).all()
 
 
 def test_nothing_to_decide_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -28,6 +28,7 @@ from modcal_core.measurements.samples import Samples
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
 _CANDIDATES = 600
+_DRAWN = 40  # times as many, where only some are allowed
 _BEYOND = 0.5  # of the recorded range, by which proposals may leave it
 
 
@@ -69,21 +70,18 @@ def propose(
     imitation = model.with_effects((*rest, other))
     seen = Seen(calibration.kind, 0)
     parameters = choose_parameters(model, [seen]).parameters
-    samples = _candidates(calibration, seen, rng)
-    recorded = len(calibration.postures)
-    open_ = np.r_[np.zeros(recorded, bool), _CANDIDATES * [True]]
-    if allowed is not None:
-        open_[recorded:] = allowed(samples.q[recorded:])
-    if open_.sum() < count:
+    samples = _candidates(calibration, seen, rng, allowed)
+    if len(samples) < len(calibration.postures) + count:
+        found = len(samples) - len(calibration.postures)
         raise NotPlannable(
-            f"{count} stations", f"only {open_.sum()} of {_CANDIDATES} postures are allowed", "ask for fewer stations"
+            f"{count} stations", f"only {found} postures are allowed", "ask for fewer, or widen the site"
         )
+    recorded = len(calibration.postures)
     difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.spread)
     chosen = list(range(recorded))
     for _ in range(count):
         miss = _miss(difference, J, prior, chosen)
         miss[chosen] = 0.0
-        miss[~open_] = -1.0
         chosen.append(int(np.argmax(miss)))
     new = np.array(chosen[recorded:])
     separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
@@ -92,8 +90,10 @@ def propose(
     return Proposal(truth, other, samples.q[new], np.where(matters, samples.approach[new], 0.0), separation)
 
 
-def _candidates(calibration: Calibration, seen: Seen, rng: np.random.Generator) -> Samples:
-    """What was recorded, then random postures in and around it, each come to from either side."""
+def _candidates(
+    calibration: Calibration, seen: Seen, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
+) -> Samples:
+    """What was recorded, then random postures in and around it that are allowed, each come to from either side."""
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)
@@ -102,7 +102,12 @@ def _candidates(calibration: Calibration, seen: Seen, rng: np.random.Generator) 
         lower=np.maximum(model.chain.lower, low - room),
         upper=np.minimum(model.chain.upper, high + room),
     )
-    q = np.concatenate([calibration.postures, random_postures(chain, _CANDIDATES, rng)])
+    if allowed is None:
+        drawn = random_postures(chain, _CANDIDATES, rng)
+    else:
+        drawn = random_postures(chain, _DRAWN * _CANDIDATES, rng)
+        drawn = drawn[allowed(drawn)][:_CANDIDATES]
+    q = np.concatenate([calibration.postures, drawn])
     like = general_samples(replace(model, effects=(), frames=model.frames[:1]), [seen], 1)
     N = len(q)
     repeated = like.select(np.zeros(N, int))

@@ -8,6 +8,7 @@ the workspace and over what the noise may turn out to be; the noise of the track
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,15 +37,19 @@ class Workspace:
     G: Array
     repeat: Array
 
-    @property
+    @cached_property
     def gamma(self) -> Array:
         """Mean of GᵀG, (P, P): the mean square error is tr(C Γ)."""
         flat = self.G.reshape(-1, self.G.shape[2])
         return flat.T @ flat / len(self.G)
 
+    def left(self, covariance: Array) -> float:
+        """RMS position error [m] that this covariance leaves, without what the joints do not repeat."""
+        return float(np.sqrt(np.sum(covariance * self.gamma)))
+
     def accuracy(self, covariance: Array) -> Accuracy:
         """The accuracy that this covariance (P, P) of the parameters, in units of their priors, leaves."""
-        model = float(np.sum(covariance * self.gamma))
+        model = self.left(covariance) ** 2
         repeat = float(np.mean(self.repeat))
         rng = np.random.default_rng(_SEED)
         value, vector = np.linalg.eigh(covariance)

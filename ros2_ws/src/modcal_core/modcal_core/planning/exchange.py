@@ -70,7 +70,7 @@ def _grown(rows: Rows, count: int, criterion: Criterion, base: Array) -> np.ndar
     H, free = base.copy(), np.ones(len(rows), dtype=bool)
     chosen = np.empty(count, dtype=int)
     for k in range(count):
-        j, _ = _best(rows, H, criterion, free)
+        j, _ = best_candidate(rows, H, criterion, free)
         chosen[k], free[j] = j, False
         H = H + rows.J[j].T @ rows.J[j]
     return chosen
@@ -90,7 +90,7 @@ def _improved(
             out = chosen[k]
             without = H - rows.J[out].T @ rows.J[out]
             free[out] = True
-            j, new = _best(rows, without, criterion, free)
+            j, new = best_candidate(rows, without, criterion, free)
             if new <= value + _BETTER * abs(value):
                 j, new = int(out), value
             chosen[k], free[j], value = j, False, new
@@ -102,7 +102,7 @@ def _improved(
     return chosen, value, used
 
 
-def _best(rows: Rows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:
+def best_candidate(rows: Rows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:
     """The free candidate that is best added to H, and the criterion with it."""
     J = rows.J
     if criterion.by_determinant or criterion.name == ACCURACY:

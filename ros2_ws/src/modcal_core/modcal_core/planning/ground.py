@@ -100,16 +100,17 @@ def survey(
     return Ground(model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares)
 
 
-def with_limits(chain: Chain, site: Site) -> Chain:
+def with_limits(chain: Chain, site: Site, one_turn: bool = True) -> Chain:
     """The chain within the site's narrower limits. Raises BadTable for a joint that is not there.
 
-    Where the site states none, a joint that turns farther than once is held to the one turn about its middle: geometry
-    looks the same after a turn, and the ways get shorter. A little is kept free at either end, where controllers stop.
+    one_turn: where the site states none, a joint that turns farther than once is held to the one turn about its middle,
+    for geometry looks the same after a turn and the ways get shorter. A little is kept free at either end, where
+    controllers stop.
     """
     lower, upper = joint_ranges(chain)
     off = np.minimum(_OFF_LIMITS, 0.05 * (upper - lower))
     lower, upper = lower + off, upper - off
-    wide = chain.revolute & (upper - lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
+    wide = one_turn & chain.revolute & (upper - lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
     middle = 0.5 * (lower + upper)
     lower, upper = np.where(wide, middle - np.pi, lower), np.where(wide, middle + np.pi, upper)
     for name, (low, high) in site.limits.items():
@@ -132,7 +133,7 @@ def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
     """Says of postures (N, n) whether this arm, by its nominal model, may take them at a site and is seen there."""
-    chain = with_limits(calibration.nominal.chain, site)
+    chain = with_limits(calibration.nominal.chain, site, one_turn=False)
     spheres = spheres_of(chain, site)
 
     def may(q: Array) -> np.ndarray:

@@ -84,15 +84,15 @@ def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan
     else:
         count = wish.stations
         _require(count, least, len(ground.q))
-    best = _best(ground, count, good, wish.starts, rng)
+    best = chosen_stations(ground, count, good, wish.starts, rng)
     if wish.stations is None:  # the quick search that said how many does not refine
         for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
-            other = _best(ground, fewer, good, 1, rng)
+            other = chosen_stations(ground, fewer, good, 1, rng)
             if _measure(other.accuracy, wish) > _wished(wish):
                 break
             best = other
         while _measure(best.accuracy, wish) > _wished(wish) and len(best.q) < len(ground.q):
-            best = _best(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
+            best = chosen_stations(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
     count = len(best.q)
     way = through(ground, best.q)
     return Plan(
@@ -109,7 +109,7 @@ def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan
 
 
 @dataclass(frozen=True)
-class _Best:
+class Chosen:
     """Stations (k, n), what they tell, the accuracy they give, and the criterion: one value a start, then refined."""
 
     q: Array
@@ -118,11 +118,12 @@ class _Best:
     values: tuple[float, ...]
 
 
-def _best(ground: Ground, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> _Best:
+def chosen_stations(ground: Ground, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
+    """The best set of so many stations: by exchange, then refined."""
     found = exchange(ground.rows, count, good, rng, starts)
     q, rows, value = refined(ground, found, good, rng)
     accuracy = ground.workspace.accuracy(rows.covariance(np.arange(count)))
-    return _Best(q, rows, accuracy, (*found.starts, value))
+    return Chosen(q, rows, accuracy, (*found.starts, value))
 
 
 def refined(ground: Ground, found: Exchange, good: Criterion, rng: np.random.Generator) -> tuple[Array, Rows, float]:
