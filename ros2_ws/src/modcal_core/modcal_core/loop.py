@@ -26,6 +26,7 @@ from modcal_core.calibration.structure import Choice, choose_parameters, paramet
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.loop import Diagnosis, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
@@ -101,6 +102,7 @@ def calibrate(
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         left_out=choice.left_out,
+        notes=instrument_notes(final),
     )
     return Result(report, shipped, final)
 
@@ -181,6 +183,16 @@ def evaluate(
             *unseen_note(scored, calibration),
         ),
     )
+
+
+def instrument_notes(fit: Fit) -> tuple[str, ...]:
+    """For each kind of reading that is no position what it cannot see, and how it scatters about the model."""
+    out = []
+    for name, size in fit.spread.others.items():
+        kind = kinds()[name]
+        said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
+        out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
+    return tuple(out)
 
 
 def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:

@@ -1,0 +1,77 @@
+"""With instruments that give no positions a clean arm comes out clean, and what a joint does is still traced to it.
+
+The truth is MuJoCo's; joints do not repeat exactly, so that what is left is not white for any instrument.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import ur10
+from instruments import worlds
+from instruments.test_recovery import CELLS
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import Report, to_json_data
+
+REPEATABILITY = 2e-5  # rad
+COUNT = 160
+ELBOW = "elbow_joint"
+
+
+def gear(q: Array) -> Array:
+    """The elbow's gear, 0.3 mrad, 101 times a turn."""
+    out = np.zeros_like(q)
+    out[:, 2] = 3e-4 * np.sin(101.0 * q[:, 2] + 0.4)
+    return out
+
+
+def report_of(name: str, seed: int, planted: bool) -> Report:
+    devices, cell = CELLS[name]
+    rng = np.random.default_rng(seed)
+    w = worlds.world(seed)
+    if any(d.kind == "ray" for d in devices):
+        from instruments.test_recovery import postures
+
+        q = postures(w, devices, COUNT, rng)
+    else:
+        q = worlds.postures(ur10(), COUNT, rng)
+    poses = w.tool_in_base(q + planted * gear(q) + REPEATABILITY * rng.standard_normal(q.shape))
+    samples: Samples = worlds.together(
+        [worlds.samples_of(ur10(), q, poses, d.frame, d.kind, d.read, d.noise, rng) for d in devices]
+    )
+    return calibrate(samples, ur10(), np.random.default_rng(0), cell).report
+
+
+@pytest.mark.parametrize("name", ["three wires", "two theodolites", "tracker, wire of its own hook, theodolite"])
+def test_a_clean_recording_comes_out_clean(name: str) -> None:
+    report = report_of(name, 3, planted=False)
+    assert report.effects == ()
+    assert report.left is None
+    nominal, final = report.size_mm("nominal"), report.size_mm("final")
+    assert nominal is not None
+    assert final is not None
+    assert final.rms < 0.2 * nominal.rms
+
+
+@pytest.mark.parametrize("name", ["three wires", "two theodolites", "tracker, wire of its own hook, theodolite"])
+def test_a_planted_gear_is_found(name: str) -> None:
+    report = report_of(name, 3, planted=True)
+    assert [(f.family, f.place, f.driver) for f in report.effects] == [("gear_harmonic", ELBOW, f"position:{ELBOW}")]
+    found = report.effects[0].parameters
+    for name_of, planted in (("amplitude", 3e-4), ("cycles_per_turn", 101.0)):
+        value, std, _ = found[name_of]
+        assert abs(value - planted) < 4.0 * std
+    assert report.left is None
+
+
+def test_the_report_says_what_each_instrument_cannot_see() -> None:
+    data = to_json_data(report_of("two theodolites", 4, planted=False))
+    said = " ".join(data["notes"])
+    assert "Bearings have no scale" in said
+    assert "scatter about the model by" in said
+    assert data["recording"]["measurement"] == "bearing"
+    assert data["identifiability"]["rank"] == data["identifiability"]["parameters"] - 1
+    assert data["noise_floor_mm"] is None
