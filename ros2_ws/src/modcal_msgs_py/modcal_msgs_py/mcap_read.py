@@ -28,7 +28,7 @@ _LEFT_OUT = (
     "rosgraph_msgs/msg/Clock",
     "tf2_msgs/msg/",
 )
-PIECE = 600_000  # joint states; ten minutes at 1 kHz
+PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
 _MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
 _MOST_KEPT = 64

@@ -24,6 +24,7 @@ APPLIED = 0.002  # s; a smaller offset is below what this method resolves
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
 _MOVING = 0.02  # m/s
+_FINE = 0.25  # grid steps between the joint states that are looked at, at most
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
         return None  # they hardly overlap, which cutting stations will say
     order = np.argsort(track.stamps, kind="stable")
     seen = _speed(grid, track.stamps[order], track.values[order, :3])
-    moved = _speed(grid, t, tip(q))
+    every = max(1, int(_FINE * STEP / float(np.median(np.diff(t)))))  # more joint states than that say nothing more
+    moved = _speed(grid, t[::every], tip(q[::every]))
     if not (np.nanmax(seen, initial=0.0) > _MOVING and np.nanmax(moved, initial=0.0) > _MOVING):
         return None
     whole = _lag(seen, moved, 0, round(SEARCH / STEP))
