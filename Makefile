@@ -16,7 +16,8 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop soak doors synthesis modular planning lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared \
+	closed-loop soak doors articulation control-tick synthesis modular planning lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -60,6 +61,12 @@ soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: l
 
 doors: setup-test build  ## random doors and drawers opened through the nodes, and what the hand felt; BENCH_ARGS="--scenes 8"
 	@$(PY) bench/pulling.py $(BENCH_ARGS)
+
+articulation: setup-test build  ## joints told, fitted and followed: real tracks, accuracy, time of a pose; BENCH_ARGS="--cut 0.5"
+	@$(PY) bench/articulation.py $(BENCH_ARGS)
+
+control-tick: setup-test build  ## time of a control tick, and 100 000 hostile messages; BENCH_ARGS="--messages 0"
+	@$(PY) bench/control_tick.py $(BENCH_ARGS)
 
 synthesis: setup-test build  ## the published task: genetic search, search as printed, random search
 	@$(PY) bench/synthesis.py $(BENCH_ARGS)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from compliance.toy import PANDA, Toy, door
+from compliance.toy import PANDA, READY, Toy, door
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from nodes.processes import Process, fresh_domain, listener, running
@@ -18,109 +21,154 @@ from modcal_msgs_py.stamps import seconds
 pytestmark = pytest.mark.dds
 # towards −x of the base, seen from the Panda's hand that points down
 BACK = "[-1.0, 0.0, 0.0]"
+GOAL = 0.3  # rad
 
 
-def test_it_opens_a_door_and_says_nothing_before_and_after(tmp_path: Path) -> None:
+@dataclass
+class Cell:
+    """A node that runs, an arm for it to talk to, and how to wait."""
+
+    process: Process
+    arm: PulledArm
+    wait: Callable[[Callable[[], Any], float], Any]
+
+
+def pose_of(message: Any) -> np.ndarray:
+    p, o = message.pose.position, message.pose.orientation
+    return se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w])
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """One node for the tests that need nothing special of it: each begins with another object in the hand."""
     domain = fresh_domain()
     process = Process(
-        "impedance_setpoint", domain, tmp_path, direction=BACK, goal_rad=0.35, tip=PANDA.tip, use_sim_time=True
+        "impedance_setpoint",
+        domain,
+        tmp_path_factory.mktemp("cell"),
+        direction=BACK,
+        goal_rad=GOAL,
+        tip=PANDA.tip,
+        use_sim_time=True,
+    )
+    with running(process), listener(domain) as (node, wait):
+        yield Cell(process, PulledArm(node), wait)
+        assert process.stop() == 0
+
+
+def test_it_opens_a_door_and_says_nothing_before_and_after(cell: Cell) -> None:
+    arm, wait = cell.arm, cell.wait
+    # not configured, not active: refused, with the reason
+    wait(lambda: "pull" in arm.health, 60.0)
+    answer = arm.ask(wait, "pull")
+    assert not answer.success
+    assert "not active" in answer.message
+    arm.ready(wait)
+    assert arm.trajectories == []
+    arm.pull(wait)
+    wait(lambda: len(arm.poses) > 100 and len(arm.stiffnesses) > 100, 60.0)
+    # one setpoint in five ways, which agree
+    trajectory = {seconds(m.header.stamp): m for m in arm.trajectories}
+    pairs = [(trajectory[s], m) for m in arm.poses if (s := seconds(m.header.stamp)) in trajectory]
+    assert len(pairs) > 50
+    for sent, pose in pairs[::10]:
+        assert np.abs(reached(np.array(sent.points[0].positions)) - pose_of(pose)).max() < 1e-6
+        assert pose.header.frame_id == PANDA.base
+    assert {m.header.frame_id for m in (*arm.wrenches, *arm.stiffnesses)} == {PANDA.tip}
+    assert {m.wrench.force.x for m in arm.stiffnesses} == {3000.0}
+    assert {m.wrench.force.x for m in arm.wrenches} == {0.0}
+    witness = Witness(arm)
+    wait(lambda: arm.said().startswith("open to"), 90.0)
+    witness.look()
+    assert witness.count > 300
+    assert arm.toy.a == pytest.approx(GOAL, abs=0.03)
+    assert arm.health["pull"].level == DiagnosticStatus.OK
+    # it is over: silence, until it is asked again
+    arm.trajectories.clear()
+    over = arm.now() + 0.5
+    wait(lambda: arm.now() > over, 60.0)
+    assert arm.change(wait, Transition.TRANSITION_DEACTIVATE)
+    assert not arm.ask(wait, "pull").success
+    assert arm.trajectories == []
+    # the whole round once more
+    assert arm.change(wait, Transition.TRANSITION_CLEANUP)
+    arm.toy = Toy(door())
+    arm.ready(wait)
+    arm.pull(wait)
+    wait(lambda: len(arm.trajectories) > 20, 30.0)
+    assert "stopped" in arm.ask(wait, "stop").message
+
+
+def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(cell: Cell) -> None:
+    arm, wait = cell.arm, cell.wait
+    arm.again(wait, Toy(door(), locked=True))
+    arm.pull(wait)
+    wait(lambda: len(arm.trajectories) > 20, 30.0)
+    arm.silent = True
+    wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 20.0)
+    assert "nothing of the last 0.1 s" in arm.said()
+    Witness(arm).nothing_after(arm.spoke)
+    arm.again(wait, Toy(door(), locked=True))
+    arm.pull(wait)
+    wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR and "last 0.1 s" not in arm.said(), 60.0)
+    # a machine that is busy makes forces come late, and then their limit may be what ends it
+    assert "does not move" in arm.said() or "N is the limit" in arm.said()
+    assert arm.toy.peak < 60.0
+
+
+def test_nothing_hostile_makes_it_send_what_it_should_not(cell: Cell, rng: np.random.Generator) -> None:
+    """A few thousand messages; bench/control_tick.py sends a hundred thousand and more."""
+    arm, wait = cell.arm, cell.wait
+    arm.again(wait, Toy(door()))
+    arm.pull(wait)
+    seen, pulls = fuzz(arm, wait, rng, 2_000)
+    assert pulls > 2
+    assert seen > 50
+    # and it is sound afterwards
+    arm.again(wait, Toy(door()))
+    arm.pull(wait)
+    wait(lambda: len(arm.trajectories) > 50, 30.0)
+    assert cell.process.popen.poll() is None
+
+
+def test_a_calibrated_arm_is_where_the_corrector_says(tmp_path: Path) -> None:
+    """It starts itself, waits for the corrector, begins where that says the tool is, and ends when it falls silent."""
+    domain = fresh_domain()
+    process = Process(
+        "impedance_setpoint",
+        domain,
+        tmp_path,
+        direction=BACK,
+        tip=PANDA.tip,
+        use_sim_time=True,
+        calibrated=True,
+        autostart=True,
     )
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node)
-        # not configured, not active: refused, with the reason
-        wait(lambda: "pull" in arm.health, 60.0)
-        answer = arm.ask(wait, "pull")
-        assert not answer.success
-        assert "not active" in answer.message
-        arm.ready(wait)
-        assert arm.trajectories == []
+        wait(lambda: arm.said() == "ready", 60.0)  # which nobody has asked it to be
+        wait(lambda: "tool_pose: nothing was heard of late" in arm.ask(wait, "pull").message, 60.0)
+        arm.off = np.array([0.004, -0.003, 0.002])
         arm.pull(wait)
-        wait(lambda: len(arm.poses) > 100 and len(arm.stiffnesses) > 100, 60.0)
-        # one setpoint in five ways, which agree
-        trajectory = {seconds(m.header.stamp): m for m in arm.trajectories}
-        pairs = [(trajectory[s], m) for m in arm.poses if (s := seconds(m.header.stamp)) in trajectory]
-        assert len(pairs) > 50
-        for sent, pose in pairs[::10]:
-            p, o = pose.pose.position, pose.pose.orientation
-            T = se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w])
-            assert np.abs(reached(np.array(sent.points[0].positions)) - T).max() < 1e-6
-            assert pose.header.frame_id == PANDA.base
-        assert {m.header.frame_id for m in (*arm.wrenches, *arm.stiffnesses)} == {PANDA.tip}
-        assert {m.wrench.force.x for m in arm.stiffnesses} == {3000.0}
-        assert {m.wrench.force.x for m in arm.wrenches} == {0.0}
-        witness = Witness(arm)
-        wait(lambda: arm.said().startswith("open to"), 90.0)
-        witness.look()
-        assert witness.count > 300
-        assert arm.toy.a == pytest.approx(0.35, abs=0.03)
-        assert arm.health["pull"].level == DiagnosticStatus.OK
-        # it is over: silence, until it is asked again
-        arm.trajectories.clear()
-        over = arm.now() + 0.5
-        wait(lambda: arm.now() > over, 60.0)
-        assert arm.change(wait, Transition.TRANSITION_DEACTIVATE)
-        assert not arm.ask(wait, "pull").success
-        assert arm.trajectories == []
-        # the whole round once more
-        assert arm.change(wait, Transition.TRANSITION_CLEANUP)
-        arm.toy = Toy(door())
-        arm.ready(wait)
-        arm.pull(wait)
-        wait(lambda: len(arm.trajectories) > 20, 30.0)
-        assert "stopped" in arm.ask(wait, "stop").message
+        wait(lambda: len(arm.poses) > 20, 60.0)
+        begun = pose_of(arm.poses[0])[:3, 3] - reached(READY)[:3, 3]
+        assert np.abs(begun - arm.off).max() < 5e-4
+        Witness(arm).look()
+        silence, arm.off = arm.now(), None
+        wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 60.0)
+        assert "nothing of the last 0.1 s" in arm.said()
+        Witness(arm).nothing_after(silence)
         assert process.stop() == 0
 
 
 def test_parameters_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     """Configuring fails, with the reason; outside their bounds rclpy refuses them at the start."""
     domain = fresh_domain()
+    outside = Process("impedance_setpoint", domain, tmp_path, rate_hz=1e6)
     process = Process("impedance_setpoint", domain, tmp_path, mode="both", tip=PANDA.tip, use_sim_time=True)
-    with running(process), listener(domain) as (node, wait):
+    with running(process, outside), listener(domain) as (node, wait):
         arm = PulledArm(node)
         assert not arm.change(wait, Transition.TRANSITION_CONFIGURE)
         wait(lambda: "neither expected nor admittance" in arm.said(), 20.0)
         assert process.stop() == 0
-    outside = Process("impedance_setpoint", domain, tmp_path, rate_hz=1e6)
-    with running(outside):
         assert outside.popen.wait(60.0) == 2
-
-
-def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip, use_sim_time=True)
-    with running(process), listener(domain) as (node, wait):
-        arm = PulledArm(node, Toy(door(), locked=True))
-        arm.ready(wait)
-        arm.pull(wait)
-        wait(lambda: len(arm.trajectories) > 20, 30.0)
-        arm.silent = True
-        wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 20.0)
-        assert "nothing of the last 0.1 s" in arm.said()
-        Witness(arm).nothing_after(arm.spoke)
-        arm.silent = False
-        arm.toy = Toy(door(), locked=True)
-        arm.pull(wait)
-        wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR and "last 0.1 s" not in arm.said(), 60.0)
-        # a machine that is busy makes forces come late, and then their limit may be what ends it
-        assert "does not move" in arm.said() or "N is the limit" in arm.said()
-        assert arm.toy.peak < 60.0
-        assert process.stop() == 0
-
-
-def test_nothing_hostile_makes_it_send_what_it_should_not(tmp_path: Path, rng: np.random.Generator) -> None:
-    """A few thousand messages; bench/control_tick.py sends a hundred thousand and more."""
-    domain = fresh_domain()
-    process = Process("impedance_setpoint", domain, tmp_path, direction=BACK, tip=PANDA.tip, use_sim_time=True)
-    with running(process), listener(domain) as (node, wait):
-        arm = PulledArm(node)
-        arm.ready(wait)
-        arm.pull(wait)
-        seen, pulls = fuzz(arm, wait, rng, 2_000)
-        assert pulls > 2
-        assert seen > 50
-        # and it is sound afterwards
-        arm.silent = False
-        arm.toy = Toy(door())
-        arm.pull(wait)
-        wait(lambda: len(arm.trajectories) > 50, 30.0)
-        assert process.stop() == 0

@@ -3,6 +3,7 @@
 A round weighs every kind at several plays on the nodes as they were when it began, one of them a pose; only what was
 weighed on the same nodes is compared. Between rounds the best motion is improved on the nodes of now. Another kind is
 believed when it has won two rounds in a row: the first may have caught the old one on its way to where the nodes went.
+Of distortion the usual size is taken, as every other would cost a round of its own.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.articulation.evidence import FIRST, LOOSE, PLAYS, SWAYS, Row, Scene, glance, improved, weigh
+from modcal_core.articulation.evidence import Row, glance, improved, weigh
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
 from modcal_core.articulation.seeds import rough
 from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
@@ -129,7 +131,7 @@ class Belief:
                 known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
         if not {"prismatic", "revolute"} <= set(known):
             return False
-        self.probabilities, best, i, j = weigh(known, scene.moved, FEW)
+        self.probabilities, best, i, j = weigh(known, scene.moved, LOG_PLAYS[list(FEW)])
         won, self._won = self._won, best
         old = None if self.motion is None else self.motion.kind
         if old is not None and best not in (old, won) and old in known:

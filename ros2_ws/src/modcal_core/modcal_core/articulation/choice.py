@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.evidence import LOOSE, PLAYS, SWAYS, Row, Scene, row, still, weigh
+from modcal_core.articulation.evidence import Row, row, still, weigh
 from modcal_core.articulation.fit import Fit, fit
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
 from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
@@ -47,17 +48,22 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
     kept = track.part(good) if good.sum() >= FEWEST else track
-    scene = _scene(kept, richest, nodes)
-    if scene is None:
+    scenes = _scenes(kept, richest, nodes)
+    if not scenes:
         return _still(kept, fits)
     rows: dict[Kind, list[Row]] = {}
     for kind in KINDS[1:]:
         at, motion, column = [], fits[kind].motion, 2
-        for play in PLAYS:
-            at.append(row(scene, motion, float(play), column=column))
-            motion, column = at[-1].motion, at[-1].column
+        for k, scene in enumerate(scenes):
+            # there and back, as what is most probable at one play is a good guess for the next
+            line: list[Row] = []
+            for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
+                line.append(row(scene, motion, float(play), column=column))
+                motion, column = line[-1].motion, line[-1].column
+            at += line if k % 2 == 0 else line[::-1]
         rows[kind] = at
-    probabilities, best, i, j = weigh(rows, scene.moved)
+    priors = (LOG_DISTORTIONS[:, None] + LOG_PLAYS).ravel()
+    probabilities, best, i, j = weigh(rows, scenes[0].moved, priors)
     if probabilities["rigid"] > probabilities[best]:
         best = "rigid"
     follows = best == "rigid" or not (track.oriented and bool(LOOSE[j]))
@@ -66,7 +72,7 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
         fits = {**fits, best: chosen}
     enough = probabilities[best] >= SURE
     return Choice(probabilities, chosen, enough, _why(probabilities, chosen, enough, track), fits, follows,
-                  float(PLAYS[i]))  # fmt: skip
+                  float(PLAYS[i % len(PLAYS)]))  # fmt: skip
 
 
 def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
@@ -79,15 +85,17 @@ def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
-def _scene(track: Track, richest: Fit, most: int) -> Scene | None:
+def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
+    """The nodes of a track with each size of distortion; none where nothing moved."""
     nodes = Nodes(track.oriented, most)
     for i in range(len(track)):
         nodes.add(track.positions[i], None if track.rotations is None else track.rotations[i])
     pooled = nodes.track()
     if pooled is None:
-        return None
+        return []
     sigma = white_noise(richest.motion.residuals(track, richest.motion.configurations(track, _scales(richest))))
-    return Scene.of(pooled, nodes.apart(), nodes.counts[: nodes.k], sigma)
+    apart, counts = nodes.apart(), nodes.counts[: nodes.k]
+    return [Scene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
 
 
 def _scales(found: Fit) -> tuple[float, float]:

@@ -4,8 +4,8 @@ Nodes of a track depart from the ideal path by a play that is alike nearby and b
 
     covariance between nodes i, j = s² exp(−d_ij / reach) + D² exp(−d_ij² / 2 far²) + δ_ij σ_w² / n_i
 
-for positions with s the play, for rotations with s the sway, both unknown (priors in furniture), D the distortion of
-what measures, and σ_w the noise of one sample. A textbook criterion
+for positions with s the play, for rotations with s the sway, D the distortion of what measures, all of unknown size
+(priors in furniture), and σ_w the noise of one sample. A textbook criterion
 takes residuals as independent, so that a drawer's bow of two millimetres, seen a hundred times, proves a circle twelve
 metres wide. Here it was seen about five times, and such a circle is furniture that nobody builds.
 
@@ -15,101 +15,26 @@ The evidence of a kind is the integral of likelihood × prior over configuration
   counts too. Where the grasp is a ball, rotations are the hand's: anything, or, as arms like to do, kept as they are.
 * Parameters: Laplace's method at the most probable ones for each play, in the coordinates of ``motion``. Of those, the
   direction of the path is common to sliding and turning; what turning must pay for is where the axis lies.
-* Play and sway: a sum over a grid in units of their prior's standard deviation.
+* Play, sway and the size of distortion: a sum over a grid in units of their prior's standard deviation.
 See MacKay, Information Theory, Inference, and Learning Algorithms (2003), chapters 27 and 28.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv, dpotrf, dtrtri
+from scipy.linalg.lapack import dposv
 
 from modcal_core.articulation import furniture
 from modcal_core.articulation.fit import prior_terms
 from modcal_core.articulation.joints import KINDS, Kind
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.track import Track
-from modcal_core.geometry import so3
+from modcal_core.articulation.scene import FIRST_HELD, HELD, LOG_2PI, LOG_SWAYS, SWAYS, Scene, whitener
 from modcal_core.geometry.so3 import Array
 
-_STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # of the prior's standard deviation
-PLAYS = np.exp(furniture.PLAY[0] + furniture.PLAY[1] * _STEPS)
-_LOG_PLAYS = -0.5 * _STEPS**2 - float(np.logaddexp.reduce(-0.5 * _STEPS**2))
-_LOOSE_STEPS = np.array([-0.5, 0.5])
-_FOLLOWS = np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS)
-SWAYS = np.concatenate([
-    _FOLLOWS, np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] * _LOOSE_STEPS), _FOLLOWS
-])  # fmt: skip
-_LOG_SWAYS = np.concatenate([
-    _LOG_PLAYS + np.log1p(-furniture.LOOSE[2] - furniture.HELD), np.full(2, np.log(0.5 * furniture.LOOSE[2])),
-    _LOG_PLAYS + np.log(furniture.HELD)
-])  # fmt: skip
 _HOLDS = 0.3
-_LOG_2PI = math.log(2.0 * math.pi)
-LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)  # rotations say nothing of the object ...
-HELD = np.arange(len(SWAYS)) >= len(_STEPS) + len(_LOOSE_STEPS)  # ... since the hand keeps them as they are
-FIRST, FIRST_HELD = 2, len(SWAYS) - 3  # where to begin when nothing is known
-
-
-@dataclass(frozen=True)
-class Scene:
-    """The nodes that all kinds must explain, and covariances (k, k) of what they do not share with the ideal path.
-
-    kernel: of a play of 1. position [m²], rotation [rad²]: noise of nodes, and distortion of what measures. moved: how
-    far apart nodes lie [m], beyond what noise does.
-    """
-
-    track: Track
-    kernel: Array
-    position: Array
-    rotation: Array
-    moved: float
-    _roots: dict[float, tuple[Array, float]] = field(default_factory=dict, repr=False, compare=False)
-
-    def by_play(self, play: float) -> tuple[Array, float]:
-        """What whitens positions (k, k), and half the log determinant of their covariance with the Gaussian's 2π."""
-        return self._root(play, self.position)
-
-    def by_sway(self, sway: float) -> tuple[Array, float]:
-        """The same of rotations."""
-        return self._root(-sway, self.rotation)
-
-    def _root(self, key: float, rest: Array) -> tuple[Array, float]:
-        if key not in self._roots:
-            self._roots[key] = _whitener(key**2 * self.kernel + rest)
-        return self._roots[key]
-
-    def prepare(self, plays: list[float], sway: float) -> None:
-        """Have at hand what is asked for these."""
-        for play in plays:
-            self.by_play(play)
-        if self.track.oriented:
-            self.by_sway(sway)
-            _ = self.turned
-
-    @cached_property
-    def turned(self) -> Array:
-        """Rotations of nodes from their mean (3, k) [rad]."""
-        assert self.track.rotations is not None
-        return so3.log(so3.mean(self.track.rotations).T @ self.track.rotations).T
-
-    @classmethod
-    def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float]) -> Scene:
-        """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad]."""
-        smooth = np.exp((-0.5 / furniture.DISTORTION_REACH**2) * apart * apart)
-        both, per = [], 1.0 / counts
-        for s, least, d in zip(sigma, (1e-5, 1e-4), furniture.DISTORTION, strict=True):
-            both.append(d**2 * smooth)
-            both[-1].ravel()[:: len(counts) + 1] += s**2 * per + least**2
-        jitter = 9.0 * float(per.sum()) / len(per) * (sigma[0] ** 2 + (0.1 * sigma[1]) ** 2)
-        moved = math.sqrt(max(float(apart.max()) ** 2 - 2.0 * jitter, 1e-8))
-        return cls(track, np.exp((-1.0 / furniture.REACH) * apart), both[0], both[1], moved)
 
 
 @dataclass(frozen=True)
@@ -142,7 +67,7 @@ def row(scene: Scene, motion: Motion, play: float, steps: int = 8, column: int =
         if gain < 1e-2:
             break
     logs = terms.evidence(scene, play)
-    best = int(np.argmax(logs + _LOG_SWAYS)) if oriented else 0
+    best = int(np.argmax(logs + LOG_SWAYS)) if oriented else 0
     if best != column and again:
         return row(scene, motion, play, steps, best, again=False)
     return Row(motion, logs, best)
@@ -174,12 +99,12 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
         value, towards = terms.weighed(scene, play, c)
         if c == before.column:
             shift = value - logs[c]
-        if (worth := value + (float(_LOG_SWAYS[c]) if scene.track.oriented else 0.0)) > most:
+        if (worth := value + (float(LOG_SWAYS[c]) if scene.track.oriented else 0.0)) > most:
             step, most = towards, worth
         logs[c] = value
     if scene.track.oriented:
         logs += [0.0 if c in columns else shift for c in range(len(SWAYS))]
-    best = int((logs + _LOG_SWAYS).argmax()) if scene.track.oriented else 0
+    best = int((logs + LOG_SWAYS).argmax()) if scene.track.oriented else 0
     return Row(before.motion.moved(_held(step) * step), logs, best)
 
 
@@ -208,30 +133,30 @@ class _Terms:
         position = both[:, 1:3] if motion.kind != "rigid" else both[:, :3]
         if motion.kind == "screw":
             position = motion.across.T @ both[:, :3]
-        whitener, half = scene.by_play(play)
+        W, half = scene.by_play(play)
         turn = mixed = None
         if scene.track.oriented:
             turn, mixed = (both[:, 3:5], both[:, 5:]) if motion.turns else (both[:, 3:], None)
-        return cls(motion, _squares(whitener, position), position.shape[1] * half, turn, mixed)
+        return cls(motion, _squares(W, position), position.shape[1] * half, turn, mixed)
 
     def _system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
         total, log_det = self.across.copy(), self.log_det
         if self.turn is not None:
-            whitener, half = scene.by_sway(float(SWAYS[column]))
+            W, half = scene.by_sway(float(SWAYS[column]))
             if HELD[column]:
-                squares, weight = _about_mean(whitener, scene.turned)
+                squares, weight = _about_mean(W, scene.turned)
                 total[0, 0] += squares
                 j = len(total) - self.motion.size + self.motion.start_turn
                 total[[j, j + 1, j + 2], [j, j + 1, j + 2]] += weight
                 return self._with_prior(total, log_det + 3 * half)
-            total += _squares(whitener, self.turn)
+            total += _squares(W, self.turn)
             log_det += self.turn.shape[1] * half
             if self.mixed is not None:
                 per = self.motion.r**2 + self.motion.h**2
                 both = SWAYS[column] ** 2 + play**2 / per
-                whitener, half = _whitener(both * scene.kernel + scene.rotation + scene.position / per)
-                total += _squares(whitener, self.mixed)
+                W, half = whitener(both * scene.kernel + scene.rotation + scene.position / per)
+                total += _squares(W, self.mixed)
                 log_det += half
         return self._with_prior(total, log_det)
 
@@ -256,7 +181,7 @@ class _Terms:
         step, half = _solved(_lifted(H, 1e-12), g)
         held = _held(step)
         gain = -0.5 * float(g @ step) * held * (2.0 - held)
-        volume = 0.5 * len(g) * _LOG_2PI - half
+        volume = 0.5 * len(g) * LOG_2PI - half
         return gain - squares - log_det + volume + _log_prior(self.motion), step
 
     def evidence(self, scene: Scene, play: float) -> Array:
@@ -269,28 +194,21 @@ def _log_prior(motion: Motion) -> float:
     """What the prior's density has beside its exponent, in the coordinates of the motion."""
     log = -math.log(4.0 * math.pi)
     if motion.turns:
-        log += -_LOG_2PI - math.log(furniture.RADIUS[1]) - 0.5 * _LOG_2PI
+        log += -LOG_2PI - math.log(furniture.RADIUS[1]) - 0.5 * LOG_2PI
     if motion.kind == "screw":
-        log += -math.log(furniture.PITCH[1]) - 0.5 * _LOG_2PI - math.log(2.0)
+        log += -math.log(furniture.PITCH[1]) - 0.5 * LOG_2PI - math.log(2.0)
     return log
 
 
-def _about_mean(whitener: Array, held: Array) -> tuple[float, float]:
+def _about_mean(W: Array, held: Array) -> tuple[float, float]:
     """Squares of rotations (3, k) about their most probable mean, and the information [1/rad²] on each of its axes.
 
     A hand that keeps its orientation explains its rotations as well as a drawer does, whatever the object does; the
     mean is unknown in both.
     """
-    both, one = whitener @ held.T, whitener.sum(axis=1)
+    both, one = W @ held.T, W.sum(axis=1)
     weight, along = float(one @ one), one @ both
     return float((both * both).sum() - along @ along / weight), weight
-
-
-def _whitener(C: NDArray[Any]) -> tuple[Array, float]:
-    """The inverse of a covariance's Cholesky factor (k, k), and half its log determinant with the Gaussian's 2π."""
-    L, failed = dpotrf(C, lower=1)
-    assert not failed, "no covariance"
-    return dtrtri(L, lower=1)[0], float(np.log(L.diagonal()).sum()) + 0.5 * len(L) * _LOG_2PI
 
 
 def _solved(H: Array, g: Array) -> tuple[Array, float]:
@@ -307,10 +225,10 @@ def _lifted(H: Array, share: float) -> Array:
     return H
 
 
-def _squares(whitener: Array, blocks: Array) -> Array:
+def _squares(W: Array, blocks: Array) -> Array:
     """Products of the columns of (k, d, c), summed over nodes that share noise (c, c)."""
     k, d, c = blocks.shape
-    white = (whitener @ blocks.reshape(k, d * c)).reshape(k * d, c)
+    white = (W @ blocks.reshape(k, d * c)).reshape(k * d, c)
     return white.T @ white
 
 
@@ -328,19 +246,17 @@ def still(moved: float) -> float:
     return float(rigid / (rigid + 1.0 / furniture.SPAN))
 
 
-def weigh(
-    rows: dict[Kind, list[Row]], moved: float, plays: tuple[int, ...] = tuple(range(len(PLAYS)))
-) -> tuple[dict[Kind, float], Kind, int, int]:
-    """Probabilities of all kinds; of those that move the best one, its best play and its best sway.
+def weigh(rows: dict[Kind, list[Row]], moved: float, log_priors: Array) -> tuple[dict[Kind, float], Kind, int, int]:
+    """Probabilities of all kinds; of those that move the best one, its best row and its best sway.
 
-    moved: how far the handle came [m]. plays: which of PLAYS the rows are of.
+    moved: how far the handle came [m]. log_priors: of each kind's rows (n,).
     """
     logs: dict[Kind, float] = {}
     best: tuple[float, Kind, int, int] | None = None
     for kind, at in rows.items():
-        table = np.array([r.evidence for r in at]) + _LOG_PLAYS[list(plays), None]
+        table = np.array([r.evidence for r in at]) + log_priors[:, None]
         if table.shape[1] > 1:
-            table = table + _LOG_SWAYS
+            table = table + LOG_SWAYS
         logs[kind] = float(np.logaddexp.reduce(table, axis=None)) + np.log(furniture.SHARE[kind])
         i, j = np.unravel_index(int(np.argmax(table)), table.shape)
         if best is None or logs[kind] > best[0]:

@@ -11,7 +11,8 @@
   log-normal about 2 mm with a factor of 2.2 for positions, and about 1.4° with a factor of 2.5 for rotations; how far
   "neighbouring" reaches is a hand's width, 10 cm of path.
 * What measures is itself distorted: an arm that is not calibrated, or a camera that sees a marker, errs by about 2
-  mm and 0.6°, alike over some 30 cm. How smooth a departure is says nothing of how large a smooth one may be.
+  mm and 0.6°, within a factor of 2.2, alike over some 30 cm. How smooth a departure is says nothing of how large a
+  smooth one may be.
 * Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten, and then they are off by half a
   radian, or the hand keeps its orientation, one as often as the other.
 """
@@ -29,5 +30,6 @@ LOOSE = (log(0.5), log(2.0), 0.05)  # rotations of a grasp that turns [rad], and
 HELD = 0.05  # how often the hand keeps its orientation in a grasp that turns
 REACH = 0.1  # m of path over which a departure stays alike
 DISTORTION = (2e-3, 0.01)  # m, rad
+DISTORTED = log(2.2)  # how far both may be off together
 DISTORTION_REACH = 0.3  # m
 SPAN = 1.0  # m over which a handle may move: as far as any, before it is seen
