@@ -9,8 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from cells import ur10
 from planning.arms import IRB1410
 
+from modcal_core.geometry import se3
+from modcal_core.robots.cpc import to_cpc
 from modcal_nodes.cli.main import run
 
 ROBOTS = IRB1410.parent
@@ -86,3 +90,16 @@ def test_stations_that_cannot_be_read(
     (tmp_path / name).write_text(text)
     assert run(["sensitivity", str(IRB1410), "--measured", str(tmp_path / name), "--out", str(tmp_path / "out")]) == 2
     assert re.search(words, capfd.readouterr().err)
+
+
+def test_axes_that_dh_cannot_hold(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A calibrated arm: axes that were drawn parallel are so no more. The other parameters hold it."""
+    scale = np.array([5e-4] * 3 + [1e-3] * 3)
+    moved = ur10().origins @ se3.exp(scale * np.random.default_rng(0).standard_normal((7, 6)))
+    file = tmp_path / "arm.yaml"
+    file.write_text(yaml.safe_dump(to_cpc(ur10().with_origins(moved))))
+    assert run(["sensitivity", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "give --parameters calibration" in capfd.readouterr().err
+    arguments = ["--parameters", "calibration", "--design", "sobol", "--postures", "8", "--out", str(tmp_path / "out")]
+    assert run(["sensitivity", str(file), *arguments]) == 0
+    assert len(json.loads((tmp_path / "out" / "sensitivity.json").read_text())["parameters"]) == 27

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
 from modcal_core.planning.designs import DESIGNS, design
@@ -113,7 +113,10 @@ def sensitivity_command(
 
 def _closed_chain(chain: Chain, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
     if parameters == "dh":
-        return dh_closed_chain(chain, point=tool)
+        try:
+            return dh_closed_chain(chain, point=tool)
+        except NotRepresentable as error:
+            raise NotRepresentable(error.offender, error.limit, "give --parameters calibration") from error
     return calibration_chain(chain, T_tip_tool=se3.transform(p=tool), kind=reading)
 
 
