@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import samples_of, ur10
 from planning.sites import HALL, ground, hall
 from planning.studies import Arm
 
-from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
+from modcal_core.loop import calibrate
 from modcal_core.planning.criteria import criterion
 from modcal_core.planning.exchange import exchange
 from modcal_core.planning.plan import Wish, least_stations, plan
@@ -63,6 +64,34 @@ def test_refining_never_loses() -> None:
     assert len(found.values) == 3
     assert found.values[2] > max(found.values[:2])
     assert found.indices.rank == 27
+
+
+def test_what_is_measured_already_counts() -> None:
+    """Besides stations that hold the wrist still, six more do what as many of the same kind do not."""
+    site = hall()
+    first = ground().q[:30].copy()
+    first[:, 3:] = [0.2, 0.4, -0.3]
+    wish = Wish(stations=6, candidates=100, starts=1, besides=first)
+    found = plan(ur10(), site, wish, np.random.default_rng(9))
+    alone = found.ground.workspace
+    assert found.ground.known is not None
+    before = alone.accuracy(found.ground.known.covariance(np.arange(30)))
+    assert found.accuracy.model < 0.2 * before.model
+    assert found.accuracy.model < np.median([a.model for a in found.random])
+    assert found.indices.rank == 27
+    with pytest.raises(NotPlannable, match="5 stations: only 4 of the postures tried"):
+        plan(ur10(), site, replace(wish, stations=5, candidates=4), np.random.default_rng(9))
+
+
+@pytest.mark.parametrize("reading", ["point", "pose"])
+def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
+    there = ground(reading)
+    least = least_stations(len(there.parameters), reading)
+    q = there.q[:least]
+    samples = samples_of(ur10(), q, there.model.predict(q), reading)
+    calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    with pytest.raises(NotEnoughData):
+        calibrate(samples.select(np.arange(least - 1)), ur10(), np.random.default_rng(0), look_for_effects=False)
 
 
 def test_fixed_parameters_are_not_planned_for() -> None:

@@ -36,7 +36,7 @@ class Ground:
 
     model: with its one frame at the tracker. q: allowed and seen postures (N, n). rows: what they tell. workspace:
     where accuracy counts. free_q: postures that are allowed, seen or not. shares: of the postures drawn that touch
-    nothing, and of these seen.
+    nothing, and of these seen. known: stations that are measured already.
     """
 
     model: Model
@@ -49,6 +49,17 @@ class Ground:
     workspace: Workspace
     free_q: Array
     shares: tuple[float, float]
+    known: Rows | None = None
+
+    @property
+    def given(self) -> Array | None:
+        """What is known already, (P, P), in units of the prior."""
+        return None if self.known is None else self.known.information(np.arange(len(self.known)))
+
+    def accuracy(self, rows: Rows) -> Accuracy:
+        """The accuracy from these stations and those that are known already."""
+        every = rows if self.known is None else rows.joined(self.known)
+        return self.workspace.accuracy(every.covariance(np.arange(len(every))))
 
 
 def survey(
@@ -58,10 +69,12 @@ def survey(
     reading: str = "point",
     fixed: tuple[str, ...] = (),
     candidates: int = CANDIDATES,
+    besides: Array | None = None,
 ) -> Ground:
     """The postures that are allowed and seen, and what each would tell. Raises NotPlannable where there are none.
 
     reading: ``point`` or ``pose``. fixed: parameters that are not fitted. candidates: how many postures.
+    besides: stations (N, n) that are measured already, wherever they are.
     """
     chain = with_limits(chain, site)
     spheres = spheres_of(chain, site)
@@ -97,7 +110,12 @@ def survey(
     inside = inside[:_WORKSPACE]
     rows = station_rows(model, parameters, q, reading, site.noise)
     workspace = Workspace(*position_rows(model, parameters, inside, site.noise))
-    return Ground(model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares)
+    known = None
+    if besides is not None:
+        known = station_rows(model, parameters, besides, reading, site.noise, rows.spread)
+    return Ground(
+        model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares, known
+    )
 
 
 def with_limits(chain: Chain, site: Site, one_turn: bool = True) -> Chain:
@@ -125,10 +143,7 @@ def with_limits(chain: Chain, site: Site, one_turn: bool = True) -> Chain:
 
 def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
     """What as many stations would give that are drawn from the same postures."""
-    return [
-        ground.workspace.accuracy(ground.rows.covariance(rng.choice(len(ground.q), count, replace=False)))
-        for _ in range(sets)
-    ]
+    return [ground.accuracy(ground.rows.of(rng.choice(len(ground.q), count, replace=False))) for _ in range(sets)]
 
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:

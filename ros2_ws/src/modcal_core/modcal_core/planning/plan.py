@@ -38,7 +38,7 @@ class Wish:
 
     stations: how many; None: as many as the accuracy needs. accuracy: [m], of what measure says: ``rms`` or ``p95``.
     criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that are not fitted. starts: of the
-    exchange. candidates: postures to choose from.
+    exchange. candidates: postures to choose from. besides: stations (N, n) that are measured already and count too.
     """
 
     stations: int | None = None
@@ -49,6 +49,7 @@ class Wish:
     fixed: tuple[str, ...] = ()
     starts: int = 2
     candidates: int = CANDIDATES
+    besides: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,10 @@ def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
     if wish.stations is None and wish.accuracy is None:
         raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")
-    ground = survey(chain, site, rng, wish.reading, wish.fixed, wish.candidates)
+    ground = survey(chain, site, rng, wish.reading, wish.fixed, wish.candidates, wish.besides)
     good = criterion(wish.criterion, ground.workspace.gamma)
-    least = least_stations(len(ground.parameters), wish.reading)
+    measured = 0 if ground.known is None else len(ground.known)
+    least = max(least_stations(len(ground.parameters), wish.reading) - measured, 1)
     curve: tuple[tuple[int, Accuracy], ...] = ()
     if wish.stations is None:
         count, curve = _how_many(ground, wish, good, least, rng)
@@ -95,13 +97,14 @@ def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan
             best = chosen_stations(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
     count = len(best.q)
     way = through(ground, best.q)
+    information = best.rows.information(np.arange(count)) + (0.0 if ground.given is None else ground.given)
     return Plan(
         wish,
         ground,
         best.q[way.order],
         way,
         best.accuracy,
-        observability(best.rows.information(np.arange(count)), count),
+        observability(information, count + measured),
         tuple(random_accuracies(ground, count, rng)),
         best.values,
         curve,
@@ -120,9 +123,9 @@ class Chosen:
 
 def chosen_stations(ground: Ground, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
     """The best set of so many stations: by exchange, then refined."""
-    found = exchange(ground.rows, count, good, rng, starts)
+    found = exchange(ground.rows, count, good, rng, starts, given=ground.given)
     q, rows, value = refined(ground, found, good, rng)
-    accuracy = ground.workspace.accuracy(rows.covariance(np.arange(count)))
+    accuracy = ground.accuracy(rows)
     return Chosen(q, rows, accuracy, (*found.starts, value))
 
 
@@ -140,7 +143,7 @@ def refined(ground: Ground, found: Exchange, good: Criterion, rng: np.random.Gen
         moved = moved[clearance(ground.spheres, site, moved) >= 0.0]
         moved = np.concatenate([q, moved[visible(ground.spheres, site, moved)]])
         more = station_rows(ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.spread)
-        better = exchange(more, count, good, rng, begin=np.arange(count))
+        better = exchange(more, count, good, rng, begin=np.arange(count), given=ground.given)
         q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
     return q, rows, value
 
@@ -197,8 +200,8 @@ def _how_many(
 
     def enough(count: int) -> bool:
         if count not in tried:
-            chosen = exchange(ground.rows, count, good, rng, *_QUICK).chosen
-            tried[count] = ground.workspace.accuracy(ground.rows.covariance(chosen))
+            chosen = exchange(ground.rows, count, good, rng, *_QUICK, given=ground.given).chosen
+            tried[count] = ground.accuracy(ground.rows.of(chosen))
         return _measure(tried[count], wish) <= _wished(wish)
 
     low, high = least, least

@@ -44,6 +44,15 @@ class Rows:
         """These stations alone."""
         return replace(self, J=self.J[chosen], noise=self.noise[chosen], unrepeated=self.unrepeated[chosen])
 
+    def joined(self, other: Rows) -> Rows:
+        """These stations and others of the same fit."""
+        return replace(
+            self,
+            J=np.concatenate([self.J, other.J]),
+            noise=np.concatenate([self.noise, other.noise]),
+            unrepeated=np.concatenate([self.unrepeated, other.unrepeated]),
+        )
+
     def __len__(self) -> int:
         return len(self.J)
 

@@ -60,9 +60,10 @@ def _middle(sets: Sequence[Accuracy]) -> Accuracy:
 def sentences(plan: Plan) -> list[str]:
     """What a person should know."""
     wish, a, k = plan.wish, plan.accuracy, len(plan.q)
+    more = "" if wish.besides is None else f" besides the {len(wish.besides)} that are measured"
     asked = "" if wish.accuracy is None else f" are needed for {1e3 * wish.accuracy:.3g} mm ({wish.measure})"
     out = [
-        f"{k} stations{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
+        f"{k} stations{more}{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
         f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."
     ]
     random = _middle(plan.random)

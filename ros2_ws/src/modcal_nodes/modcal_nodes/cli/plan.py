@@ -18,6 +18,7 @@ from modcal_core.report.planning import figure, sentences, to_csv, to_plan_data,
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, read_robot
+from modcal_nodes.cli.stations import read_stations
 from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
 _DECIDING = 16  # stations, where none are asked for
@@ -44,6 +45,10 @@ _DECIDING = 16  # stations, where none are asked for
 )
 @click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
 @click.option("--fix", "fixed", multiple=True, metavar="NAME", help="As in modcal calibrate. Repeatable.")
+@click.option(
+    "--besides", "measured", type=EXISTING, default=None, metavar="STATIONS",
+    help="plan.yaml or CSV of stations that are measured already, which count too.",
+)  # fmt: skip
 @click.option("--candidates", type=click.IntRange(10, 20_000), default=CANDIDATES, show_default=True)
 @click.option("--starts", type=click.IntRange(1, 100), default=2, show_default=True, help="Of the exchange.")
 @click.option("--speed", type=click.FloatRange(1e-3), default=0.5, show_default=True, help="Of trajectory.yaml, rad/s.")
@@ -65,6 +70,7 @@ def plan_command(
     criterion: str,
     reading: str,
     fixed: tuple[str, ...],
+    measured: Path | None,
     candidates: int,
     starts: int,
     speed: float,
@@ -84,11 +90,13 @@ def plan_command(
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
     if stations is not None and accuracy_mm is not None:
         raise BadTable("--stations", "goes with no --accuracy-mm", "give one of them")
+    chain = read_robot(robot, base, tip)
+    known = None if measured is None else read_stations(measured, chain)
     wish = Wish(
         stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
-        candidates,
+        candidates, known,
     )  # fmt: skip
-    found = plan(read_robot(robot, base, tip), site or Site(), wish, np.random.default_rng(seed))
+    found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
     out = out or Path(f"{robot.stem}_plan")
     write_folder(out, _files(found, speed, dwell))
     console = Console()
