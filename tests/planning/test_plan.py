@@ -23,7 +23,7 @@ _ARMS = 12
 
 @pytest.mark.parametrize("reading", ["point", "pose"])
 def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> None:
-    """RMS over 12 arms: within 20 % of the promise for chosen and for random stations, and less for the chosen ones."""
+    """RMS over 12 arms, which scatters by some 7 %: within 25 % of the promise for both, and less for the chosen ones."""
     there = ground(reading)
     count = least_stations(len(there.parameters), reading) + 2
     good = criterion("accuracy", there.workspace.gamma)
@@ -41,8 +41,8 @@ def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> 
         return float(np.sqrt(np.mean(np.square(values))))
 
     expected = there.workspace.accuracy(there.rows.covariance(chosen)).model
-    assert 0.8 < rms(planned) / expected < 1.2
-    assert 0.8 < rms(drawn) / rms(promised) < 1.2
+    assert 0.75 < rms(planned) / expected < 1.25
+    assert 0.75 < rms(drawn) / rms(promised) < 1.25
     assert rms(planned) < rms(drawn)
 
 
