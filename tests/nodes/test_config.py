@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from modcal_nodes.parameters import (
+    ACCELERATION_LIMITS,
     ARTICULATION_ESTIMATOR,
     CALIBRATOR,
     CORRECTOR,
@@ -25,6 +26,7 @@ KNOWN = {
     "corrector": CORRECTOR,
     "articulation_estimator": ARTICULATION_ESTIMATOR,
     "impedance_setpoint": IMPEDANCE_SETPOINT,
+    "acceleration_limits": ACCELERATION_LIMITS,
     "simulated_cell": SIMULATED_CELL,
     "simulated_furniture": SIMULATED_FURNITURE,
 }
@@ -51,6 +53,7 @@ def test_defaults_lie_within_their_bounds() -> None:
 LAUNCHED = {
     "calibrate": {"recorder", "calibrator"},
     "correct": {"corrector"},
+    "limits": {"acceleration_limits"},
     "articulate": {"articulation_estimator", "impedance_setpoint"},
 }
 

@@ -31,6 +31,7 @@ setup(
             f"corrector = {PACKAGE}.corrector:main",
             f"articulation_estimator = {PACKAGE}.articulation_estimator:main",
             f"impedance_setpoint = {PACKAGE}.impedance_setpoint:main",
+            f"acceleration_limits = {PACKAGE}.acceleration_limits:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
         ],

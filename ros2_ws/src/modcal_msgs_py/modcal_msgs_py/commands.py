@@ -1,4 +1,4 @@
-"""Wishes and joint states as they come over the wire, checked at the door; poses and trajectories as they go out."""
+"""Wishes and joint states as they come over the wire, checked at the door; poses and bounds as they go out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.stamps import seconds, set_seconds
 
 _UNIT = 1e-3  # how far from one the length of a quaternion may be
 _FASTEST = 100.0  # rad/s or m/s
@@ -132,3 +132,13 @@ def fill_pose(message: Any, T: Array, covariance: Array | None = None) -> None:
     pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = qx, qy, qz, qw
     if covariance is not None:
         message.covariance = [float(v) for v in covariance.ravel()]
+
+
+def fill_accelerations(message: Any, names: Sequence[str], values: Array, stamp: float) -> None:
+    """Write bounds of accelerations (n,) by joint into a JointTrajectory with one point.
+
+    The point holds no positions, so that no controller takes it for a motion.
+    """
+    message.joint_names = list(names)
+    message.points[0].accelerations = [float(v) for v in values]
+    set_seconds(message.header.stamp, stamp)

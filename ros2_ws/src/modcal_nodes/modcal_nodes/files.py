@@ -34,6 +34,17 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
         shutil.rmtree(stage, ignore_errors=True)
 
 
+def write_file(path: Path, text: str) -> None:
+    """Write one file, its folder made if need be; on failure what stood there stays."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def to_json(data: Any) -> str:
     """JSON text; raises ValueError for a number that is not finite, which no reader of ours may meet."""
     return json.dumps(data, indent=1, allow_nan=False) + "\n"

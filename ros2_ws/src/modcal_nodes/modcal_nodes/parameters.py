@@ -227,6 +227,26 @@ IMPEDANCE_SETPOINT = {
     "horizon_s": Parameter(0.02, "When a trajectory's point is to be reached [s].", 0.001, 1.0),
 }
 
+ACCELERATION_LIMITS = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that carries the payload; empty: the link behind most joints that are heard."),
+    "payload_kg": Parameter(0.0, "Mass that the arm carries [kg].", 0.0, 1e4),
+    "payload_centre_m": Parameter([0.0, 0.0, 0.0], "Its centre of mass in the tip link [m]."),
+    "payload_inertia": Parameter([0.0] * 6, "Its inertia about that: ixx iyy izz ixy ixz iyz [kg m2]."),
+    "method": Parameter(
+        "coupled", "coupled (bounds that hold for all joints at once), or equivalent (each joint by itself)."
+    ),
+    "torque_share": Parameter(1.0, "Share of every drive's torque that may be used.", 0.01, 1.0),
+    "torque": Parameter([""], "Largest torques that are not the URDF's effort, as joint=value [N m; N]."),
+    "friction": Parameter([""], "Dry friction that is not the URDF's, as joint=value [N m; N]."),
+    "damping": Parameter([""], "Viscous friction that is not the URDF's, as joint=value [N m s/rad; N s/m]."),
+    "rotor": Parameter([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
+    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "stale_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "rate_hz": Parameter(50.0, "Bounds are published at most this often [Hz].", 0.1, 250.0),
+}
+
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
     """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""

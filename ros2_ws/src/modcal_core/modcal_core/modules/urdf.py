@@ -12,12 +12,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly, Module
 from modcal_core.modules.bodies import body
 from modcal_core.modules.library import JOINT, Library, ModuleType
 from modcal_core.modules.poe import BASE_LINK, FROM_AXIS, TIP_LINK, TO_AXIS, TURN, WHOLE
+from modcal_core.robots.urdf_elements import joint_element, number, origin_element, urdf_text
 
 _COLOURS = {
     "base": "0.25 0.27 0.30 1",
@@ -49,11 +50,11 @@ def urdf_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
         _link(robot, f"{link}_housing" if moving else link, kind, module.size, empty=moving)
         if above:
             below = f"{link}_housing" if moving else link
-            _joint(robot, f"{above}_to_{below}", "fixed", above, below, T @ TURN[module.turn])
+            joint_element(robot, f"{above}_to_{below}", "fixed", above, below, T @ TURN[module.turn])
         if moving:
             _link(robot, link, kind, module.size)
             name = link.removesuffix("_module")
-            joint = _joint(
+            joint = joint_element(
                 robot,
                 name,
                 "revolute" if kind.revolute else "prismatic",
@@ -67,13 +68,12 @@ def urdf_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
             limit = {"effort": kind.effort, "velocity": kind.velocity}
             if joint.get("type") != "continuous":
                 limit |= {"lower": kind.lower, "upper": kind.upper}
-            ET.SubElement(joint, "limit", {key: _number(value) for key, value in limit.items()})
+            ET.SubElement(joint, "limit", {key: number(value) for key, value in limit.items()})
         above = link
         T = kind.T_in_out[module.size] @ error(module, FROM_AXIS if moving else WHOLE)
     ET.SubElement(robot, "link", name=TIP_LINK)
-    _joint(robot, f"{above}_to_{TIP_LINK}", "fixed", above, TIP_LINK, T)
-    ET.indent(robot)
-    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+    joint_element(robot, f"{above}_to_{TIP_LINK}", "fixed", above, TIP_LINK, T)
+    return urdf_text(robot)
 
 
 def link_names(assembly: Assembly) -> list[str]:
@@ -91,32 +91,15 @@ def _link(robot: ET.Element, name: str, kind: ModuleType, size: int, empty: bool
         return
     made = body(kind, size)
     inertial = ET.SubElement(link, "inertial")
-    _origin(inertial, se3.transform(p=made.centre))
-    ET.SubElement(inertial, "mass", value=_number(made.mass))
+    origin_element(inertial, se3.transform(p=made.centre))
+    ET.SubElement(inertial, "mass", value=number(made.mass))
     names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(inertial, "inertia", {key: _number(made.inertia[at]) for key, at in names.items()})
+    ET.SubElement(inertial, "inertia", {key: number(made.inertia[at]) for key, at in names.items()})
     for tag in ("visual", "collision"):
         for tube in made.tubes:
             shape = ET.SubElement(link, tag)
-            _origin(shape, tube.T)
+            origin_element(shape, tube.T)
             geometry = ET.SubElement(shape, "geometry")
-            ET.SubElement(geometry, "cylinder", radius=_number(tube.radius), length=_number(tube.length))
+            ET.SubElement(geometry, "cylinder", radius=number(tube.radius), length=number(tube.length))
             if tag == "visual":
                 ET.SubElement(shape, "material", name=kind.role)
-
-
-def _joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, T: Array) -> ET.Element:
-    joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    _origin(joint, T)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    return joint
-
-
-def _origin(element: ET.Element, T: Array) -> None:
-    xyz, rpy = (" ".join(map(_number, v)) for v in (T[:3, 3], so3.to_rpy(T[:3, :3])))
-    ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
-
-
-def _number(value: float) -> str:
-    return repr(float(value) + 0.0)  # every digit, and no −0

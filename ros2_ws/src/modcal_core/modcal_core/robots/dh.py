@@ -71,12 +71,14 @@ def to_mdh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
     T_tool = _about_z(-twist, -along) @ rows.beyond
     joints = [*rows.links, last]
     before = [_Link(0.0, 0.0), *rows.links]
-    columns = [own.data() | {"a": b.a, "alpha": b.alpha} for own, b in zip(joints, before, strict=True)]
+    columns = [
+        own.data() | {key: b.data()[key] for key in ("a", "alpha")} for own, b in zip(joints, before, strict=True)
+    ]
     return write_rows("mdh", chain, columns, rows.T_base, T_tool)
 
 
 class _TooFar(Exception):
-    """A common normal farther away than allowed; holds its distance [m]."""
+    """A common normal farther away than allowed; holds its distance [m] and the sine of the axes' angle."""
 
 
 @dataclass(frozen=True)
@@ -117,18 +119,27 @@ def _rows(chain: Chain, largest_offset: float) -> _Rows:
     first = constants[0]
     theta, d = _twist(first[:3, :3]), float(first[:3, 2] @ first[:3, 3])
     T_base = first @ _about_z(-theta, -d)
-    links = []
+    links: list[_Link] = []
+    pairs: list[str] = []
+    farthest, most = 0.0, 0.0
     for k in range(1, chain.n):
         try:
             link = _between(constants[k], largest_offset)
         except _TooFar as far:
-            angle = math.asin(min(1.0, float(np.linalg.norm(constants[k][:2, 2]))))
-            pair = f"axes of joints {chain.names[k - 1]} and {chain.names[k]}, {angle:.2g} rad from parallel"
-            said = f"DH needs an offset of {far.args[0]:.3g} m, {largest_offset:g} m is the limit"
-            raise NotRepresentable(pair, said, "write a CPC table instead") from far
+            pairs.append(f"{chain.names[k - 1]} and {chain.names[k]}, {math.asin(min(1.0, far.args[1])):.2g} rad")
+            # c = distance / s, so it changes by c / s with the angle
+            farthest, most = max((farthest, most), (far.args[0], 1e-3 * far.args[0] / far.args[1]))
+            continue
         link = link.turned(_wrap(theta + link.theta), d + link.d)
         links.append(link)
         theta, d = link.phi, link.c
+    if pairs:
+        raise NotRepresentable(
+            f"axes of joints {'; '.join(pairs)} from parallel",
+            f"DH's offset would move by {most:.3g} m with a mrad, and be {farthest:.3g} m, "
+            f"{largest_offset:g} m is the limit",
+            "write a CPC table instead",
+        )
     return _Rows(T_base, links, _Link(theta, d), constants[-1])
 
 
@@ -152,7 +163,7 @@ def _between(T: Array, largest_offset: float, keep: bool = False) -> _Link:
     c = (x * u + y * v) / (s * s)
     d = z - c * w
     if max(abs(c), abs(d)) > largest_offset:
-        raise _TooFar(max(abs(c), abs(d)))
+        raise _TooFar(max(abs(c), abs(d)), s)
     rest = (_about_z(theta, 0.0) @ _about_x(alpha, 0.0))[:3, :3].T @ T[:3, :3]
     return _Link(theta, d, (y * u - x * v) / s, alpha, math.atan2(rest[1, 0], rest[0, 0]), c)
 

@@ -8,8 +8,8 @@ On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k. Backwa
 which the end can still be reached is an interval [0, K_k]; forwards from the beginning, the greatest acceleration that
 stays within these sets is best at every place (Pham and Pham, A new approach to time-optimal path parameterization
 based on reachability analysis, IEEE Transactions on Robotics 34(3), 2018); where a row loses its u between two places,
-to within what the grid itself is off. The limits are asked for at both ends of
-every interval, so that between places they are overstepped to second order in Δ only.
+to within what the grid itself is off. The limits are asked for at both ends of every interval, so that between places
+they are overstepped to second order in Δ only.
 
 K_k is the largest x for which some u obeys all rows. u is eliminated by pairing each row that bounds it from below with
 each that bounds it from above (Fourier and Motzkin), which leaves bounds on x alone.

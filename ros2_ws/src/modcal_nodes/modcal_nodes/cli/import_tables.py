@@ -8,9 +8,12 @@ from pathlib import Path
 import click
 
 from modcal_core.errors import BadTable
+from modcal_core.robots.tables import from_table
+from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
-from modcal_nodes.files import read_yaml
+from modcal_nodes.cli.export import read_table
+from modcal_nodes.files import read_yaml, write_file
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -19,9 +22,22 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.argument("mapping", type=_EXISTING)
 @click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: that of MAPPING.")
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="The bag. Default: the mapping's name.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="The bag, or the URDF. Default: MAPPING's name."
+)
 def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None) -> None:
-    """Turn CSV tables into a bag, as MAPPING (a YAML file) says."""
+    """Turn CSV tables into a bag, as MAPPING (a YAML file) says.
+
+    A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
+    takes.
+    """
+    table = read_table(mapping)
+    if table is not None:
+        chain = from_table(table)
+        out = out or Path(f"{mapping.stem}.urdf")
+        write_file(out, chain_urdf(chain))
+        click.echo(f"{out}: {chain.n} joints, {chain.base} → {chain.tip}")
+        return
     stated = read_yaml(mapping)
     folder = data or mapping.parent
     recording = import_tables(stated, folder, mapping.name)

@@ -1,0 +1,115 @@
+"""Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them.
+
+::
+
+    # convention: dh
+    # base_link: base_link
+    # tip_link: tool0
+    # base: 0.0 0.0 0.0 0.0 0.0 0.0            x y z [m], roll pitch yaw [rad]
+    # tool: 0.0 0.0 0.0 0.0 0.0 0.0
+    name,type,theta,d,a,alpha,lower,upper
+    shoulder_pan_joint,revolute,0.0,0.1273,0.0,1.5707963267948966,-6.28,6.28
+
+CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from modcal_core.errors import BadTable
+
+_VECTORS = {"b": ("bx", "by", "bz"), "l": ("lx", "ly", "lz")}
+_DH = ("theta", "d", "a", "alpha")
+_COLUMNS = {"dh": _DH, "mdh": _DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
+_TEXTS = ("convention", "base_link", "tip_link")
+_POSES = ("base", "tool")
+_NOTE = "note"
+
+
+def to_csv(table: Mapping[str, Any], notes: Sequence[str] = ()) -> str:
+    """The CSV text of a table as data (see :mod:`modcal_core.robots.table_rows`); notes become comments."""
+    out = io.StringIO()
+    for key in _TEXTS:
+        out.write(f"# {key}: {table[key]}\n")
+    for key in _POSES:
+        out.write(f"# {key}: {' '.join(repr(v) for v in (*table[key]['xyz'], *table[key]['rpy']))}\n")
+    for note in notes:
+        out.write(f"# {_NOTE}: {note}\n")
+    columns = ("name", "type", *_COLUMNS[table["convention"]], "lower", "upper")
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(columns)
+    for joint in table["joints"]:
+        cells = dict(joint)
+        for key, names in _VECTORS.items():
+            cells.update(zip(names, cells.pop(key, ()), strict=False))
+        rows.writerow([_cell(cells.get(column)) for column in columns])
+    return out.getvalue()
+
+
+def from_csv(text: str, source: str = "table") -> dict[str, Any]:
+    """The table as data that a CSV text holds. Raises BadTable with the line."""
+    table: dict[str, Any] = {}
+    lines = text.lstrip("\ufeff").splitlines()
+    while lines and (lines[0].startswith("#") or not lines[0].strip()):
+        key, _, value = lines.pop(0).lstrip("# ").partition(":")
+        key, value = key.strip(), value.strip()
+        if key in _TEXTS:
+            table[key] = value
+        elif key in _POSES:
+            numbers = _numbers(value, 6, f"{source}, {key}")
+            table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
+        elif key and key != _NOTE:
+            known = ", ".join((*_TEXTS, *_POSES, _NOTE))
+            raise BadTable(f"{source}, comment '{key}'", "is none of the table's", f"write one of {known}")
+    convention = table.get("convention")
+    if convention not in _COLUMNS:
+        said = "states no convention" if convention is None else f"convention '{convention}' is unknown"
+        raise BadTable(source, said, f"begin with a line such as '# convention: dh' ({', '.join(_COLUMNS)})")
+    rows = csv.reader(lines)
+    header = [cell.strip() for cell in next(rows, [])]
+    allowed = {"name", "type", *_COLUMNS[convention], "lower", "upper"}
+    if "name" not in header or not set(header) <= allowed or len(set(header)) < len(header):
+        odd = next((column for column in header if column not in allowed), "name")
+        said = f"has no column '{odd}'" if odd == "name" else f"column '{odd}' is not one of a {convention} table"
+        raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
+    table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
+    return table
+
+
+def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:
+    if len(row) != len(header):
+        raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
+    cells = {key: cell.strip() for key, cell in zip(header, row, strict=True) if cell.strip()}
+    out: dict[str, Any] = {key: cells.pop(key) for key in ("name", "type") if key in cells}
+    if "reversed" in cells:
+        said = cells.pop("reversed").lower()
+        if said not in ("true", "false"):
+            raise BadTable(f"{where}: reversed", f"is '{said}'", "write true or false")
+        out["reversed"] = said == "true"
+    for key, names in _VECTORS.items():
+        if any(name in cells for name in names):
+            out[key] = _numbers(" ".join(cells.pop(name, "?") for name in names), 3, f"{where}: {key}")
+    out.update({key: _numbers(cell, 1, f"{where}: {key}")[0] for key, cell in cells.items()})
+    return out
+
+
+def _numbers(text: str, count: int, where: str) -> list[float]:
+    try:
+        out = [float(word) for word in text.split()]
+    except ValueError:
+        out = []
+    if len(out) != count:
+        raise BadTable(where, f"needs {count} number{'s' * (count > 1)}, has '{text}'", "correct the table")
+    return out
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(float(value)) if isinstance(value, int | float) else str(value)

@@ -1,0 +1,121 @@
+"""``modcal export``: an arm's kinematics as a CPC, DH or modified DH table, or as a URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+
+from modcal_core.calibration.store import Calibration, from_data
+from modcal_core.errors import BadTable
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.table_csv import from_csv, to_csv
+from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
+from modcal_core.robots.tables import from_table
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_elements import chain_urdf
+from modcal_nodes.files import read_yaml, to_yaml, write_file
+from modcal_nodes.inputs import read_calibration
+
+_EXISTING = click.Path(exists=True, path_type=Path)
+_MODELS = ("calibrated", "geometric", "nominal")
+
+
+@dataclass(frozen=True)
+class _Source:
+    """An arm, and what of it no table can hold."""
+
+    chain: Chain
+    left_out: tuple[str, ...] = ()
+
+
+@click.command("export")
+@click.argument("source", type=_EXISTING)
+@click.option("--to", "form", type=click.Choice([*CONVENTIONS, "urdf"]), required=True, help="What to write.")
+@click.option("--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Of a calibration.")
+@click.option("--tool", is_flag=True, help="Of a calibration: end at the tool that was measured, not at the tip link.")
+@click.option("--base", default=None, metavar="LINK", help="Of a URDF: where the arm begins.")
+@click.option("--tip", default=None, metavar="LINK", help="Of a URDF: where it ends.")
+@click.option("--largest-offset", type=float, default=10.0, show_default=True, help="That a DH row may need [m].")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml."
+)
+def export_command(
+    source: Path,
+    form: str,
+    which: str,
+    tool: bool,
+    base: str | None,
+    tip: str | None,
+    largest_offset: float,
+    out: Path | None,
+) -> None:
+    """Write the kinematics of SOURCE as a table, or as a URDF without bodies.
+
+    SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
+    are read back and must give the same poses. What a table cannot hold is said, and noted in it.
+    """
+    if not (0.0 < largest_offset < 1e9):
+        raise BadTable("--largest-offset", f"{largest_offset:g} m is no distance", "give metres, such as 10")
+    arm = _read(source, which, tool, base, tip)
+    for note in arm.left_out:
+        click.echo(f"left out: {note}")
+    if form == "urdf":
+        out = out or Path(f"{source.resolve().stem}_chain.urdf")
+        text, said = chain_urdf(arm.chain), ""
+    else:
+        table = to_table(arm.chain, form, largest_offset)
+        out = out or Path(f"{source.resolve().stem}_{form}.yaml")
+        notes = [f"left out: {note}" for note in arm.left_out]
+        if out.suffix.lower() == ".csv":
+            text = to_csv(table, notes)
+            again = from_csv(text, out.name)
+        else:
+            text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
+            again = yaml.safe_load(text)
+        said = f", read back it is off by {loss(arm.chain, again):.1g} m at most"
+    write_file(out, text)
+    click.echo(f"{out}: {arm.chain.n} joints, {arm.chain.base} → {arm.chain.tip}{said}")
+
+
+def read_table(path: Path) -> dict[str, Any] | None:
+    """The kinematic table in a .csv file, or in YAML data that states a convention; None for other data."""
+    if path.suffix.lower() == ".csv":
+        try:
+            return from_csv(path.read_text(encoding="utf-8"), path.name)
+        except UnicodeDecodeError as error:
+            raise BadTable(str(path), "is not UTF-8 text", "give a CSV table") from error
+    data = read_yaml(path)
+    return dict(data) if isinstance(data, Mapping) and "convention" in data else None
+
+
+def _read(source: Path, which: str, tool: bool, base: str | None, tip: str | None) -> _Source:
+    if source.is_dir():
+        return _of_calibration(read_calibration(source), which, tool)
+    if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return _Source(read_chain(source.read_text(encoding="utf-8", errors="replace"), base, tip))
+    table = read_table(source)
+    if table is not None:
+        return _Source(from_table(table))
+    data = read_yaml(source)
+    if not isinstance(data, Mapping) or "modcal_calibration" not in data:
+        said = "is neither a calibration, a URDF, nor a table that states its convention"
+        raise BadTable(str(source), said, "give one of these")
+    return _of_calibration(from_data(data, str(source)), which, tool)
+
+
+def _of_calibration(calibration: Calibration, which: str, tool: bool) -> _Source:
+    model = getattr(calibration, which)
+    chain = model.chain
+    if tool:
+        origins = chain.origins.copy()
+        origins[-1] = origins[-1] @ model.T_tip_tool
+        chain = replace(chain.with_origins(origins), tip="tool")
+    left = [f"{effect.family} of {effect.label}" for effect in model.effects]
+    if left:
+        left.append("geometry alone does best with --which geometric")
+    return _Source(chain, tuple(left))

@@ -1,0 +1,184 @@
+"""``modcal limits``: how hard each joint may be accelerated, with this payload, in these postures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from modcal_core.calibration.structure import random_postures
+from modcal_core.errors import BadRecording, BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import Recording, joint_stamps_and
+from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.inertia import Payload
+from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.by_joint import numbers_by_joint
+from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.files import to_json, to_yaml, write_folder
+
+_EXISTING = click.Path(exists=True, path_type=Path)
+_MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
+_BY_JOINT = {
+    "torque": "Largest torque of a drive [N m; N], where the URDF's effort is not it.",
+    "friction": "Dry friction of a joint [N m; N], where the URDF's is not it.",
+    "damping": "Viscous friction of a joint [N m s/rad; N s/m], likewise.",
+    "rotor": "Inertia of motor and gear, seen from the joint [kg m²; kg].",
+}
+_CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
+
+
+def _by_joint(command: click.Command) -> click.Command:
+    """The options that are given joint by joint."""
+    for name, text in reversed(_BY_JOINT.items()):
+        command.params.append(
+            click.Option([f"--{name}"], multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
+        )
+    return command
+
+
+@_by_joint
+@click.command("limits")
+@click.argument("source", type=_EXISTING)
+@click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for a bag. Default: the one in it.")
+@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+@click.option("--tip", default=None, metavar="LINK", help="The link that carries the payload.")
+@click.option("--payload", type=float, default=0.0, show_default=True, help="Mass that is carried [kg].")
+@click.option("--centre", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="Its centre of mass in the tip link [m].")
+@click.option("--inertia", type=float, nargs=6, default=(0.0,) * 6, help="About that: ixx iyy izz ixy ixz iyz [kg m²].")
+@click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Where a joint stands [rad; m]. Default: 0.")
+@click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="How fast it moves [rad/s; m/s]. Default: 0.")
+@click.option("--workspace", type=click.IntRange(min=1), default=None, help="That many postures within the limits.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of those postures.")
+@click.option("--share", type=float, default=1.0, show_default=True, help="Of the torque that may be used.")
+@click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="In the base link [m/s²].")
+@click.option("--json", "as_json", is_flag=True, help="Print limits.json in place of the table.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="Folder of limits.json and joint_limits.yaml."
+)
+def limits_command(
+    source: Path,
+    urdf: Path | None,
+    base: str | None,
+    tip: str | None,
+    payload: float,
+    centre: tuple[float, float, float],
+    inertia: tuple[float, ...],
+    at: tuple[str, ...],
+    velocity: tuple[str, ...],
+    workspace: int | None,
+    seed: int,
+    share: float,
+    gravity: tuple[float, float, float],
+    as_json: bool,
+    out: Path | None,
+    **by_joint: tuple[str, ...],
+) -> None:
+    """Say how hard each joint may be accelerated, without any drive giving more than it can.
+
+    SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are taken.
+
+    Of each joint: the inertia it moves, what gravity, friction and speed take of its torque, and bounds of its
+    acceleration: by itself (equivalent), with all others within theirs (coupled), and one set for all postures
+    (constant).
+    """
+    recording = read_bag(source) if source.is_dir() or source.suffix == ".mcap" else None
+    if recording is not None and (at or velocity or workspace):
+        raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
+    if recording is not None:
+        chain, text = robot_of(recording, urdf, base, tip)
+        arm = LoadedArm.read(text, chain.base, chain.tip)
+    else:
+        arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
+    arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
+    arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
+    q, v = _motion(arm.chain, recording, at, velocity, workspace, seed)
+    found = LimitsFound(arm, q, v, source.name)
+    data = to_json_data(found)
+    if out is not None:
+        write_folder(out, {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))})
+    if as_json:
+        click.echo(to_json(data), nl=False)
+        return
+    Console().print(_table(data))
+    if len(q) > 1:
+        click.echo(f"{len(q)} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
+    if out is not None:
+        click.echo(f"Limits: {out / 'limits.json'}")
+
+
+def _motion(
+    chain: Chain,
+    recording: Recording | None,
+    at: tuple[str, ...],
+    velocity: tuple[str, ...],
+    workspace: int | None,
+    seed: int,
+) -> tuple[Array, Array]:
+    """Positions and velocities (N, n) that are asked for."""
+    if recording is not None:
+        return _recorded(chain, recording)
+    speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
+    if workspace is not None:
+        if at:
+            raise BadTable("--at and --workspace", "are two ways to say which postures", "give one of them")
+        q = random_postures(chain, workspace, np.random.default_rng(seed))
+        return q, np.tile(speeds, (len(q), 1))
+    # a joint that cannot stand at zero stands at the limit next to it
+    q = _column(chain, at, "--at", np.clip(0.0, chain.lower, chain.upper))
+    outside = (q < chain.lower) | (q > chain.upper)
+    if outside.any():
+        j = int(np.argmax(outside))
+        said = f"{q[j]:g} is outside its limits, {chain.lower[j]:g} to {chain.upper[j]:g}"
+        raise BadTable(f"--at {chain.names[j]}", said, "give radians, or metres, within them")
+    return q[None], speeds[None]
+
+
+def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array]:
+    _, q = joint_stamps_and(recording, chain.names, "position")
+    _, v = joint_stamps_and(recording, chain.names, "velocity")
+    good = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if not len(good):
+        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()] or ["all at once"]
+        raise BadRecording(
+            f"{recording.source}, joint_states", f"say nothing of {', '.join(missing)}", "give another --tip"
+        )
+    rows = good[np.unique(np.linspace(0, len(good) - 1, _MOST).round().astype(int))]
+    return q[rows], np.nan_to_num(v[rows])
+
+
+def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) -> Array:
+    """A number of every joint (n,)."""
+    out = np.array(otherwise)
+    for name, value in numbers_by_joint(said, option).items():
+        if name not in chain.names:
+            raise BadTable(f"{option} {name}", "is no joint of this arm", f"name one of {', '.join(chain.names)}")
+        out[chain.names.index(name)] = value
+    return out
+
+
+def _table(data: dict[str, object]) -> Table:
+    """For every joint its inertia, what holding takes of its drive, and its bounds."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("joint", no_wrap=True)
+    for name in ("inertia", "taken", "equivalent", "coupled", "constant"):
+        table.add_column(name, justify="right")
+    table.add_column("unit")
+    joints: list[dict[str, object]] = data["joints"]  # type: ignore[assignment]
+    for joint in joints:
+        inertia: dict[str, float] = joint["inertia"]  # type: ignore[assignment]
+        least, most = f"{inertia['least']:.3g}", f"{inertia['most']:.3g}"
+        spans = [_span(joint[key]) for key in ("equivalent", "coupled", "constant")]  # type: ignore[arg-type]
+        load = f"{100.0 * float(joint['load_share']):.0f} %"  # type: ignore[arg-type]
+        shown = least if least == most else f"{least} … {most}"
+        table.add_row(str(joint["name"]), shown, load, *spans, str(joint["unit"]).replace("s2", "s²"))
+    return table
+
+
+def _span(bounds: dict[str, float]) -> str:
+    return f"{bounds['lower']:.3g} … {bounds['upper']:.3g}"

@@ -1,0 +1,138 @@
+"""``modcal export`` and the tables that ``modcal import`` takes: files in, files out, the same arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cells import ur10
+from cli.test_bad_input import refused
+from correction.test_compensation import calibration_of, true_model
+from robots.test_tables import assert_same
+
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.geometry import se3
+from modcal_core.robots.table_csv import from_csv
+from modcal_core.robots.tables import from_table
+from modcal_core.robots.urdf import read_chain
+from modcal_nodes.cli.main import run
+from modcal_nodes.files import to_yaml
+
+URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
+GEAR = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 101.0}))
+
+
+def calibrated(folder: Path) -> Calibration:
+    """A calibration of the UR10, displaced in all directions, with a gear error, written as a verb leaves it."""
+    made = calibration_of(true_model(GEAR.started(np.array([2e-4, 1e-4])), seed=1))
+    folder.mkdir()
+    (folder / "calibration.yaml").write_text(to_yaml(to_data(made)))
+    return made
+
+
+def test_a_calibration_as_cpc(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """To 1e-10 with its ends, by YAML and by CSV; what a table cannot hold is said and noted."""
+    made = calibrated(tmp_path / "cal")
+    for name in ("arm.yaml", "arm.csv"):
+        out = tmp_path / name
+        assert run(["export", str(tmp_path / "cal"), "--to", "cpc", "--out", str(out)]) == 0
+        said = capfd.readouterr().out
+        assert "left out: gear_harmonic of elbow_joint axis by position:elbow_joint" in said
+        text = out.read_text()
+        assert "left out: gear_harmonic of elbow_joint" in text
+        table = from_csv(text) if name.endswith("csv") else yaml.safe_load(text)
+        assert_same(from_table(table), made.calibrated.chain, 1e-10)
+    for which in ("nominal", "geometric"):
+        assert (
+            run(["export", str(tmp_path / "cal"), "--to", "cpc", "--which", which, "--out", str(tmp_path / which)]) == 0
+        )
+        assert "left out" not in capfd.readouterr().out
+        assert_same(from_table(yaml.safe_load((tmp_path / which).read_text())), getattr(made, which).chain, 1e-10)
+
+
+def test_with_the_measured_tool(tmp_path: Path) -> None:
+    made = calibrated(tmp_path / "cal")
+    out = tmp_path / "arm.yaml"
+    assert run(["export", str(tmp_path / "cal" / "calibration.yaml"), "--to", "cpc", "--tool", "--out", str(out)]) == 0
+    chain = from_table(yaml.safe_load(out.read_text()))
+    model = made.calibrated
+    origins = np.array(model.chain.origins)
+    origins[-1] = origins[-1] @ model.T_tip_tool
+    assert_same(chain, model.chain.with_origins(origins), 1e-10)
+    assert chain.tip == "tool"
+
+
+def test_a_calibrated_ur10_has_no_dh_table(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its parallel axes are so no more: both pairs are named, and nothing is written."""
+    calibrated(tmp_path / "cal")
+    out = tmp_path / "arm.yaml"
+    for form in ("dh", "mdh"):
+        said = (
+            r"axes of joints shoulder_lift_joint and elbow_joint, \S+ rad; elbow_joint and wrist_1_joint, \S+ rad from "
+            r"parallel: DH's offset would move by \S+ m with a mrad, and be \S+ m, 10 m is the limit: write a CPC table"
+        )
+        refused(["export", str(tmp_path / "cal"), "--to", form, "--out", str(out)], said, capfd)
+    assert not out.exists()
+    # allowed to be as wild as it needs, it is still the same arm
+    assert run(["export", str(tmp_path / "cal"), "--to", "dh", "--largest-offset", "1e5", "--out", str(out)]) == 0
+
+
+def test_from_a_urdf_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """URDF → DH as CSV → URDF → modified DH → CPC → URDF: the same arm, which other verbs take."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["export", str(URDF), "--to", "dh", "--out", "arm.csv"]) == 0
+    assert run(["import", "arm.csv"]) == 0
+    assert run(["export", "arm.urdf", "--to", "mdh"]) == 0
+    assert run(["export", "arm_mdh.yaml", "--to", "cpc"]) == 0
+    assert run(["import", "arm_mdh_cpc.yaml", "--out", "again.urdf"]) == 0
+    original, again = read_chain(URDF.read_text()), read_chain(Path("again.urdf").read_text(), "base_link", "tool0")
+    assert_same(again, original, 1e-10)
+    assert again.names == original.names
+    assert np.allclose(again.lower, original.lower)
+    assert run(["export", "again.urdf", "--to", "urdf"]) == 0
+    assert_same(read_chain(Path("again_chain.urdf").read_text()), original, 1e-10)
+
+
+def damaged(folder: Path) -> Path:
+    (folder / "arm.csv").write_text("# convention: dh\nname,theta\nj1,ninety\n")
+    return folder / "arm.csv"
+
+
+def nothing_of_ours(folder: Path) -> Path:
+    (folder / "notes.yaml").write_text("colour: red\n")
+    return folder / "notes.yaml"
+
+
+CASES = {
+    "a calibrated arm as DH": (
+        lambda folder: bent(folder), ["--to", "dh"], "axes of joints shoulder_lift_joint and elbow_joint, 0.0003 rad from parallel"
+    ),
+    "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv, joint 1: theta: needs 1 number, has 'ninety'"),
+    "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "is neither a calibration, a URDF, nor a table"),
+    "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is no distance"),
+}  # fmt: skip
+
+
+def bent(folder: Path) -> Path:
+    """A UR10 whose elbow is 0.3 mrad from parallel to its shoulder."""
+    from modcal_core.robots.urdf_elements import chain_urdf
+
+    origins = np.array(ur10().origins)
+    origins[2] = origins[2] @ se3.exp([0, 0, 0, 0, 3e-4, 0])
+    (folder / "bent.urdf").write_text(chain_urdf(ur10().with_origins(origins)))
+    return folder / "bent.urdf"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_cannot_be_exported(case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    make, arguments, said = CASES[case]
+    source = make(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    refused(["export", str(source), *arguments, "--out", str(tmp_path / "out.yaml")], said, capfd)
+    assert sorted(tmp_path.iterdir()) == before
+    page = (Path(__file__).resolve().parents[2] / "docs" / "bad_input.md").read_text()
+    assert f"| {case} |" in page

@@ -1,0 +1,104 @@
+"""``modcal limits``: bounds of a URDF or a bag, in the terminal and as files, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cli.recordings import stations
+from cli.test_bad_input import refused
+from robots.random_arms import Mujoco
+
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.main import run
+
+ROOT = Path(__file__).resolve().parents[2]
+URDF = ROOT / "examples" / "robots" / "ur10.urdf"
+EFFORT = np.array([330.0, 330.0, 150.0, 54.0, 54.0, 54.0])
+
+
+def test_one_posture(capfd: pytest.CaptureFixture[str]) -> None:
+    """By MuJoCo: the inertias are the matrix's diagonal, and the drives are within their limits at the bounds."""
+    assert run(["limits", str(URDF), "--at", "elbow_joint=1.2", "--at", "shoulder_lift_joint=-1", "--json"]) == 0
+    data = json.loads(capfd.readouterr().out)
+    assert data["modcal_limits"] == 1
+    assert data["postures"] == 1
+    joints = data["joints"]
+    chain = read_chain(URDF.read_text())
+    assert [j["name"] for j in joints] == list(chain.names)
+    truth = Mujoco(URDF.read_text(), chain)
+    q = np.array([0.0, -1.0, 1.2, 0.0, 0.0, 0.0])
+    assert np.allclose([j["inertia"]["most"] for j in joints], np.diag(truth.matrix(q)), atol=1e-10)
+    held = np.abs(truth.torque(q, 0 * q, 0 * q)) / EFFORT
+    assert np.allclose([j["load_share"] for j in joints], held, atol=1e-10)
+    for side in ("lower", "upper"):
+        a = np.array([j["coupled"][side] for j in joints])
+        assert (np.abs(truth.torque(q, 0 * q, a)) <= EFFORT * (1 + 1e-9)).all()
+        assert [j["constant"][side] for j in joints] == pytest.approx(a, rel=1e-6)
+
+
+def test_a_workspace_and_its_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "limits"
+    arguments = ["--payload", "3", "--centre", "0", "0", "0.1", "--workspace", "60", "--rotor", "wrist_3_joint=0.1"]
+    assert run(["limits", str(URDF), *arguments, "--out", str(out)]) == 0
+    shown = capfd.readouterr().out
+    assert "60 postures" in shown
+    assert "wrist_3_joint" in shown
+    assert {p.name for p in out.iterdir()} == {"limits.json", "joint_limits.yaml"}
+    data = json.loads((out / "limits.json").read_text())
+    planner = yaml.safe_load((out / "joint_limits.yaml").read_text())["joint_limits"]
+    for joint in data["joints"]:
+        constant = joint["constant"]
+        assert planner[joint["name"]]["max_acceleration"] == pytest.approx(min(-constant["lower"], constant["upper"]))
+        assert planner[joint["name"]]["has_acceleration_limits"] is True
+        assert joint["inertia"]["least"] <= joint["inertia"]["most"]
+    wrist = data["joints"][-1]
+    assert wrist["equivalent"]["upper"] < 54.0 / 0.1  # the rotor counts
+
+
+def test_a_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    recording = stations(30)
+    write_recording(recording, tmp_path / "bag")
+    assert run(["limits", str(tmp_path / "bag"), "--payload", "2", "--json"]) == 0
+    data = json.loads(capfd.readouterr().out)
+    assert data["postures"] == 30
+    truth = Mujoco(URDF.read_text(), read_chain(URDF.read_text()))
+    most = np.max([np.diag(truth.matrix(q)) for q in recording.joints[0].position], axis=0)
+    assert (np.array([j["inertia"]["most"] for j in data["joints"]]) > most).all()  # and the payload
+
+
+CASES = {
+    "payload that the posture cannot hold": (["--payload", "60"], "joint elbow_joint: gravity, friction and speed take .* of the 150 N m"),
+    "payload of less than nothing": (["--payload", "-1"], "payload: mass: -1 kg is not 0 or more"),
+    "payload inertia of no body": (["--payload", "1", "--inertia", "1", "1", "3", "0", "0", "0"], "payload: inertia: .* is of no body"),
+    "joint that is not there": (["--at", "elbow=1"], "--at elbow: is no joint of this arm: name one of shoulder_pan_joint"),
+    "joint beyond its limits": (["--at", "elbow_joint=9"], "--at elbow_joint: 9 is outside its limits, -3.14159 to 3.14159"),
+    "joint without a number": (["--at", "elbow_joint"], "--at elbow_joint: is not JOINT=NUMBER"),
+    "share of the torque above 1": (["--share", "1.5"], "share of the torque: 1.5 is not above 0 and at most 1"),
+    "torque of 0": (["--torque", "elbow_joint=0"], "torque of joint elbow_joint: is 0, not a number above 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_refused(case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments, said = CASES[case]
+    refused(["limits", str(URDF), *arguments, "--out", str(tmp_path / "out")], said, capfd)
+    assert not (tmp_path / "out").exists()
+    assert f"| {case} |" in (ROOT / "docs" / "bad_input.md").read_text()
+
+
+def test_a_description_without_efforts_or_masses(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bare = tmp_path / "bare.urdf"
+    bare.write_text(URDF.read_text().replace('effort="150"', 'effort="0"'))
+    refused(["limits", str(bare)], "drive of joint elbow_joint: the robot description states no effort", capfd)
+    assert run(["limits", str(bare), "--torque", "elbow_joint=150", "--json"]) == 0
+    recording = stations(5)
+    write_recording(replace(recording, robot_description=None), tmp_path / "bag")
+    refused(["limits", str(tmp_path / "bag")], "holds no robot_description", capfd)
+    write_recording(recording, tmp_path / "whole")
+    refused(["limits", str(tmp_path / "whole"), "--at", "elbow_joint=1"], "and the postures of", capfd)

@@ -1,0 +1,135 @@
+"""Tables through files and back: CSV, URDF, every convention into every other, and what a file must not say."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from cells import ur10
+from robots.test_kinematics import ARMS, chain_of
+from robots.test_tables import assert_same, bend, random_chain
+
+from modcal_core.errors import BadTable, NotRepresentable
+from modcal_core.geometry import se3, so3
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.dh import to_dh
+from modcal_core.robots.table_csv import from_csv, to_csv
+from modcal_core.robots.table_export import CONVENTIONS, EXACT, loss, to_table
+from modcal_core.robots.tables import from_table
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_elements import chain_urdf
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_csv_holds_what_the_table_holds(arm: str, convention: str) -> None:
+    """To the last digit, notes apart."""
+    table = to_table(chain_of(arm), convention)
+    again = from_csv(to_csv(table, ["left out: a gear", "and: more"]))
+    assert json.loads(json.dumps(again)) == json.loads(json.dumps(table))
+    assert_same(from_table(again), chain_of(arm), EXACT)
+
+
+@pytest.mark.parametrize("kind", ["any", "coordinate axes"])
+def test_every_convention_into_every_other(kind: str, rng: np.random.Generator) -> None:
+    """Ends included, wherever base and tool stand: also where roll and yaw are one."""
+    for _ in range(8):
+        chain = random_chain(rng, kind)
+        origins = np.array(chain.origins)
+        upright = se3.transform(so3.from_rpy([rng.uniform(-3, 3), rng.choice([-1, 1]) * np.pi / 2, rng.uniform(-3, 3)]))
+        origins[0], origins[-1] = upright @ origins[0], origins[-1] @ upright
+        chain = chain.with_origins(origins)
+        for first in CONVENTIONS:
+            for second in CONVENTIONS:
+                try:
+                    there = from_table(from_csv(to_csv(to_table(chain, first))))
+                    again = from_table(to_table(there, second))
+                except NotRepresentable:
+                    assert kind == "any"
+                    continue
+                assert_same(again, chain, EXACT)
+                assert again.names == chain.names
+
+
+def test_cpc_writes_every_chain(rng: np.random.Generator) -> None:
+    for _ in range(40):
+        chain = random_chain(rng, "nearly parallel")
+        assert loss(chain, to_table(chain, "cpc")) < 1e-12
+
+
+def test_dh_says_all_pairs_that_it_cannot_hold() -> None:
+    """The UR's two pairs of parallel axes, each with its angle, and how wild the offset is."""
+    origins = np.array(bend(3e-4).origins)
+    origins[3] = origins[3] @ se3.exp([0, 0, 0, 0, 1e-3, 0])
+    said = (
+        "axes of joints shoulder_lift_joint and elbow_joint, 0.0003 rad; elbow_joint and wrist_1_joint, 0.001 rad "
+        "from parallel: DH's offset would move by 6.8e.03 m with a mrad, and be 2.04e.03 m, 10 m is the limit: "
+        "write a CPC table instead"
+    )
+    for convention in ("dh", "mdh"):
+        with pytest.raises(NotRepresentable, match=said):
+            to_table(ur10().with_origins(origins), convention)
+
+
+def test_how_wild_the_offset_is_said_to_be() -> None:
+    """By differences: the offset of a table, allowed as large as it likes, as the axis is bent a little more."""
+
+    def offset(angle: float) -> float:
+        return float(max(abs(joint["d"]) for joint in to_dh(bend(angle), 1e9)["joints"]))
+
+    slope = abs(offset(3e-4 + 1e-8) - offset(3e-4 - 1e-8)) / 2e-8
+    assert 1e-3 * slope == pytest.approx(6.8e3, rel=0.01)
+
+
+def test_a_table_that_lost_something_is_not_written() -> None:
+    """Axes so nearly parallel that DH takes them for it, and a tool so far away that this shows."""
+    origins = np.stack([np.eye(4), se3.exp([0.3, 0, 0, 9e-12, 0, 0]), se3.transform(p=[0.0, 0.0, 50.0])])
+    chain = Chain.build(["a", "b"], origins)
+    with pytest.raises(NotRepresentable, match=r"dh table: read back, it is off by .* 1e-10 is the limit"):
+        to_table(chain, "dh")
+    assert loss(chain, to_table(chain, "cpc")) < EXACT
+
+
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_a_urdf_of_a_bare_chain(arm: str) -> None:
+    chain = chain_of(arm)
+    again = read_chain(chain_urdf(chain), chain.base, chain.tip)
+    assert_same(again, chain, 1e-12)
+    assert (again.names, again.base, again.tip) == (chain.names, chain.base, chain.tip)
+    assert np.array_equal(again.lower, chain.lower)
+    assert np.array_equal(again.upper, chain.upper)
+
+
+def test_a_urdf_whose_names_would_collide() -> None:
+    chain = Chain.build(["a", "b"], np.tile(np.eye(4), (3, 1, 1)), base="a_link", tip="b_link")
+    again = read_chain(chain_urdf(chain), "a_link", "b_link")
+    assert again.names == ("a", "b")
+
+
+GOOD = "# convention: dh\nname,type,theta,d,a,alpha,lower,upper\nj1,revolute,0,1,0,0,,\n"
+WRONG = {
+    "table: states no convention: begin with a line such as '# convention: dh'": "name,theta\nj1,0\n",
+    "convention 'dhh' is unknown": GOOD.replace("dh", "dhh"),
+    "comment 'colour': is none of the table's": "# colour: red\n" + GOOD,
+    "has no column 'name'": "# convention: dh\ntheta,d\n0,1\n",
+    "column 'bx' is not one of a dh table": GOOD.replace("theta", "bx"),
+    "joint 1: has 3 cells, the header 8": GOOD.replace("j1,revolute,0,1,0,0,,", "j1,revolute,0"),
+    "joint 1: d: needs 1 number, has 'long'": GOOD.replace("0,1,0,0", "0,long,0,0"),
+    "table, tool: needs 6 numbers, has '1 2 3'": "# tool: 1 2 3\n" + GOOD,
+    "reversed: is 'maybe': write true or false": "# convention: cpc\nname,reversed\nj1,maybe\n",
+    "joint 1: b: needs 3 numbers": "# convention: cpc\nname,bx,by,bz\nj1,1,0,\n",
+}
+
+
+@pytest.mark.parametrize("said", WRONG)
+def test_files_that_are_no_tables(said: str) -> None:
+    assert from_table(from_csv(GOOD)).names == ("j1",)
+    with pytest.raises(BadTable) as caught:
+        from_table(from_csv(WRONG[said]))
+    assert said in str(caught.value)
+
+
+def test_an_unknown_convention() -> None:
+    with pytest.raises(BadTable, match="convention 'dhh': is unknown: choose cpc, dh, mdh"):
+        to_table(ur10(), "dhh")
