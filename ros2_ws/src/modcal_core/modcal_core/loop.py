@@ -65,6 +65,7 @@ def calibrate(
     """
     cell = cell or Cell()
     cell.require_frames(samples.frames)
+    cell = cell.met(samples)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     sets = split(samples, rng, block)
@@ -155,7 +156,7 @@ def evaluate(
     Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
     and the score is that of the rest. Otherwise every sample is scored.
     """
-    cell = cell or Cell()
+    cell = (cell or Cell()).met(samples)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_nodes.files import parse_yaml, read_yaml
+
+T = TypeVar("T")
+_KEYS = {"distances", "fixed", "known", "own_target"}
+_REMEDY = "see docs/calibration.md and docs/instruments.md"
+_AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
+_AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -30,22 +42,53 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:
     if path is None:
         return Cell(fixed=fixed)
     data = read_yaml(path)
-    if not isinstance(data, Mapping) or not set(data) <= {"distances", "fixed"}:
-        raise BadTable(str(path), "must have the keys distances and fixed only", "see docs/calibration.md")
-    try:
-        distances = tuple(
-            Distance((str(d["between"][0]), str(d["between"][1])), float(d["distance_m"]), float(d.get("std_m", 5e-5)))
-            for d in data.get("distances") or ()
-        )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise BadTable(
-            str(path), f"a distance is not {{between: [a, b], distance_m: 0.05}}: {error!r}", "see docs/calibration.md"
-        ) from error
+    if not isinstance(data, Mapping) or not set(data) <= _KEYS:
+        raise BadTable(str(path), f"must have the keys {', '.join(sorted(_KEYS))} only", _REMEDY)
+    distances = tuple(_part(path, _distance, "distances", d, _AS_DISTANCE) for d in data.get("distances") or ())
     for distance in distances:
         if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
+            ends = distance.between if isinstance(distance, Distance) else map(str, distance.stamps)
             raise BadTable(
-                f"{path}: distance {' to '.join(distance.between)}",
+                f"{path}: distance {' to '.join(ends)}",
                 f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
                 "give metres",
             )
-    return Cell(distances, (*(str(f) for f in data.get("fixed") or ()), *fixed))
+    return Cell(
+        distances,
+        (*(str(f) for f in data.get("fixed") or ()), *fixed),
+        tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
+        tuple(str(f) for f in data.get("own_target") or ()),
+    )
+
+
+def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
+    try:
+        return read(data)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise BadTable(f"{path}: {what}", f"{data!r} is not {expected}: {error!r}", _REMEDY) from error
+
+
+def _distance(data: Mapping[str, Any]) -> AnyDistance:
+    distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
+    if "stamps" in data:
+        first, second = (float(t) for t in data["stamps"])
+        return StationDistance((first, second), distance, std)
+    return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
+
+
+def _known(data: Mapping[str, Any]) -> Known:
+    """A frame in another: its plane, its pose, or, for the same plane, nothing."""
+    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion"}
+    if extra:
+        raise ValueError(f"unknown {', '.join(sorted(extra))}")
+    frame, to = str(data["frame"]), str(data["in"])
+    if "plane" in data:
+        normal = np.array([float(x) for x in data["plane"]["normal"]])
+        if normal.shape != (3,) or not 0.99 < float(np.linalg.norm(normal)) < 1.01:
+            raise ValueError("a normal has three numbers and length one")
+        return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
+    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
+    values = np.array([float(x) for x in pose])
+    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
+        raise ValueError("a position has three numbers, a quaternion four and length one")
+    return Known(frame, to, se3.inverse(se3.from_pose(values)))

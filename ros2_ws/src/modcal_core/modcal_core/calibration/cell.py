@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.distances import AnyDistance, StationDistance
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
@@ -26,12 +26,12 @@ _WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from wh
 class Cell:
     """What is known of the surroundings.
 
-    distances: between the origins of frames. fixed: parameters that must not change, by name, place or pattern. known:
-    frames whose place relative to others, or to the base, is known. own_target: frames whose instrument watches a point
-    of the tool of its own.
+    distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
+    place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
+    instrument watches a point of the tool of its own.
     """
 
-    distances: tuple[Distance, ...] = ()
+    distances: tuple[AnyDistance, ...] = ()
     fixed: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
@@ -41,6 +41,11 @@ class Cell:
         """Patterns of parameters that must not change: those fixed, and frames that are known in the base."""
         return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base"))
 
+    def met(self, samples: Samples) -> Cell:
+        """The same with the stations found that distances are known between; raises BadTable where one is not there."""
+        found = (d.met(samples) if isinstance(d, StationDistance) else d for d in self.distances)
+        return replace(self, distances=tuple(found))
+
     def require_frames(self, frames: Sequence[str]) -> None:
         """Raises BadTable for something known of a frame that no reading came in."""
         stated = [(k.frame, k.to) for k in self.known]
@@ -49,6 +54,8 @@ class Cell:
                 said = f"no reading has the frame '{name}'"
                 raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")
         for distance in self.distances:
+            if isinstance(distance, StationDistance):
+                continue
             for name in distance.between:
                 if name not in frames:
                     raise BadTable(
@@ -73,7 +80,9 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
     if base and tool:
         start = locate(place_model(model.chain, samples.frames), samples, cell.known, cell.own_target)
     elif base:
-        unplaced = Model(model.chain, samples.frames, _identities(samples), model.T_tip_tool)
+        unplaced = Model(
+            model.chain, samples.frames, _identities(samples), model.T_tip_tool, instruments=model.instruments
+        )
         start = locate_base(unplaced, samples, cell.known, cell.own_target)
     else:
         start = with_frames(model, samples.frames)

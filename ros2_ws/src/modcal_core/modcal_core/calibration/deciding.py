@@ -108,7 +108,8 @@ def _candidates(
         drawn = random_postures(chain, _DRAWN * _CANDIDATES, rng)
         drawn = drawn[allowed(drawn)][:_CANDIDATES]
     q = np.concatenate([calibration.postures, drawn])
-    like = general_samples(replace(model, effects=(), frames=model.frames[:1]), [seen], 1)
+    shown = tuple(i for i in model.instruments if i.frame == model.frames[0])
+    like = general_samples(replace(model, effects=(), frames=model.frames[:1], instruments=shown), [seen], 1)
     N = len(q)
     repeated = like.select(np.zeros(N, int))
     approach = rng.choice([-1.0, 1.0], q.shape)
@@ -140,7 +141,7 @@ def _rows(
     )
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
     N = len(samples)
-    weight = np.full(len(moved), 1.0 / max(spread.position, FINEST))
+    weight = np.full(len(moved), 1.0 / np.maximum(spread.of(samples), FINEST).max())
     weight[3 * N :] = 1.0 / max(spread.rotation, FINEST)
     return _by_station(moved * weight, N).T, _by_station(J * weight, N).transpose(2, 1, 0), prior
 

@@ -1,17 +1,31 @@
-"""Known distances between the origins of frames, such as two sockets in one plate: they give the scale."""
+"""Known distances, which give the scale: between the origins of frames, such as two sockets in one plate, and between
+the places where the tool was at two stations, such as the ends of a gauge block or of a ball bar that were touched.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import apply_deviations, deviations, local_twists
+from modcal_core.calibration.linearise import (
+    View,
+    apply_deviations,
+    deviations,
+    geometry_rows,
+    local_twists,
+    model_at,
+)
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POINT
+from modcal_core.measurements.samples import Samples
+
+_NEAR = 0.5  # s between a stamp that is stated and the station that it means
 
 
 @dataclass(frozen=True)
@@ -24,6 +38,37 @@ class Distance:
 
 
 @dataclass(frozen=True)
+class StationDistance:
+    """The tool was this far apart at two stations. stamps: of the stations [s]; distance, std: [m]. ends: the two
+    samples, once they are known (see :meth:`met`).
+    """
+
+    stamps: tuple[float, float]
+    distance: float
+    std: float = 5e-5
+    ends: Samples | None = None
+
+    def met(self, samples: Samples) -> StationDistance:
+        """The distance with its stations found among these samples; raises BadTable where there are none."""
+        rows = []
+        for stamp in self.stamps:
+            row = int(np.argmin(np.abs(samples.stamps - stamp)))
+            if abs(samples.stamps[row] - stamp) > _NEAR:
+                raise BadTable(
+                    f"known distance between stations at {self.stamps[0]:.3f} and {self.stamps[1]:.3f} s",
+                    f"no station within {_NEAR:g} s of {stamp:.3f} s",
+                    "give the stamps of two stations of this recording",
+                )
+            rows.append(row)
+        # whatever was read there, what counts is where the tool was
+        two = samples.select(np.array(rows))
+        return replace(self, ends=replace(two, kind=np.array([POINT, POINT], dtype=samples.kind.dtype)))
+
+
+AnyDistance = Distance | StationDistance
+
+
+@dataclass(frozen=True)
 class DistanceRows:
     """residual: known minus modelled distances [m], (D,). J: (P, D). std: [m], (D,)."""
 
@@ -33,25 +78,51 @@ class DistanceRows:
 
 
 def distance_rows(
-    model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[Distance]
+    model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[AnyDistance]
 ) -> DistanceRows:
-    """Residuals of known distances, and derivatives, with the parameters at these values about the given model."""
+    """Residuals of known distances, and derivatives, with the parameters at these values about the given model.
+
+    values: of the parameters, and behind them, where given, those of the model's effects.
+    """
+    rows = [
+        _between_stations(model, parameters, values, known)
+        if isinstance(known, StationDistance)
+        else _between_frames(model, parameters, values[: len(parameters)], known)
+        for known in distances
+    ]
+    J = np.stack([row for _, row in rows], axis=1)
+    return DistanceRows(np.array([r for r, _ in rows]), J, np.array([d.std for d in distances]))
+
+
+def _between_frames(
+    model: Model, parameters: Sequence[Parameter], values: Array, known: Distance
+) -> tuple[float, Array]:
     errors = deviations(model, parameters, values)
     now = apply_deviations(model, errors)
     T_root_frame = se3.inverse(now.T_frame_base @ (model.chain.origins[0] @ se3.transform(model.chain.joint_basis[0])))
     origin = T_root_frame[:, :3, 3]
-    residual = np.zeros(len(distances))
-    J = np.zeros((len(parameters), len(distances)))
     twists = local_twists(errors.frames)
-    for i, known in enumerate(distances):
-        a, b = (model.frames.index(name) for name in known.between)
-        gap = origin[a] - origin[b]
-        length = max(float(np.linalg.norm(gap)), 1e-9)
-        residual[i] = known.distance - length
-        for j, parameter in enumerate(parameters):
-            if parameter.place == 0 and parameter.frame in (a, b):
-                v, w = np.split(twists[parameter.frame][parameter.direction], 2)
-                # the frame's error carries the root, so its origin moves the other way when seen from the root
-                moved = -(v + np.cross(w, origin[parameter.frame]))
-                J[j, i] = (gap / length) @ moved * (1.0 if parameter.frame == a else -1.0)
-    return DistanceRows(residual, J, np.array([d.std for d in distances]))
+    a, b = (model.frames.index(name) for name in known.between)
+    gap = origin[a] - origin[b]
+    length = max(float(np.linalg.norm(gap)), 1e-9)
+    row = np.zeros(len(parameters))
+    for j, parameter in enumerate(parameters):
+        if parameter.place == 0:
+            v, w = np.split(twists[parameter.frame][parameter.direction], 2)
+            for f, sign in ((a, 1.0), (b, -1.0)):
+                if model.leader(f) == parameter.frame:
+                    # the frame's error carries the root, so its origin moves the other way when seen from the root
+                    row[j] -= sign * float((gap / length) @ (v + np.cross(w, origin[f])))
+    return known.distance - length, row
+
+
+def _between_stations(
+    model: Model, parameters: Sequence[Parameter], values: Array, known: StationDistance
+) -> tuple[float, Array]:
+    assert known.ends is not None
+    now = model_at(model, parameters, values)
+    view = View.of(now, known.ends, model.circumstances(known.ends))
+    gap = view.f.p[-1][:, 1] - view.f.p[-1][:, 0]
+    length = max(float(np.linalg.norm(gap)), 1e-9)
+    moved = geometry_rows(view, model, parameters, values).reshape(len(parameters), 3, 2)
+    return known.distance - length, (moved[:, :, 1] - moved[:, :, 0]) @ (gap / length)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
@@ -84,7 +84,7 @@ def identify(
     start: Model,
     samples: Samples,
     parameters: Sequence[Parameter],
-    distances: Sequence[Distance] = (),
+    distances: Sequence[AnyDistance] = (),
     robust: bool = True,
     keep_effects: bool = False,
     tolerance: float = CONVERGED,
@@ -114,7 +114,7 @@ def identify(
         row_weight = row_weights(weights, spread, samples)
         H_data, g = normal_equations(start, parameters, values, samples, row_weight)
         if distances:
-            rows = distance_rows(start, parameters, values[:P], distances)
+            rows = distance_rows(start, parameters, values, distances)
             H_data[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
             g[:P] += (rows.J / rows.std**2) @ rows.residual
         H, g = H_data + np.diag(prior**-2.0), g - (values - centre) * prior**-2.0
@@ -220,7 +220,7 @@ def _cost(at: Linearised, row_weight: Array) -> float:
     return float(row_weight @ at.residual**2)
 
 
-def _slack(distances: Sequence[Distance]) -> float:
+def _slack(distances: Sequence[AnyDistance]) -> float:
     return np.inf if distances else 0.0
 
 

@@ -16,7 +16,15 @@ import numpy as np
 
 from modcal_core.calibration.instruments import new_instruments
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.placing import Known, find_tool, leaders, place_instruments, require_readings, spread_rows
+from modcal_core.calibration.placing import (
+    Known,
+    find_tool,
+    leaders,
+    place_instruments,
+    require_placeable,
+    require_readings,
+    spread_rows,
+)
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -35,6 +43,7 @@ def locate(model: Model, samples: Samples, known: Sequence[Known] = (), own_targ
     """
     instruments = new_instruments(samples, own_target)
     led = leaders(model.frames, known)
+    require_placeable(known, samples)
     if not instruments:
         return _known_relative(_locate(model, samples), known, led)
     require_readings(instruments, samples)
@@ -95,7 +104,8 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
 def locate_base(model: Model, samples: Samples, known: Sequence[Known] = (), own_target: Sequence[str] = ()) -> Model:
     """The model, its tool kept, with the base frames and instruments placed so that the readings are roughly met."""
     T_frame_base = np.array(model.T_frame_base)
-    instruments = new_instruments(samples, own_target)
+    instruments = new_instruments(samples, own_target, model.instruments)
+    require_placeable(known, samples)
     require_readings(instruments, samples)
     indirect = indirect_rows(samples)
     shown = np.unique(samples.frame[~indirect]).tolist()

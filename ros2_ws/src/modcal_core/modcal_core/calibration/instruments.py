@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import Constant, Kind, Scene, Sight
 from modcal_core.measurements.kinds.registry import kinds
@@ -56,7 +57,13 @@ class Instrument:
 
     def rows(self, samples: Samples) -> np.ndarray:
         """Indices of its samples."""
+        if self.frame not in samples.frames:
+            return np.empty(0, int)
         return np.flatnonzero((samples.frame == samples.frames.index(self.frame)) & (samples.kind == self.kind))
+
+    def at_target(self, T_base_tool: Array) -> Array:
+        """Poses (m, 4, 4) of the tool shifted to what is watched."""
+        return T_base_tool if self.target is None else T_base_tool @ se3.transform(p=self.target)
 
     def scene(self, T_root_frame: Array, f: Frames, rows: np.ndarray) -> Scene:
         """Where its target is at these rows; f: frames of the chain from the root, the tool last."""
@@ -73,14 +80,19 @@ class Instrument:
         return replace(sight, constants=np.concatenate([sight.constants, by_target]))
 
 
-def new_instruments(samples: Samples, own_target: Sequence[str] = ()) -> tuple[Instrument, ...]:
+def new_instruments(
+    samples: Samples, own_target: Sequence[str] = (), before: Sequence[Instrument] = ()
+) -> tuple[Instrument, ...]:
     """An instrument, its constants unknown yet, for every kind in every frame that gives no positions.
 
-    own_target: frames whose instrument watches a point of the tool of its own.
+    own_target: frames whose instrument watches a point of the tool of its own. before: instruments whose targets are
+    where they were.
     """
+    targets = {name: np.zeros(3) for name in own_target}
+    targets |= {i.frame: i.target for i in before if i.target is not None}
     pairs = sorted({(int(f), str(k)) for f, k in zip(samples.frame, samples.kind, strict=True)})
     return tuple(
-        Instrument(samples.frames[f], k, kinds()[k].start(), np.zeros(3) if samples.frames[f] in own_target else None)
+        Instrument(samples.frames[f], k, kinds()[k].start(), targets.get(samples.frames[f]))
         for f, k in pairs
         if not kinds()[k].direct
     )
@@ -92,8 +104,8 @@ class Sights:
 
     watched: the point of each sample that counts, (3, N). rows: of the instruments' samples, (m,). residual, scale: in
     the kind's unit; scale is the change of the prediction per unit of an error of scale, (3, m). through: (3, 3, m).
-    lever: metres at the tool per unit of residual, (N,), one for positions. constants: for each instrument its rows
-    and the change of the prediction per constant, (V, 3, m).
+    lever: metres at the tool per unit of residual, (N,), one for positions. constants: for each instrument that read
+    something its rows and the change of the prediction per constant, (V, 3, m).
     """
 
     watched: Array
@@ -102,7 +114,7 @@ class Sights:
     scale: Array
     through: Array
     lever: Array
-    constants: list[tuple[np.ndarray, Array]]
+    constants: dict[int, tuple[np.ndarray, Array]]
 
     def put_into(self, position: Array, reading: Array) -> None:
         """Write the residuals, and what an error of scale does, among those of positions, (3, N) each."""
@@ -114,20 +126,25 @@ class Sights:
         motion[:, self.rows] = np.einsum("ijm,jm->im", self.through, motion[:, self.rows])
 
 
-def look(instruments: Sequence[Instrument], samples: Samples, reading: Array, T_root_frame: Array, f: Frames) -> Sights:
-    """What the instruments say of a chain.
+def look(
+    instruments: Sequence[Instrument], samples: Samples, reading: Array, T_root_frame: Array, f: Frames
+) -> Sights | None:
+    """What the instruments say of a chain; None where none of them read anything.
 
     reading: the samples' readings, free of an error of scale, (N, 3). T_root_frame: (F, 4, 4). f: frames of the chain
     from the root, the tool last.
     """
+    seen: dict[int, tuple[np.ndarray, Sight]] = {}
+    for i, instrument in enumerate(instruments):
+        if len(rows := instrument.rows(samples)):
+            scene = instrument.scene(T_root_frame[samples.frames.index(instrument.frame)], f, rows)
+            seen[i] = rows, instrument.see(scene, reading[rows])
+    if not seen:
+        return None
     watched, lever = f.p[-1].copy(), np.ones(len(samples))
-    parts: list[tuple[np.ndarray, Sight]] = []
-    for instrument in instruments:
-        rows = instrument.rows(samples)
-        scene = instrument.scene(T_root_frame[samples.frames.index(instrument.frame)], f, rows)
-        sight = instrument.see(scene, reading[rows])
+    for rows, sight in seen.values():
         watched[:, rows], lever[rows] = sight.watched, sight.lever
-        parts.append((rows, sight))
+    parts = seen.values()
     return Sights(
         watched,
         np.concatenate([rows for rows, _ in parts]),
@@ -135,5 +152,5 @@ def look(instruments: Sequence[Instrument], samples: Samples, reading: Array, T_
         np.concatenate([sight.scale for _, sight in parts], axis=1),
         np.concatenate([np.broadcast_to(sight.through, (3, 3, len(rows))) for rows, sight in parts], axis=2),
         lever,
-        [(rows, sight.constants) for rows, sight in parts],
+        {i: (rows, sight.constants) for i, (rows, sight) in seen.items()},
     )

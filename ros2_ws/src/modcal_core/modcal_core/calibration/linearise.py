@@ -213,7 +213,8 @@ class View:
         view = cls(samples, pose, f, y - f.p[n], rotation, reading)
         if now.instruments:
             view.sights = look(now.instruments, samples, true, T_root_frame, f)
-            view.sights.put_into(view.position, view.reading)
+            if view.sights is not None:
+                view.sights.put_into(view.position, view.reading)
         return view
 
     def column(self, place: int, twist: Array, out: Array) -> None:
@@ -241,9 +242,9 @@ class View:
         """Write what changes, (3 N + 3 M,), per unit of a change of an instrument's constants."""
         N = self.position.shape[1]
         out[:] = 0.0
-        assert self.sights is not None
-        rows, by_constants = self.sights.constants[instrument]
-        out[: 3 * N].reshape(3, N)[:, rows] = np.tensordot(change, by_constants, 1)
+        if self.sights is not None and instrument in self.sights.constants:
+            rows, by_constants = self.sights.constants[instrument]
+            out[: 3 * N].reshape(3, N)[:, rows] = np.tensordot(change, by_constants, 1)
 
     def only_frame(self, frames: Sequence[int], out: Array) -> None:
         """Make a column (3 N + 3 M,) zero for samples of other frames than these."""

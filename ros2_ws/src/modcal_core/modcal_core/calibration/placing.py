@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.instruments import Instrument
-from modcal_core.errors import NotEnoughData
+from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import scene_in
+from modcal_core.measurements.kinds.kind import PLANE, POSE_OF_FRAME, scene_in
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 
 MOST_ROWS = 500  # a start needs no more; spread over the recording
@@ -54,6 +55,25 @@ def spread_rows(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).astype(int)]
 
 
+def require_placeable(known: Sequence[Known], samples: Samples) -> None:
+    """Raises BadTable for a frame known relative to one that has no pose itself: an anchor, or, but for the very same
+    plane, a plane.
+    """
+    for k in known:
+        if k.to == "base":
+            continue
+        seen = {
+            kinds()[str(name)].frame for name in np.unique(samples.kind[samples.frame == samples.frames.index(k.to)])
+        }
+        same = np.allclose(k.T_frame_to, np.eye(4))
+        if POSE_OF_FRAME not in seen and not (seen == {PLANE} and same):
+            raise BadTable(
+                f"frame '{k.frame}', known in '{k.to}'",
+                f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own",
+                "state it in a tracker's or a station's frame, or in the base",
+            )
+
+
 def place_instruments(
     instruments: Sequence[Instrument],
     samples: Samples,
@@ -81,7 +101,9 @@ def place_instruments(
             poses[f] = link.T_frame_base(samples.frames, poses)
         rows = spread_rows(instrument.rows(samples))
         T, values = instrument.of_kind.place(
-            T_base_tool[rows], samples.position[rows], poses[f] if link is not None or f in placed else None
+            instrument.at_target(T_base_tool[rows]),
+            samples.position[rows],
+            poses[f] if link is not None or f in placed else None,
         )
         poses[f] = T
         placed.add(f)
@@ -106,7 +128,7 @@ def misses(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Arr
     out = []
     for instrument in instruments:
         rows = spread_rows(instrument.rows(samples))
-        scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], T_base_tool[rows])
+        scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
         sight = instrument.of_kind.see(scene, instrument.values, samples.position[rows])
         out.append((sight.residual * sight.lever).ravel())
     return np.concatenate(out)

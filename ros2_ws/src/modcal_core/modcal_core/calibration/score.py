@@ -81,10 +81,10 @@ def errors(model: Model, samples: Samples) -> Errors:
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
     gap, lever = samples.position - T[:, :3, 3], None
     if model.instruments:
-        view = View.of(model, samples, model.circumstances(samples))
-        assert view.sights is not None
-        lever, rows = view.sights.lever, view.sights.rows
-        gap[rows] = (view.sights.residual * lever[rows]).T
+        sights = View.of(model, samples, model.circumstances(samples)).sights
+        if sights is not None:
+            lever = sights.lever
+            gap[sights.rows] = (sights.residual * lever[sights.rows]).T
     return Errors(gap, rotation, lever)
 
 

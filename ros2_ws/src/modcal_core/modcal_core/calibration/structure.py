@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
@@ -135,7 +135,7 @@ def choose_parameters(
     model: Model,
     views: Sequence[View],
     fixed: Sequence[str] = (),
-    distances: Sequence[Distance] = (),
+    distances: Sequence[AnyDistance] = (),
     among: Callable[[Parameter], bool] = lambda _: True,
 ) -> Choice:
     """The minimal, full-rank parameters for this model and these views.
@@ -192,7 +192,7 @@ def _of_planes(model: Model) -> set[int]:
     return {model.frames.index(i.frame) for i in model.instruments if i.of_kind.frame == PLANE}
 
 
-def parameter_count(chain: Chain, samples: Samples, fixed: Sequence[str], distances: Sequence[Distance]) -> int:
+def parameter_count(chain: Chain, samples: Samples, fixed: Sequence[str], distances: Sequence[AnyDistance]) -> int:
     """How many parameters these readings call for, wherever base and tool may turn out to be."""
     somewhere = Model(chain, samples.frames, np.tile(np.eye(4), (len(samples.frames), 1, 1)), _GENERAL_TOOL)
     if instruments := new_instruments(samples):

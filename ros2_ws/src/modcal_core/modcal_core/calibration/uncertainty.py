@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from modcal_core.calibration.distances import Distance, distance_rows
+from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.effects import prior_stds
 from modcal_core.calibration.identify import Fit, row_weights
 from modcal_core.calibration.model import Model
@@ -43,7 +43,7 @@ class Uncertainty:
 
 
 def uncertainty(
-    model: Model, samples: Samples, parameters: Sequence[Parameter], fit: Fit, distances: Sequence[Distance] = ()
+    model: Model, samples: Samples, parameters: Sequence[Parameter], fit: Fit, distances: Sequence[AnyDistance] = ()
 ) -> Uncertainty:
     """The uncertainty of these parameters about a model, and of its effects, as these samples leave it.
 
@@ -55,7 +55,7 @@ def uncertainty(
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
     H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.spread, samples))
     if distances:
-        rows = distance_rows(model, parameters, values[:P], distances)
+        rows = distance_rows(model, parameters, values, distances)
         H[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
     H += np.diag(prior**-2.0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))

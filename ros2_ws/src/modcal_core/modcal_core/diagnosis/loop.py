@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors, squared_misses
@@ -65,7 +65,7 @@ def diagnose(
     train: Samples,
     explain: Samples,
     rng: np.random.Generator,
-    distances: Sequence[Distance] = (),
+    distances: Sequence[AnyDistance] = (),
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
 ) -> Diagnosis:
@@ -117,7 +117,7 @@ class _Search:
     scanner: Scanner
     train: Samples
     explain: Samples
-    distances: tuple[Distance, ...]
+    distances: tuple[AnyDistance, ...]
 
     def __post_init__(self) -> None:
         self.causes: list[Cause] = []

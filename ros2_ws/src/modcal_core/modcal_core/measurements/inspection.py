@@ -9,7 +9,8 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.recording import POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
 from modcal_core.measurements.stations import StationRules, find_dwells
 from modcal_core.robots.chain import Chain
 
@@ -131,15 +132,15 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
 def _uses(recording: Recording, chain: Chain | None) -> tuple[str, ...]:
     names = chain.names if chain is not None else max((t.names for t in recording.joints), key=len, default=())
     t, q = joint_stamps_and_positions(recording, names)
-    kinds = {r.kind for r in recording.readings}
-    if not kinds & {"pose", "point"}:
+    read = [name for name in kinds() if any(r.kind == name for r in recording.readings)]
+    if not read:
         return ("articulated objects, where the end effector's pose is known",) if len(t) else ()
     if not len(t):
         return ()
     order = np.argsort(t, kind="stable")
     dwells = find_dwells(t[order], q[order], StationRules())
     paired = sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings)
-    what = "poses" if POSE in kinds else "points"
+    what = " and ".join({POSE: "poses", POINT: "points"}.get(name, f"readings of {name}") for name in read)
     if len(dwells):
         return (f"calibration from {what} in {len(dwells)} dwells",)
     if paired:
