@@ -17,7 +17,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import Report, to_json_data
 
 REPEATABILITY = 2e-5  # rad
-COUNT = 160
+COUNT = 120
 ELBOW = "elbow_joint"
 
 
@@ -32,12 +32,7 @@ def report_of(name: str, seed: int, planted: bool) -> Report:
     devices, cell = CELLS[name]
     rng = np.random.default_rng(seed)
     w = worlds.world(seed)
-    if any(d.kind == "ray" for d in devices):
-        from instruments.test_recovery import postures
-
-        q = postures(w, devices, COUNT, rng)
-    else:
-        q = worlds.postures(ur10(), COUNT, rng)
+    q = worlds.postures(ur10(), COUNT, rng)
     poses = w.tool_in_base(q + planted * gear(q) + REPEATABILITY * rng.standard_normal(q.shape))
     samples: Samples = worlds.together(
         [worlds.samples_of(ur10(), q, poses, d.frame, d.kind, d.read, d.noise, rng) for d in devices]
@@ -45,7 +40,7 @@ def report_of(name: str, seed: int, planted: bool) -> Report:
     return calibrate(samples, ur10(), np.random.default_rng(0), cell).report
 
 
-@pytest.mark.parametrize("name", ["three wires", "two theodolites", "tracker, wire of its own hook, theodolite"])
+@pytest.mark.parametrize("name", ["three wires", "tracker, wire of its own hook, theodolite"])
 def test_a_clean_recording_comes_out_clean(name: str) -> None:
     report = report_of(name, 3, planted=False)
     assert report.effects == ()
@@ -56,7 +51,7 @@ def test_a_clean_recording_comes_out_clean(name: str) -> None:
     assert final.rms < 0.2 * nominal.rms
 
 
-@pytest.mark.parametrize("name", ["three wires", "two theodolites", "tracker, wire of its own hook, theodolite"])
+@pytest.mark.parametrize("name", ["three wires", "two theodolites"])
 def test_a_planted_gear_is_found(name: str) -> None:
     report = report_of(name, 3, planted=True)
     assert [(f.family, f.place, f.driver) for f in report.effects] == [("gear_harmonic", ELBOW, f"position:{ELBOW}")]
@@ -67,8 +62,10 @@ def test_a_planted_gear_is_found(name: str) -> None:
     assert report.left is None
 
 
-def test_the_report_says_what_each_instrument_cannot_see() -> None:
-    data = to_json_data(report_of("two theodolites", 4, planted=False))
+def test_bearings_come_out_clean_and_the_report_says_what_they_cannot_see() -> None:
+    report = report_of("two theodolites", 3, planted=False)
+    assert report.effects == ()
+    data = to_json_data(report)
     said = " ".join(data["notes"])
     assert "Bearings have no scale" in said
     assert "scatter about the model by" in said

@@ -47,7 +47,7 @@ def test_derivatives() -> None:
 
 def test_a_few_known_lengths_give_bearings_their_scale() -> None:
     scores = []
-    for seed in range(4):
+    for seed in range(2):
         w, samples, known = blocks(seed)
         cell = Cell(distances=known).met(samples)
         start = fit_cell(ur10(), samples, cell).model

@@ -238,8 +238,8 @@ _PATHS = {
     "geometry_msgs/msg/Vector3Stamped": [f"vector/{a}" for a in "xyz"],
     "sensor_msgs/msg/Range": ["range"],
 }
-READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items() if kind.message in _NUMBERS}
-READING_PATHS = {name: _PATHS[kind.message] for name, kind in kinds().items() if kind.message in _PATHS}
+READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
+READING_PATHS = {name: _PATHS[kind.message] for name, kind in kinds().items()}
 
 
 def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:

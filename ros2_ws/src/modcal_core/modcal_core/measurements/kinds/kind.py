@@ -21,6 +21,12 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import ReadingTrack
 
+MESSAGES = (  # types of messages whose numbers can be readings
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PointStamped",
+    "geometry_msgs/msg/Vector3Stamped",
+    "sensor_msgs/msg/Range",
+)
 ORIGIN, POSE_OF_FRAME, PLANE = "origin", "pose", "plane"
 FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
 
@@ -68,13 +74,12 @@ class Sight:
 class Kind:
     """A kind of reading. Derive from it, set what differs, and register the instance (see :mod:`registry`).
 
-    name: as in samples and reports. topic, message: that carry it, a type of sensor_msgs or geometry_msgs that
-    modcal_msgs_py can read. width: numbers in a reading. dimensions: directions in which a reading sees, of six.
-    unit: of residuals and noise, m or rad. frame: what is to be known of its frame: its origin, its pose, or its plane
-    z = 0. constants: fitted with it. target: whether it watches a point of the tool. counts_as: kind whose parameters
-    are fitted, where it is another, because nothing but priors tells what this one cannot see. least: readings in a
-    frame that it can be placed from. blind: what it cannot see, for a person. direct: whether readings are positions in
-    the frame, which need none of the rest.
+    name: as in samples and reports. topic, message: that carry it, one of MESSAGES. width: numbers in a reading.
+    dimensions: directions in which a reading sees, of six. unit: of residuals and noise, m or rad. frame: what is to be
+    known of its frame: its origin, its pose, or its plane z = 0. constants: fitted with it. target: whether it watches a
+    point of the tool. counts_as: kind whose parameters are fitted, where it is another, because nothing but priors
+    tells what this one cannot see. least: readings in a frame that it can be placed from. blind: what it cannot see,
+    for a person. direct: whether readings are positions in the frame, which need none of the rest.
     """
 
     name: str

@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.bearing import Bearing
 from modcal_core.measurements.kinds.distance import Distance
-from modcal_core.measurements.kinds.kind import Kind
+from modcal_core.measurements.kinds.kind import MESSAGES, Kind
 from modcal_core.measurements.kinds.positions import Point, Pose
 from modcal_core.measurements.kinds.ray import Ray
 from modcal_core.measurements.kinds.touch import Touch
@@ -36,6 +36,10 @@ def kinds() -> dict[str, Kind]:
             raise BadTable(f"entry point {point.name} of {GROUP}", f"names a {type(kind).__name__}", "name a Kind")
         if kind.name in out or kind.topic in {k.topic for k in out.values()}:
             raise BadTable(f"entry point {point.name} of {GROUP}", "its name or topic is taken", "choose others")
+        if kind.message not in MESSAGES:
+            raise BadTable(
+                f"entry point {point.name} of {GROUP}", f"message {kind.message}", f"use {', '.join(MESSAGES)}"
+            )
         out[kind.name] = kind
     return out
 
