@@ -192,3 +192,25 @@ def test_a_known_plane_tells_more_than_an_unknown_one() -> None:
     assert len(found["unknown"].parameters) - len(found["known"].parameters) == 3
     for name in (f"instrument laser/ray_{d}" for d in "xyz"):
         assert found["known"].deviation(name) < found["unknown"].deviation(name)
+
+
+def test_two_sensors_that_look_at_one_plane_share_it() -> None:
+    other = worlds.laser(np.array([-0.04, 0.03, 0.0]), np.array([-0.1, 0.1, 1.0]), NORMAL, OFFSET)
+    second = Device("laser_2", "ray", other, 5e-5)
+    rng = np.random.default_rng(6)
+    w = worlds.world(6)
+    q = worlds.facing(w, RAY_FROM, RAY_ALONG, NORMAL, OFFSET, 100, rng)
+    samples = read(w, [LASER, second], q, rng)
+    cell = Cell(known=(Known("laser_2", "laser", np.eye(4)),))
+    start = fit_cell(ur10(), samples, cell).model
+    fit = identify(start, samples, choose_parameters(start, views_of(samples), cell.kept).parameters)
+    assert not [p.name for p in fit.parameters if p.name.startswith("frame laser_2")]
+    assert np.array_equal(fit.model.T_frame_base[0], fit.model.T_frame_base[1])
+    assert 4e-5 < fit.spread.others["ray"] < 6e-5
+    # how the two rays stand to each other does not hang on where tool and plane are taken to be
+    rays = [i.values for i in fit.model.instruments]
+    between = np.linalg.norm(rays[0][:3] - rays[1][:3])
+    assert abs(between - np.linalg.norm(RAY_FROM - [-0.04, 0.03, 0.0])) < 1e-4
+    angle = np.arccos(rays[0][3:] @ rays[1][3:])
+    a, b = RAY_ALONG / np.linalg.norm(RAY_ALONG), np.array([-0.1, 0.1, 1.0]) / np.sqrt(1.02)
+    assert abs(angle - np.arccos(a @ b)) < 2e-4

@@ -67,7 +67,6 @@ class Cell:
 
 def fit_cell(chain: Chain, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
     """The fit of base frames and tool for this arm, from no guess at all."""
-    cell.require_frames(samples.frames)
     return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
 
 
@@ -77,6 +76,7 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
     Bases that are fitted again need no guess, so the recording's frames may have other names than the model's.
     Raises BadTable where the bases are kept and the model does not know a frame.
     """
+    cell.require_frames(samples.frames)
     if base and tool:
         start = locate(place_model(model.chain, samples.frames), samples, cell.known, cell.own_target)
     elif base:

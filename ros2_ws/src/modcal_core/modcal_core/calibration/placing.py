@@ -87,28 +87,28 @@ def place_instruments(
     fixed: frames that have been placed already.
     """
     poses, placed = T_frame_base.copy(), set(fixed)
-    out: dict[int, Instrument] = {}
     relative = {k.frame: k for k in known}
-    waiting = list(range(len(instruments)))
-    # what is known relative to others waits for them
-    for i in [*waiting, *waiting]:
-        instrument = instruments[i]
+
+    def links(frame: str) -> int:
+        """How many others must stand before this frame does."""
+        count = 0
+        while frame in relative and count <= len(relative):
+            count, frame = count + 1, relative[frame].to
+        return count
+
+    out: dict[int, Instrument] = {}
+    for i, instrument in sorted(enumerate(instruments), key=lambda pair: links(pair[1].frame)):
         f = samples.frames.index(instrument.frame)
-        link = relative.get(instrument.frame)
-        if i in out or (link and link.to != "base" and samples.frames.index(link.to) not in placed and len(out) < i):
-            continue
-        if link is not None:
-            poses[f] = link.T_frame_base(samples.frames, poses)
+        if instrument.frame in relative:
+            poses[f] = relative[instrument.frame].T_frame_base(samples.frames, poses)
+            placed.add(f)
         rows = spread_rows(instrument.rows(samples))
-        T, values = instrument.of_kind.place(
-            instrument.at_target(T_base_tool[rows]),
-            samples.position[rows],
-            poses[f] if link is not None or f in placed else None,
+        poses[f], values = instrument.of_kind.place(
+            instrument.at_target(T_base_tool[rows]), samples.position[rows], poses[f] if f in placed else None
         )
-        poses[f] = T
         placed.add(f)
         out[i] = replace(instrument, values=values)
-    return tuple(out[i] for i in waiting), poses
+    return tuple(out[i] for i in range(len(instruments))), poses
 
 
 def require_readings(instruments: Sequence[Instrument], samples: Samples) -> None:
