@@ -10,6 +10,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 from modcal_nodes.simulation.world import World
 
 NOISE_M = 5e-5
@@ -79,7 +80,7 @@ def record(
     return Recorded(world, samples_of(chain, q, noisy, kind), exact)
 
 
-def samples_of(chain: Chain, q: Array, T: Array, kind: str = "pose", frame: str = "tracker") -> Samples:
+def samples_of(chain: Mechanism, q: Array, T: Array, kind: str = "pose", frame: str = "tracker") -> Samples:
     """Samples of one frame for joint positions q (N, n) and readings T (N, 4, 4), one station each."""
     N = len(q)
     return Samples(

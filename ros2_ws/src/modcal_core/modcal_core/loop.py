@@ -30,7 +30,7 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.report import Report
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 _MOST_KEPT = 200  # postures that a calibration remembers
@@ -47,7 +47,7 @@ class Result:
 
 def calibrate(
     samples: Samples,
-    chain: Chain,
+    chain: Mechanism,
     rng: np.random.Generator,
     cell: Cell | None = None,
     block: int | None = None,
@@ -110,7 +110,7 @@ def calibrate(
 
 def ship(
     samples: Samples,
-    chain: Chain,
+    chain: Mechanism,
     choice: Choice,
     cell: Cell,
     inertias: Inertias | None = None,

@@ -20,8 +20,7 @@ from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, cut_stations
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames
+from modcal_core.robots.mechanism import Mechanism, forward
 
 _ROUNDS = 5
 _EXPANDED = 2e-5  # rad or m
@@ -39,11 +38,11 @@ class Prepared:
 
 
 def prepare(
-    recording: Recording, chain: Chain, rules: StationRules | None = None, clock_limit: float = LIMIT
+    recording: Recording, chain: Mechanism, rules: StationRules | None = None, clock_limit: float = LIMIT
 ) -> Prepared:
     """The samples of a recording for this arm. Raises BadRecording for what cannot be used."""
     require_usable(recording, chain)
-    aligned, notes = align(recording, chain.names, lambda q: frames(chain, q).p[-1].T, clock_limit)
+    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q)[:, :3, 3], clock_limit)
     samples = cut_stations(aligned, chain.names, rules)
     if samples.moving.any():
         stood = np.isfinite(samples.sigma_position).any()
@@ -57,7 +56,7 @@ def prepare(
 
 def prepare_pieces(
     pieces: Iterable[Piece],
-    chain: Chain,
+    chain: Mechanism,
     rules: StationRules | None = None,
     clock_limit: float = LIMIT,
     before: Samples | None = None,
@@ -87,7 +86,7 @@ def _settle_delays(
     recording: Recording,
     aligned: Recording,
     samples: Samples,
-    chain: Chain,
+    chain: Mechanism,
     rules: StationRules | None,
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
@@ -150,7 +149,7 @@ def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Re
     return replace(recording, readings=readings)
 
 
-def _delays(samples: Samples, chain: Chain) -> Array:
+def _delays(samples: Samples, chain: Mechanism) -> Array:
     """Delay of the readings of each frame [s], (F,); zero where nothing moves or the data cannot carry a fit."""
     out = np.zeros(len(samples.frames))
     for f in range(len(out)):

@@ -123,7 +123,7 @@ class Calibrator(Node):
             return
         self._supervisor.trust(restored.calibration)
         self._expect_frames()
-        corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.chain)
+        corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
         self._announcer.model({**self._files, "calibrated.urdf": corrected})
         self._verdict = "going on with the model that was saved"
 

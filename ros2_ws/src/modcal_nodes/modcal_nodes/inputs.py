@@ -1,4 +1,4 @@
-"""What a user gives as a file: a calibration, a cell."""
+"""What a user gives as a file: a calibration, a cell, a Delta."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_file import delta_from_data
 from modcal_nodes.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
@@ -35,6 +37,11 @@ def read_calibration(path: Path) -> Calibration:
 def parse_calibration(text: str, source: str) -> Calibration:
     """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
     return from_data(parse_yaml(text, source), source)
+
+
+def read_delta(path: Path) -> Delta:
+    """The Delta that a YAML file describes; raises BadTable or BadRobot."""
+    return delta_from_data(read_yaml(path), str(path))
 
 
 def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:

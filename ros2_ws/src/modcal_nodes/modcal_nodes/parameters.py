@@ -103,6 +103,7 @@ ARTICULATION_ESTIMATOR = {
 
 SIMULATED_CELL = {
     "urdf": Parameter("", "URDF file of the nominal arm."),
+    "delta": Parameter("", "File of a nominal Delta robot, in the URDF's place; empty: none."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link where the arm ends; empty: the one behind most joints."),
     "seed": Parameter(

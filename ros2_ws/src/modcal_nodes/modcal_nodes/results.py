@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from modcal_core.calibration.store import to_data
+from modcal_core.geometry import so3
 from modcal_core.loop import Result
 from modcal_core.report.html import to_html
 from modcal_core.report.report import Report, to_json_data
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_file import delta_to_data
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import kinematics_yaml_data
@@ -14,14 +19,28 @@ from modcal_nodes.files import to_json, to_yaml
 
 
 def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str) -> dict[str, str]:
-    """Names and texts of everything a calibration leaves behind."""
-    calibrated = result.calibration.calibrated.chain
+    """Names and texts of everything the calibration of a serial arm leaves behind."""
+    calibrated = result.calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
     return {
         **report_files(report),
         "calibration.yaml": to_yaml(to_data(result.calibration)),
         "calibrated.urdf": corrected,
         "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
+    }
+
+
+def delta_files(result: Result, report: Report) -> dict[str, str]:
+    """The same for a Delta, into whose file the tool that was found is written as well."""
+    calibrated = result.calibration.calibrated.chain
+    assert isinstance(calibrated, Delta)
+    T = result.calibration.calibrated.T_tip_tool
+    tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
+    with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
+    return {
+        **report_files(report),
+        "calibration.yaml": to_yaml(to_data(result.calibration)),
+        "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool)),
     }
 
 

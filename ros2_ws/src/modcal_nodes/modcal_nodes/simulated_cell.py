@@ -1,4 +1,4 @@
-"""``simulated_cell``: an arm and a tracker to try things on. MuJoCo says where the tool is, not modcal."""
+"""``simulated_cell``: an arm or a Delta, and a tracker, to try things on. MuJoCo says where the tool is, not modcal."""
 
 from __future__ import annotations
 
@@ -20,15 +20,19 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 from modcal_nodes.health import Health
+from modcal_nodes.inputs import read_delta
 from modcal_nodes.parameters import SIMULATED_CELL, declare, values
 from modcal_nodes.running import LATCHED, run
 from modcal_nodes.simulation.commands import legs
+from modcal_nodes.simulation.delta_world import make_delta_world, require_drivable
+from modcal_nodes.simulation.machine import Machine, tracker_and_tool
 from modcal_nodes.simulation.pace import Beat, CellTime, Grid
 from modcal_nodes.simulation.program import Program, tour
 from modcal_nodes.simulation.rates import Rates
@@ -54,13 +58,12 @@ class SimulatedCell(Node):
         chosen = values(self, SIMULATED_CELL)
         text, self.chain = _arm(chosen)
         rng = np.random.default_rng(chosen["seed"])
-        self.world = make_world(
-            self.chain,
-            rng,
-            chosen["length_std_m"],
-            chosen["angle_std_rad"],
-            read_inertias(text, self.chain),
-            _compliance(chosen["joint_compliance_rad_per_nm"], self.chain),
+        compliance = _compliance(chosen["joint_compliance_rad_per_nm"], self.chain)
+        off = chosen["length_std_m"], chosen["angle_std_rad"]
+        self.world: Machine = (
+            make_world(self.chain, rng, *off, read_inertias(text, self.chain), compliance)
+            if isinstance(self.chain, Chain)
+            else make_delta_world(self.chain, rng, *off, compliance)
         )
         self._chosen, self._rng = chosen, rng
         self._noise = np.random.default_rng(chosen["seed"] + 1)
@@ -107,7 +110,8 @@ class SimulatedCell(Node):
         self._temperature = self.create_publisher(Temperature, "temperature", 10)
         self._time_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
         self._description = self.create_publisher(String, "robot_description", LATCHED)
-        self._description.publish(String(data=text))
+        if text:
+            self._description.publish(String(data=text))
         self._states, self._readings = States(self.chain.names), Poses(TRACKER, points)
         self._truths, self._truths_in_base = Poses(TRACKER), Poses(self.chain.base)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
@@ -214,7 +218,7 @@ class SimulatedCell(Node):
     def _follow(self, trajectory: JointTrajectory) -> None:
         """Go through the points of a trajectory from where the arm is, or refuse the whole of it."""
         try:
-            wanted = legs(self.chain, trajectory)
+            wanted = legs(self.chain, trajectory, self._program.at(self._done))
         except ModcalError as error:
             self.get_logger().error(f"not followed: {error}")
             return
@@ -281,22 +285,28 @@ class SimulatedCell(Node):
                 self.get_logger().info(f"{parameter.name}: {before} -> {after}, {self._done:.3f} s after the start")
 
 
-def _arm(chosen: dict[str, Any]) -> tuple[str, Chain]:
-    """The URDF's text and its chain. Raises ModcalError for choices that cannot be."""
+def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
+    """The URDF's text, empty for a Delta, and the robot. Raises ModcalError for choices that cannot be."""
     if chosen["measurement"] not in ("pose", "point"):
         raise BadTable(f"measurement '{chosen['measurement']}'", "pose and point are simulated", "set one of them")
-    file = Path(chosen["urdf"])
+    kind = "delta" if chosen["delta"] else "urdf"
+    file = Path(chosen[kind])
     if not file.is_file():
-        raise BadTable(f"urdf '{file}'", "is no file", "set the parameter urdf")
-    text = file.read_text(encoding="utf-8")
-    chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
+        raise BadTable(f"{kind} '{file}'", "is no file", f"set the parameter {kind}")
+    chain: Mechanism
+    if chosen["delta"]:
+        text, chain = "", read_delta(file)
+        require_drivable(chain)
+    else:
+        text = file.read_text(encoding="utf-8")
+        chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
     if chosen["gear_joint"] and chosen["gear_joint"] not in chain.names:
         said = f"joints are {', '.join(chain.names)}"
         raise BadTable(f"gear_joint '{chosen['gear_joint']}'", said, "name one of them")
     return text, chain
 
 
-def _compliance(given: ArrayLike, chain: Chain) -> Array:
+def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
     """Compliance of every joint (n,) from one number for all, or one a joint."""
     compliance = np.asarray(given, dtype=float)
     if len(compliance) not in (1, chain.n) or not ((compliance >= 0.0) & (compliance <= 1e-3)).all():
@@ -314,8 +324,7 @@ def make_world(
     compliance: ArrayLike = 0.0,
 ) -> World:
     """The true cell of a seed: tracker a few metres away, tool a hand's length from the tip, bodies displaced."""
-    T_tracker_base = se3.transform(so3.exp(rng.normal(size=3)), rng.uniform(-3.0, 3.0, 3))
-    T_tip_tool = se3.transform(so3.exp(0.5 * rng.normal(size=3)), [0.06, -0.04, 0.15])
+    T_tracker_base, T_tip_tool = tracker_and_tool(rng)
     return World(chain, rng, length_std, angle_std, T_tracker_base, T_tip_tool, inertias, compliance)
 
 

@@ -99,7 +99,7 @@ def identify_twists(start: Model, samples: Samples, metres_per_radian: float = 1
 def _homes(model: Model) -> Array:
     """Joint frames at zero, z along the axes, then the tool, in the base, (n + 1, 4, 4)."""
     T, out = np.eye(4), []
-    for M in model.chain.along_z:
+    for M in model.serial.along_z:
         T = T @ M
         out.append(T)
     return np.stack([*out[:-1], out[-1] @ model.T_tip_tool])
@@ -111,7 +111,7 @@ def _with_homes(start: Model, G: Array) -> Model:
     basis = se3.transform(start.chain.joint_basis)
     plain = np.concatenate([G[:n] @ se3.inverse(basis), (G[n] @ se3.inverse(start.T_tip_tool))[None]])
     ends = np.concatenate([start.T_frame_base[:1], plain])
-    return start.with_chain(start.chain.with_origins(se3.inverse(ends[:-1]) @ ends[1:]))
+    return start.with_chain(start.serial.with_origins(se3.inverse(ends[:-1]) @ ends[1:]))
 
 
 def _frames(G: Array, q: Array, revolute: np.ndarray) -> tuple[list[Array], list[Array], Array]:

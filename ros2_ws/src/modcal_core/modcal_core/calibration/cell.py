@@ -16,7 +16,7 @@ from modcal_core.calibration.placing import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 _WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
@@ -65,7 +65,7 @@ class Cell:
                     )
 
 
-def fit_cell(chain: Chain, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
+def fit_cell(chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
     """The fit of base frames and tool for this arm, from no guess at all."""
     return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
 

@@ -17,7 +17,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import gravity_wrench, payload_wrench
+from modcal_core.robots.gravity import gravity_wrench
+from modcal_core.robots.mechanism import Mechanism, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
 _LOADS = ("effort", "payload", "moment")
@@ -29,7 +30,7 @@ _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise
 class Arm:
     """The nominal arm that loads are computed from. inertias: None where the description states no mass."""
 
-    chain: Chain
+    chain: Mechanism
     inertias: Inertias | None = None
 
     @property
@@ -81,9 +82,10 @@ class Circumstances:
     @cached_property
     def gravity(self) -> Array:
         """Weight beyond each joint, (n, 6, N); zero where the arm has not been weighed."""
-        if self.arm.inertias is None or not self.arm.weighed:
-            return np.zeros((self.arm.chain.n, 6, len(self)))
-        return gravity_wrench(self.arm.chain, self.arm.inertias, self.samples.q)
+        chain = self.arm.chain
+        if self.arm.inertias is None or not self.arm.weighed or not isinstance(chain, Chain):
+            return np.zeros((chain.n, 6, len(self)))
+        return gravity_wrench(chain, self.arm.inertias, self.samples.q)
 
     @cached_property
     def payload(self) -> Array:

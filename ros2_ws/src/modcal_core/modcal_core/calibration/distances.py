@@ -99,7 +99,7 @@ def _between_frames(
 ) -> tuple[float, Array]:
     errors = deviations(model, parameters, values)
     now = apply_deviations(model, errors)
-    T_root_frame = se3.inverse(now.T_frame_base @ (model.chain.origins[0] @ se3.transform(model.chain.joint_basis[0])))
+    T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
     origin = T_root_frame[:, :3, 3]
     twists = local_twists(errors.frames)
     a, b = (model.frames.index(name) for name in known.between)

@@ -17,6 +17,8 @@ from modcal_core.calibration.parameters import DIRECTIONS
 from modcal_core.calibration.shapes import REFINED, Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import ARMS
+from modcal_core.robots.mechanism import Mechanism
 
 READING = -1  # the place of what scales readings: behind everything
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
@@ -100,10 +102,10 @@ def columns(effect: Effect, at: Circumstances) -> list[list[Term]]:
     """For each amplitude of the effect its terms, at unit size."""
     chain = at.arm.chain
     if effect.direction == JOINTS:
-        return [[Term(k, _axis(chain, k), size) for k, size in enumerate(_delay(effect, at))]]
+        return [[Term(chain.first_place + j, _axis(chain, j), size) for j, size in enumerate(_delay(effect, at))]]
     if effect.driver == "velocity":
-        k = chain.names.index(effect.place)
-        return [[Term(k, _axis(chain, k), _delay(effect, at)[k])]]
+        j = chain.names.index(effect.place)
+        return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, at)[j])]]
     x = at.driver(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
@@ -170,21 +172,22 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
     return np.array(out)
 
 
-def place_index(place: str, chain: Chain) -> int:
-    """0 … n for base, joints and tool; READING for the tracker."""
+def place_index(place: str, chain: Mechanism) -> int:
+    """0 … for base, joints and tool; READING for the tracker."""
     if place in chain.names:
-        return chain.names.index(place)
-    return {"base": 0, "tool": chain.n, "tracker": READING}[place]
+        return chain.first_place + chain.names.index(place)
+    return {"base": 0, "tool": chain.tool_place, "tracker": READING}[place]
 
 
-def _axis(chain: Chain, k: int) -> int:
-    return 5 if chain.revolute[k] else 2
+def _axis(chain: Mechanism, j: int) -> int:
+    """The direction that joint j moves in."""
+    return 5 if chain.revolute[j] else 2
 
 
-def _directions(direction: str, chain: Chain, k: int) -> list[list[tuple[int, float]]]:
+def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int, float]]]:
     """The directions of a place that move together, each with its share; one list for every amplitude."""
     if direction == AXIS:
-        return [[(_axis(chain, k), 1.0)]]
+        return [[(_axis(chain, k - chain.first_place), 1.0)]]
     if direction == ACROSS:
         return [[(3, 1.0)], [(4, 1.0)]]
     if direction == LENGTH:
@@ -199,8 +202,10 @@ def _directions(direction: str, chain: Chain, k: int) -> list[list[tuple[int, fl
     return [[(DIRECTIONS.index(direction), 1.0)]]
 
 
-def length_direction(chain: Chain, k: int) -> Array:
+def length_direction(chain: Mechanism, k: int) -> Array:
     """Unit vector along the link that ends in place k, in that place's frame, (3,); zero where it has no length."""
+    if not isinstance(chain, Chain):  # what leads to a shoulder of a Delta lies along its first direction
+        return np.array([1.0, 0.0, 0.0]) if k <= ARMS else np.zeros(3)
     M = chain.along_z[k]
     along = M[:3, :3].T @ M[:3, 3]
     size = float(np.linalg.norm(along))

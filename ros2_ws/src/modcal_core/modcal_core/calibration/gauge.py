@@ -17,18 +17,21 @@ from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 
-def least_change(model: Model, nominal: Chain) -> Model:
+def least_change(model: Model, nominal: Mechanism) -> Model:
     """The model, predicting the same, whose chain differs least from the nominal one.
 
     Its first and last constants are the nominal ones: what they would hold belongs to the base frames and to the tool.
     """
+    if not isinstance(nominal, Chain):
+        return model  # a Delta's constants leave no such freedom
     from scipy.optimize import least_squares  # takes most of a second, and only a file that is written needs it
 
     n = nominal.n
     A = se3.transform(nominal.joint_basis)
-    inner = [se3.inverse(A[k - 1]) @ model.chain.origins[k] @ A[k] for k in range(1, n)]
+    inner = [se3.inverse(A[k - 1]) @ model.serial.origins[k] @ A[k] for k in range(1, n)]
     drawn = [se3.inverse(A[k - 1]) @ nominal.origins[k] @ A[k] for k in range(1, n)]
     unit = np.array([PRIOR_LENGTH_M] * 3 + [PRIOR_ANGLE_RAD] * 3)
 
@@ -40,15 +43,15 @@ def least_change(model: Model, nominal: Chain) -> Model:
     size = _sizes(nominal)
     x = least_squares(change, np.zeros(sum(size)), x_scale="jac", method="trf").x
     D = _passing(nominal, x)
-    origins = np.array(model.chain.origins)
+    origins = np.array(model.serial.origins)
     for k in range(1, n):
         origins[k] = A[k - 1] @ se3.inverse(D[k - 1]) @ inner[k - 1] @ D[k] @ se3.inverse(A[k])
     origins[0], origins[n] = nominal.origins[0], nominal.origins[n]
-    before = model.chain.origins[0] @ A[0] @ D[0] @ se3.inverse(nominal.origins[0] @ A[0])
-    after = se3.inverse(nominal.origins[n]) @ A[-1] @ se3.inverse(D[-1]) @ se3.inverse(A[-1]) @ model.chain.origins[n]
+    before = model.serial.origins[0] @ A[0] @ D[0] @ se3.inverse(nominal.origins[0] @ A[0])
+    after = se3.inverse(nominal.origins[n]) @ A[-1] @ se3.inverse(D[-1]) @ se3.inverse(A[-1]) @ model.serial.origins[n]
     return replace(
         model,
-        chain=model.chain.with_origins(origins),
+        chain=model.serial.with_origins(origins),
         T_frame_base=model.T_frame_base @ before,
         T_tip_tool=after @ model.T_tip_tool,
     )

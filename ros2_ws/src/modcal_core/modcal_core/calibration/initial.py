@@ -30,8 +30,9 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import indirect_rows
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.mechanism import forward
 
+_DEAR = 1e-3  # how much smaller the tool is preferred to be, where base and tool can stand for each other
 _GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
 
 
@@ -95,7 +96,7 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
             base, point = _point_tool(A, samples.position[rows])
             tool = se3.transform(p=point) if tool is None else tool
         else:
-            base = _procrustes((A @ tool)[:, :3, 3], samples.position[rows])
+            base = procrustes((A @ tool)[:, :3, 3], samples.position[rows])
         T_frame_base[f] = base
     assert tool is not None
     return replace(model, T_frame_base=T_frame_base, T_tip_tool=tool)
@@ -119,7 +120,7 @@ def locate_base(model: Model, samples: Samples, known: Sequence[Known] = (), own
             R = so3.mean(samples.R[rows] @ np.swapaxes(T[:, :3, :3], 1, 2))
             T_frame_base[f] = se3.transform(R, (samples.position[rows] - T[:, :3, 3] @ R.T).mean(axis=0))
         else:
-            T_frame_base[f] = _procrustes(T[:, :3, 3], samples.position[rows])
+            T_frame_base[f] = procrustes(T[:, :3, 3], samples.position[rows])
     T = forward(model.chain, samples.q) @ model.T_tip_tool
     placed, T_frame_base = place_instruments(instruments, samples, T, T_frame_base, shown, known)
     located = replace(model, T_frame_base=T_frame_base, instruments=placed)
@@ -166,7 +167,7 @@ def _hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
     return se3.transform(Ry, t), se3.transform(Rx, x)
 
 
-def _procrustes(a: Array, b: Array) -> Array:
+def procrustes(a: Array, b: Array) -> Array:
     """The transform T with ``b ≈ T a`` for points a, b (N, 3) (Kabsch)."""
     ca, cb = a.mean(axis=0), b.mean(axis=0)
     R = so3.nearest_rotation((b - cb).T @ (a - ca))
@@ -180,14 +181,17 @@ def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:
     best: tuple[float, Array, Array] | None = None
     for x in starts:
         for _ in range(60):
-            Y = _procrustes(se3.apply(A, x), y)
-            G = np.concatenate([Y[:3, :3] @ A[:, :3, :3], np.broadcast_to(np.eye(3), A[:, :3, :3].shape)], axis=2)
+            Y = procrustes(se3.apply(A, x), y)
+            # the tool counts as dear: what could as well be the base's place, where no turn tells, goes there
+            G = np.concatenate(
+                [_DEAR * Y[:3, :3] @ A[:, :3, :3], np.broadcast_to(np.eye(3), A[:, :3, :3].shape)], axis=2
+            )
             h = (y - A[:, :3, 3] @ Y[:3, :3].T).reshape(-1)
-            new = np.linalg.lstsq(G.reshape(-1, 6), h, rcond=1e-9)[0][:3]
+            new = _DEAR * np.linalg.lstsq(G.reshape(-1, 6), h, rcond=1e-9)[0][:3]
             step, x = np.linalg.norm(new - x), new
             if step < 1e-6:
                 break
-        Y = _procrustes(se3.apply(A, x), y)
+        Y = procrustes(se3.apply(A, x), y)
         gap = y - se3.apply(Y, se3.apply(A, x))
         cost = float(np.median(np.linalg.norm(gap, axis=1)))
         if best is None or cost < best[0] - 1e-9:

@@ -31,8 +31,9 @@ from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.kinematics import Frames
-from modcal_core.robots.kinematics import frames as chain_frames
+from modcal_core.robots.mechanism import Mechanism, tool_frames
 
 
 @dataclass(frozen=True)
@@ -74,23 +75,28 @@ def local_twists(twist: Array) -> Array:
 class Deviations:
     """Six error values at every place: frames (F, 6) in front of the arm, places (n, 6) for places 1 … n.
 
-    instruments: changes of the constants of each, where there are any.
+    constants: (n, 6), changes of what a Delta's arm at the place has of its own. instruments: changes of the constants
+    of each, where there are any.
     """
 
     frames: Array
     places: Array
+    constants: Array
     instruments: tuple[Array, ...] = ()
 
 
 def deviations(model: Model, parameters: Sequence[Parameter], values: Array) -> Deviations:
     """The errors at every place of a model that these parameter values stand for."""
     own = tuple(np.zeros(len(i.constants)) for i in model.instruments)
-    out = Deviations(np.zeros((len(model.frames), 6)), np.zeros((model.chain.n, 6)), own)
+    n = model.chain.tool_place
+    out = Deviations(np.zeros((len(model.frames), 6)), np.zeros((n, 6)), np.zeros((n, 6)), own)
     for parameter, value in zip(parameters, values, strict=True):
         if parameter.place == INSTRUMENT:
             out.instruments[parameter.instrument][parameter.direction] += value
         elif parameter.place == 0:
             out.frames[parameter.frame, parameter.direction] += value
+        elif parameter.direction >= 6:
+            out.constants[parameter.place - 1, parameter.direction - 6] += value
         else:
             out.places[parameter.place - 1, parameter.direction] += value
     return replace(out, frames=out.frames[list(model.leaders)]) if model.leaders else out
@@ -99,17 +105,22 @@ def deviations(model: Model, parameters: Sequence[Parameter], values: Array) -> 
 def apply_deviations(model: Model, errors: Deviations) -> Model:
     """The model with these errors put in: frames moved, constants of the chain changed, tool moved."""
     chain = model.chain
-    A = se3.transform(chain.joint_basis)
     E = error_transform(errors.places)
-    origins = np.array(chain.origins)
-    origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
-    T_base_root = chain.origins[0] @ A[0]
+    changed: Mechanism
+    if isinstance(chain, Delta):
+        changed = chain.moved(errors.constants[:ARMS].T)
+    else:
+        A = se3.transform(chain.joint_basis)
+        origins = np.array(chain.origins)
+        origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
+        changed = chain.with_origins(origins)
+    T_base_root = chain.T_base_root
     T_frame_base = model.T_frame_base @ T_base_root @ error_transform(errors.frames) @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]
     instruments = tuple(i.moved(d) for i, d in zip(model.instruments, errors.instruments, strict=True))
     return replace(
         model,
-        chain=chain.with_origins(origins),
+        chain=changed,
         T_frame_base=T_frame_base,
         T_tip_tool=T_tip_tool,
         instruments=instruments,
@@ -157,6 +168,9 @@ def geometry_rows(view: View, model: Model, parameters: Sequence[Parameter], val
         if parameter.place == INSTRUMENT:
             view.own_column(parameter.instrument, own[parameter.instrument][:, parameter.direction], out=J[j])
             continue
+        if parameter.direction >= 6:
+            view.constant_column(parameter.place, parameter.direction - 6, out=J[j])
+            continue
         twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
         view.column(parameter.place, twist, out=J[j])
         if parameter.place == 0 and len(model.frames) > 1:
@@ -188,10 +202,10 @@ class View:
     @classmethod
     def of(cls, now: Model, samples: Samples, at: Circumstances) -> View:
         """What these samples show of this model, given their circumstances."""
-        chain, n, N = now.chain, now.chain.n, len(samples)
+        N = len(samples)
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
         # readings from the root, (3, N)
-        T_root_frame = se3.inverse(now.T_frame_base @ (chain.origins[0] @ se3.transform(chain.joint_basis[0])))
+        T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
         true = samples.position / scale[:, None] if now.effects else samples.position
         if len(now.frames) == 1:
             reading = T_root_frame[0, :3, :3] @ true.T
@@ -199,18 +213,15 @@ class View:
         else:
             reading = np.einsum("nij,nj->in", T_root_frame[samples.frame, :3, :3], true)
             y = reading + T_root_frame[samples.frame, :3, 3].T
-        # the chain from the root to the tool, so that frame n is the tool itself
-        rooted = np.array(chain.origins)
-        rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
-        rooted[n] = rooted[n] @ now.T_tip_tool
-        f = chain_frames(chain.with_origins(rooted), samples.q, twists)
+        # from the root to the tool, so that the last frame is the tool itself
+        f = tool_frames(now.chain, now.T_tip_tool, samples.q, twists)
         pose = np.flatnonzero(samples.is_pose)
         rotation = np.zeros((3, len(pose)))
         if len(pose):
-            R = f.rotation(n) if len(pose) == N else f.rotation(n)[pose]
+            R = f.rotation(-1) if len(pose) == N else f.rotation(-1)[pose]
             R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
             rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
-        view = cls(samples, pose, f, y - f.p[n], rotation, reading)
+        view = cls(samples, pose, f, y - f.p[-1], rotation, reading)
         if now.instruments:
             view.sights = look(now.instruments, samples, true, T_root_frame, f)
             if view.sights is not None:
@@ -226,15 +237,26 @@ class View:
             return
         p = self.f.p[-1] if self.sights is None else self.sights.watched
         flat = self.f.axes[place].reshape(3, 3 * N)
-        if not twist[3:].any():
+        if place in self.f.loops:
+            shift, turn = ((part @ flat).reshape(3, N) for part in (twist[:3], twist[3:]))
+            position[:], rotation[:] = self.f.loops[place].moved(shift, turn), 0.0
+        elif not twist[3:].any():
             np.matmul(twist[:3], flat, out=out[: 3 * N])
             rotation[:] = 0.0
         else:
             turn = (twist[3:] @ flat).reshape(3, N)
-            cross(turn, p - self.f.p[place], out=position)
+            so3.cross(turn, p - self.f.p[place], out=position)
             rotation[:] = turn if M == N else turn[:, self.pose]
             if twist[:3].any():
                 position += (twist[:3] @ flat).reshape(3, N)
+        if self.sights is not None:
+            self.sights.look_through(position)
+
+    def constant_column(self, place: int, constant: int, out: Array) -> None:
+        """Write the motion of the tool, (3 N + 3 M,), per unit of what a place's arm has of its own."""
+        N, loop = self.position.shape[1], self.f.loops[place]
+        position = out[: 3 * N].reshape(3, N)
+        position[:], out[3 * N :] = loop.gain * loop.rates[constant], 0.0
         if self.sights is not None:
             self.sights.look_through(position)
 
@@ -280,13 +302,3 @@ class View:
             self.column(place, np.eye(6)[direction], out=out)
             self._units[place, direction] = out
         return self._units[place, direction]
-
-
-def cross(a: Array, b: Array, out: Array) -> None:
-    """Cross products of vectors (3, N), component-major, into ``out``."""
-    np.multiply(a[1], b[2], out=out[0])
-    out[0] -= a[2] * b[1]
-    np.multiply(a[2], b[0], out=out[1])
-    out[1] -= a[0] * b[2]
-    np.multiply(a[0], b[1], out=out[2])
-    out[2] -= a[1] * b[0]

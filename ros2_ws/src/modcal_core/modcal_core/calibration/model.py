@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from modcal_core.calibration.circumstances import Arm, Circumstances
 from modcal_core.calibration.effects import Effect, motion
 from modcal_core.calibration.instruments import Instrument
+from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward, frames
+from modcal_core.robots.mechanism import Mechanism, forward, tool_frames
 from modcal_core.robots.urdf_inertias import Inertias
 
 IntArray = NDArray[np.int_]
@@ -23,14 +24,14 @@ IntArray = NDArray[np.int_]
 class Model:
     """Predicts ``T_frame_tool = T_frame_base · FK(q) · T_tip_tool``, with the effects' small motions put in.
 
-    chain: the arm. frames: names of the frames readings come in. T_frame_base: pose of the robot's base in each,
-    (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m]. effects: what geometry cannot
-    say. arm: the nominal arm that loads are computed from; None where there are no effects. instruments: those whose
-    readings are no positions. leaders: for each frame the one whose errors it shares, by index, where some are known
-    relative to others; empty where each stands for itself.
+    chain: the robot, serial or a Delta. frames: names of the frames readings come in. T_frame_base: pose of the robot's
+    base in each, (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m]. effects: what
+    geometry cannot say. arm: the nominal arm that loads are computed from; None where there are no effects.
+    instruments: those whose readings are no positions. leaders: for each frame the one whose errors it shares, by
+    index, where some are known relative to others; empty where each stands for itself.
     """
 
-    chain: Chain
+    chain: Mechanism
     frames: tuple[str, ...]
     T_frame_base: Array
     T_tip_tool: Array
@@ -56,9 +57,8 @@ class Model:
         if not self.effects:
             return self.predict(samples.q, samples.frame)
         twists, scale = motion(self.effects, self.circumstances(samples))
-        origins = self.chain.origins.copy()
-        origins[-1] = origins[-1] @ self.T_tip_tool
-        T = self.T_frame_base[samples.frame] @ frames(self.chain.with_origins(origins), samples.q, twists).transform(-1)
+        T_root_tool = tool_frames(self.chain, self.T_tip_tool, samples.q, twists).transform(-1)
+        T = (self.T_frame_base @ self.chain.T_base_root)[samples.frame] @ T_root_tool
         T[:, :3, 3] *= scale[:, None]
         return T
 
@@ -66,7 +66,15 @@ class Model:
         """The drivers at these samples."""
         return Circumstances(samples, self.arm or Arm(self.chain))
 
-    def with_chain(self, chain: Chain) -> Model:
+    @property
+    def serial(self) -> Chain:
+        """The arm where it is a serial chain; raises BadRobot for what works on such only."""
+        if isinstance(self.chain, Chain):
+            return self.chain
+        names = ", ".join(self.chain.names)
+        raise BadRobot(f"robot with joints {names}", "is a Delta", "give a serial arm: this works on no other")
+
+    def with_chain(self, chain: Mechanism) -> Model:
         """The same cell with another arm model."""
         return replace(self, chain=chain)
 
@@ -75,7 +83,7 @@ class Model:
         return replace(self, effects=effects)
 
 
-def place_model(chain: Chain, frames: tuple[str, ...], inertias: Inertias | None = None) -> Model:
+def place_model(chain: Mechanism, frames: tuple[str, ...], inertias: Inertias | None = None) -> Model:
     """A model with base and tool where nothing is known of them yet: at the frames' and the tip's origins."""
     eye = np.eye(4)
     return Model(chain, frames, np.tile(eye, (len(frames), 1, 1)), eye, arm=Arm(chain, inertias))

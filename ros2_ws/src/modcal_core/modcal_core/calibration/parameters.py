@@ -26,7 +26,9 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import ORIGIN
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.robots.chain import Chain
+from modcal_core.robots import delta as deltas
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import Mechanism
 
 # How far an arm is expected to be from its drawing, and base and tool from where the drawing's arm would put them.
 # It only decides directions that the data hardly shows, so that they cannot drift into large, cancelling values.
@@ -36,6 +38,7 @@ _WIDE = 5.0
 
 INSTRUMENT = -2  # the place of an instrument's own constants
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+_UNITS = ("m", "m", "m", "rad", "rad", "rad", *deltas.UNITS)
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class Parameter:
     """One direction of error at one place.
 
     name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
-    place's frame with the joint's axis along z. frame: index of the frame at place 0, else -1. prior_std: [m or rad],
-    inf where nothing at all is expected. instrument: index of the instrument that it is a constant of (place
-    INSTRUMENT, direction the constant's number, own_unit its unit), else -1.
+    place's frame with the joint's axis along z; from 6 on a constant of a Delta's arm. frame: index of the frame at
+    place 0, else -1. prior_std: in its unit, inf where nothing at all is expected. instrument: index of the instrument
+    that it is a constant of (place INSTRUMENT, direction the constant's number, own_unit its unit), else -1.
     """
 
     name: str
@@ -68,8 +71,8 @@ class Parameter:
 
     @property
     def unit(self) -> str:
-        """m or rad."""
-        return self.own_unit or ("m" if self.direction < 3 else "rad")
+        """m or rad; 1 for a ratio."""
+        return self.own_unit or _UNITS[self.direction]
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def direction_names(basis: Array) -> tuple[str, ...]:
 
 
 def ordered_candidates(
-    chain: Chain,
+    chain: Mechanism,
     frames: Sequence[str],
     views: Sequence[View],
     instruments: Sequence[Instrument] = (),
@@ -104,23 +107,18 @@ def ordered_candidates(
     along the first joint come late, for that is the pair every single-frame cell has to give up. Last stand the
     directions that pass through a joint (its zero): they are needed only where base or tool are held fixed.
     """
-    out: list[Parameter] = []
-    passing: list[Parameter] = []
-    for k in range(1, chain.n):
-        names = direction_names(chain.joint_basis[k])
-        stopped = (0, 1, 3, 4) if chain.revolute[k] else (3, 4)
-        for d in range(6):
-            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
-            (out if d in stopped else passing).append(parameter)
+    out, passing = _of_arm(chain)
     for i, instrument in enumerate(instruments):
         for d, constant in enumerate(instrument.constants):
             name = f"instrument {instrument.frame}/{constant.name}"
             frame = frames.index(instrument.frame)
             out.append(Parameter(name, INSTRUMENT, d, frame, constant.prior_std, i, constant.unit))
     orientation_seen = any(v.kind == "pose" for v in views)
-    out += [
-        Parameter(f"tool/{DIRECTIONS[d]}", chain.n, d, prior_std=_prior(d)) for d in range(6 if orientation_seen else 3)
+    tool = [
+        Parameter(f"tool/{DIRECTIONS[d]}", chain.tool_place, d, prior_std=_prior(d))
+        for d in range(6 if orientation_seen else 3)
     ]
+    bases: list[Parameter] = []
     led = list(leaders) or list(range(len(frames)))
     of_frame = {f: [v for v in views if led[v.frame] == f] for f in range(len(frames))}
     fixed_point = {f: all(v.same_point or kinds()[v.kind].frame == ORIGIN for v in of_frame[f]) for f in of_frame}
@@ -131,12 +129,36 @@ def ordered_candidates(
         order = (0, 1, 3, 4, 2, 5) if chain.revolute[0] else (3, 4, 0, 1, 2, 5)
         for d in order:
             if d < 3 or not fixed_point[f]:
-                out.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
-    return out + passing
+                bases.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
+    # where a Delta's tool hardly turns, its place is the base's, which is then what moves
+    return [*out, *(bases + tool if isinstance(chain, Delta) else tool + bases), *passing]
+
+
+def _of_arm(chain: Mechanism) -> tuple[list[Parameter], list[Parameter]]:
+    """What the arm itself may be wrong in, and what of it others can say as well: what passes through joints.
+
+    Of a Delta the latter is one arm's azimuth, for turning all arms is turning the base.
+    """
+    if isinstance(chain, Delta):
+        arms = [
+            Parameter(f"{name}/{constant}", chain.first_place + i, len(DIRECTIONS) + row, prior_std=_prior(6 + row))
+            for row, constant in enumerate(deltas.CONSTANTS)
+            for i, name in enumerate(chain.names[: deltas.ARMS])
+        ]
+        return arms, [arms.pop(deltas.AZIMUTH * deltas.ARMS)]
+    out: list[Parameter] = []
+    passing: list[Parameter] = []
+    for k in range(1, chain.n):
+        names = direction_names(chain.joint_basis[k])
+        stopped = (0, 1, 3, 4) if chain.revolute[k] else (3, 4)
+        for d in range(6):
+            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
+            (out if d in stopped else passing).append(parameter)
+    return out, passing
 
 
 def _prior(direction: int) -> float:
-    return PRIOR_LENGTH_M if direction < 3 else PRIOR_ANGLE_RAD
+    return PRIOR_LENGTH_M if _UNITS[direction] == "m" else PRIOR_ANGLE_RAD
 
 
 def independent_columns(J: Array, tolerance: Sequence[float] | float = 1e-7) -> np.ndarray:

@@ -23,6 +23,9 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 FORMAT = 1
@@ -61,7 +64,7 @@ class Calibration:
         """Others that explain as much as the effect with this number."""
         return self.rivals[effect] if effect < len(self.rivals) else ()
 
-    def require_robot(self, chain: Chain) -> None:
+    def require_robot(self, chain: Mechanism) -> None:
         """Raises BadRobot unless the chain is the nominal one this calibration was made for."""
         if chain.names != self.nominal.chain.names:
             raise BadRobot(
@@ -77,9 +80,12 @@ class Calibration:
             )
 
 
-def fingerprint(chain: Chain) -> str:
+def fingerprint(chain: Mechanism) -> str:
     """Sixteen hexadecimal digits that change when joint names or nominal kinematics (to 1 nm, 1 nrad) do."""
     digits = hashlib.sha256("|".join(chain.names).encode())
+    if isinstance(chain, Delta):
+        digits.update(np.round(np.r_[chain.constants.ravel(), chain.shaft_ratio] * 1e9).astype("<i8").tobytes())
+        return digits.hexdigest()[:16]
     digits.update(np.round(chain.origins * 1e9).astype("<i8").tobytes())
     digits.update(np.round(chain.axes * 1e9).astype("<i8").tobytes())
     digits.update(np.asarray(chain.revolute, dtype="u1").tobytes())
@@ -234,6 +240,14 @@ def _inertias_from_data(data: Any) -> Inertias | None:
 
 def _model_to_data(model: Model) -> dict[str, Any]:
     chain = model.chain
+    cell = {
+        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
+        "tool": _matrix(model.T_tip_tool),
+        **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
+        **({"leaders": list(model.leaders)} if model.leaders else {}),
+    }
+    if isinstance(chain, Delta):
+        return {"delta": delta_to_data(chain), **cell}
     return {
         "base": chain.base,
         "tip": chain.tip,
@@ -248,10 +262,7 @@ def _model_to_data(model: Model) -> dict[str, Any]:
             for k, name in enumerate(chain.names)
         ],
         "tip_origin": _matrix(chain.origins[-1]),
-        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
-        "tool": _matrix(model.T_tip_tool),
-        **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
-        **({"leaders": list(model.leaders)} if model.leaders else {}),
+        **cell,
     }
 
 
@@ -274,8 +285,23 @@ def _instrument_from_data(data: Mapping[str, Any], frames: Sequence[str]) -> Ins
 
 
 def _model_from_data(data: Mapping[str, Any]) -> Model:
+    frames = tuple(str(name) for name in data["frames"])
+    chain = _chain_from_data(data)
+    return Model(
+        chain,
+        frames,
+        np.stack([_transform(T) for T in data["frames"].values()]),
+        _transform(data["tool"]),
+        instruments=tuple(_instrument_from_data(i, frames) for i in data.get("instruments", ())),
+        leaders=tuple(int(f) for f in data.get("leaders", ())),
+    )
+
+
+def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
+    if "delta" in data:
+        return delta_from_data(data["delta"], "calibration: delta")
     joints: Sequence[Mapping[str, Any]] = data["joints"]
-    chain = Chain.build(
+    return Chain.build(
         [str(j["name"]) for j in joints],
         [_transform(j["origin"]) for j in joints] + [_transform(data["tip_origin"])],
         [j["axis"] for j in joints],
@@ -284,15 +310,6 @@ def _model_from_data(data: Mapping[str, Any]) -> Model:
         [j["limits"][1] for j in joints],
         str(data["base"]),
         str(data["tip"]),
-    )
-    frames = tuple(str(name) for name in data["frames"])
-    return Model(
-        chain,
-        frames,
-        np.stack([_transform(T) for T in data["frames"].values()]),
-        _transform(data["tool"]),
-        instruments=tuple(_instrument_from_data(i, frames) for i in data.get("instruments", ())),
-        leaders=tuple(int(f) for f in data.get("leaders", ())),
     )
 
 

@@ -25,7 +25,9 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward, spatial_jacobian
+from modcal_core.robots.kinematics import spatial_jacobian
+from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import random_postures as random_postures
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
 
@@ -48,12 +50,6 @@ def joint_ranges(chain: Chain) -> tuple[Array, Array]:
     span = np.where(chain.revolute, np.pi, 0.5)
     low = np.where(np.isfinite(chain.lower), chain.lower, -span)
     return low, np.where(np.isfinite(chain.upper), chain.upper, span)
-
-
-def random_postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Joint positions (count, n), uniform within the limits; a full turn, or ±0.5 m, where there is none."""
-    low, high = joint_ranges(chain)
-    return rng.uniform(low, high, (count, chain.n))
 
 
 def postures_at_point(chain: Chain, tool: Array, q: Array, iterations: int = 40) -> Array:
@@ -82,7 +78,7 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
             scene = scene_in(model.T_frame_base[view.frame], forward(model.chain, q) @ model.T_tip_tool)
             q = q[np.argsort(~instrument.of_kind.usable(scene, instrument.values), kind="stable")[:each]]
         if view.same_point:
-            q = postures_at_point(model.chain, model.T_tip_tool, random_postures(model.chain, 3 * each, rng))[:each]
+            q = postures_at_point(model.serial, model.T_tip_tool, random_postures(model.chain, 3 * each, rng))[:each]
         q_parts.append(q)
         frame += [view.frame] * len(q)
         kind += [view.kind] * len(q)
@@ -157,7 +153,10 @@ def choose_parameters(
     kept = set(independent_columns(J.T, [_NEARLY if p.frame in planes else _EXACTLY for p in candidates]).tolist())
     parameters = sorted((candidates[j] for j in kept), key=lambda p: (p.place, p.frame, p.instrument, p.direction))
     passing = (2, 5)
-    left_out = [c.name for j, c in enumerate(candidates) if j not in kept and (c.direction in passing or c.of_arm)]
+    every = not isinstance(model.chain, Chain)
+    left_out = [
+        c.name for j, c in enumerate(candidates) if j not in kept and (every or c.direction in passing or c.of_arm)
+    ]
     return Choice(tuple(parameters), tuple(left_out))
 
 
@@ -192,7 +191,7 @@ def _of_planes(model: Model) -> set[int]:
     return {model.frames.index(i.frame) for i in model.instruments if i.of_kind.frame == PLANE}
 
 
-def parameter_count(chain: Chain, samples: Samples, fixed: Sequence[str], distances: Sequence[AnyDistance]) -> int:
+def parameter_count(chain: Mechanism, samples: Samples, fixed: Sequence[str], distances: Sequence[AnyDistance]) -> int:
     """How many parameters these readings call for, wherever base and tool may turn out to be."""
     somewhere = Model(chain, samples.frames, np.tile(np.eye(4), (len(samples.frames), 1, 1)), _GENERAL_TOOL)
     if instruments := new_instruments(samples):
@@ -209,5 +208,5 @@ def _meet_fixed_points(model: Model, views: Sequence[View], samples: Samples) ->
     for view in views:
         if view.same_point:
             row = np.flatnonzero(samples.frame == view.frame)[:1]
-            T[view.frame] = se3.transform(p=-(forward(model.chain, samples.q[row]) @ model.T_tip_tool)[0, :3, 3])
+            T[view.frame] = se3.transform(p=-(forward(model.serial, samples.q[row]) @ model.T_tip_tool)[0, :3, 3])
     return replace(model, T_frame_base=T)

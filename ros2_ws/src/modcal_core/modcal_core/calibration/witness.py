@@ -67,7 +67,7 @@ def witness(assembly: Assembly, library: Library, samples: Samples) -> Witness:
     require_plausible(start, fit, samples)
     gap = samples.position - fit.model.predict_samples(samples)[:, :3, 3]
     inner = slice(1, chain.n)
-    deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.chain.origins[inner])
+    deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.serial.origins[inner])
     _require_as_described(assembly, deviation)
     residual = float(np.sqrt(np.average(np.sum(gap**2, axis=1), weights=fit.weights)))
     return Witness(assembly, deviation, _information(fit, samples, chain), samples.stations, residual)

@@ -58,7 +58,7 @@ class Conditions:
             return np.broadcast_to(row, postures.shape)
 
         effort = same(self.effort)
-        if arm.weighed and arm.inertias is not None and np.isfinite(self.effort).any():
+        if isinstance(arm.chain, Chain) and arm.inertias is not None and arm.weighed and np.isfinite(self.effort).any():
             both = gravity_wrench(arm.chain, arm.inertias, np.concatenate([self.q[None], postures]))
             weight = np.where(chain.revolute[:, None], both[:, 5], both[:, 2]).T
             effort = effort - (weight[1:] - weight[:1])

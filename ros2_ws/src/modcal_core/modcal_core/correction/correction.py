@@ -40,7 +40,7 @@ class Correction:
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
         self.model = calibration.calibrated
-        self.chain = self.model.chain
+        self.chain = self.model.serial
         self._arm = self.model.arm or Arm(calibration.nominal.chain)
         true = [e for e in self.model.effects if e.direction != JOINTS]
         self._of_arm = tuple(e for e in true if e.place not in ("base", "tool", "tracker"))
@@ -219,7 +219,7 @@ def _deviations_covariance(calibration: Calibration) -> Array | None:
     known = calibration.uncertainty
     if known is None:
         return None
-    chain, n, P = calibration.calibrated.chain, calibration.calibrated.chain.n, len(known.parameters)
+    chain, n, P = calibration.calibrated.serial, calibration.calibrated.chain.n, len(known.parameters)
     selected = np.zeros((6 * n, P))
     for j, parameter in enumerate(known.parameters):
         if parameter.place:

@@ -290,10 +290,11 @@ def _load_kinds(at: Circumstances, j: int) -> list[str]:
 def _growing(at: Circumstances) -> list[tuple[str, str]]:
     """Places and directions in which something may grow or creep: every link along itself, every joint, three ways."""
     out: list[tuple[str, str]] = []
-    for k, name in enumerate(at.arm.chain.names):
+    chain = at.arm.chain
+    for k, name in enumerate(chain.names, chain.first_place):
         if k:
             out += [(name, d) for d in ("x", "y", "z")]
-            if length_direction(at.arm.chain, k).any():
+            if length_direction(chain, k).any():
                 out.append((name, LENGTH))
         out.append((name, AXIS))
     return out

@@ -25,6 +25,18 @@ def hat(w: ArrayLike) -> Array:
     return out
 
 
+def cross(a: Array, b: Array, out: Array | None = None) -> Array:
+    """Cross products (3, N) of vectors (3, N), component-major: in one sweep a component, without copies."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
+    np.multiply(a[1], b[2], out=out[0])
+    out[0] -= a[2] * b[1]
+    np.multiply(a[2], b[0], out=out[1])
+    out[1] -= a[0] * b[2]
+    np.multiply(a[0], b[1], out=out[2])
+    out[2] -= a[1] * b[0]
+    return out
+
+
 def rodrigues_coefficients(angle: Array) -> tuple[Array, Array, Array]:
     """(sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3) for angles t [rad], accurate down to zero."""
     t2 = angle * angle

@@ -8,7 +8,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
@@ -16,13 +16,13 @@ MOST_TURNS_ENDLESS = 50.0
 POSITIONS = "tracker/pose or tracker/point"
 
 
-def require_usable(recording: Recording, chain: Chain) -> None:
+def require_usable(recording: Recording, chain: Mechanism) -> None:
     """Raises BadRecording unless there are joint states of every joint, and readings, in SI units and finite."""
     _require_joints(recording, chain)
     _require_readings(recording, chain)
 
 
-def _require_joints(recording: Recording, chain: Chain) -> None:
+def _require_joints(recording: Recording, chain: Mechanism) -> None:
     tracks = [t for t in recording.joints if len(t.stamps)]
     if not tracks:
         raise BadRecording("joint states", "no message on joint_states", "record the topic, or check its name and QoS")
@@ -40,7 +40,7 @@ def _require_joints(recording: Recording, chain: Chain) -> None:
                 _require_joint(track, j, name, chain)
 
 
-def _require_joint(track: JointTrack, j: int, name: str, chain: Chain) -> None:
+def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> None:
     position = track.position[:, j]
     bad = np.flatnonzero(~np.isfinite(position))
     if len(bad):
@@ -61,7 +61,7 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Chain) -> None:
         raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
 
 
-def _require_readings(recording: Recording, chain: Chain) -> None:
+def _require_readings(recording: Recording, chain: Mechanism) -> None:
     tracks = [r for r in recording.readings if len(r.stamps) and r.kind in kinds()]
     if not tracks:
         raise BadRecording(
@@ -73,7 +73,7 @@ def _require_readings(recording: Recording, chain: Chain) -> None:
         _require_reading(track, chain)
 
 
-def _require_reading(track: ReadingTrack, chain: Chain) -> None:
+def _require_reading(track: ReadingTrack, chain: Mechanism) -> None:
     name = f"{track.topic} ({track.frame})"
     bad = np.flatnonzero(~np.isfinite(track.values).all(axis=1))
     if len(bad):

@@ -12,7 +12,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
 from modcal_core.measurements.stations import StationRules, find_dwells
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 _GAP = 10.0  # times the usual period that make a silence worth saying
 _STUCK = 5  # identical readings in a row, of an instrument with noise
@@ -40,7 +40,7 @@ class Inspection:
     findings: tuple[str, ...]
 
 
-def inspect(recording: Recording, chain: Chain | None = None) -> Inspection:
+def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
     """What a recording holds; with a chain, also whether it can calibrate that arm."""
     facts, findings = [], list(recording.warnings)
     for joint in recording.joints:
@@ -129,7 +129,7 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
     ]
 
 
-def _uses(recording: Recording, chain: Chain | None) -> tuple[str, ...]:
+def _uses(recording: Recording, chain: Mechanism | None) -> tuple[str, ...]:
     names = chain.names if chain is not None else max((t.names for t in recording.joints), key=len, default=())
     t, q = joint_stamps_and_positions(recording, names)
     read = [name for name in kinds() if any(r.kind == name for r in recording.readings)]

@@ -38,8 +38,8 @@ class Frozen:
         self._shift, self._turn = twists[:, :3, None], twists[:, 3:, None]
         self._place = np.array([max(p.place, 0) for p in parameters], dtype=int)
         self._frame = np.array([p.frame for p in parameters], dtype=int)
-        chain = now.chain
-        T_base_root = chain.origins[0] @ se3.transform(chain.joint_basis[0])
+        chain = now.serial
+        T_base_root = chain.T_base_root
         self._T_root_frame = se3.inverse(now.T_frame_base @ T_base_root)
         rooted = np.array(chain.origins)
         rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))

@@ -81,7 +81,7 @@ def suspect(watch: Watch, since: float) -> Suspicion:
 
 
 def _hypotheses(watch: Watch, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
-    chain = watch.model.chain
+    chain = watch.model.serial
     n, F = chain.n, len(watch.model.frames)
     motions = np.stack([s.motions for s in seen])  # (m, 6, C)
     lengths = np.stack([s.unwhitened[:3] for s in seen])  # (m, 3, C)

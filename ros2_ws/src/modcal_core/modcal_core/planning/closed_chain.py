@@ -131,7 +131,7 @@ def one_frame_model(chain: Chain, T_measuring_base: Array | None = None, T_tip_t
 
 def chain_of_parameters(model: Model, parameters: Sequence[Parameter]) -> ClosedChain:
     """The closed chain of a model with one frame, in these parameters of a calibration, in their order."""
-    chain = model.chain
+    chain = model.serial
     at: dict[int, list[tuple[int, int]]] = {}
     for j, p in enumerate(parameters):
         at.setdefault(p.place, []).append((p.direction, j))

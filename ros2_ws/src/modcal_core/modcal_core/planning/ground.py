@@ -148,7 +148,7 @@ def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
     """Says of postures (N, n) whether this arm, by its nominal model, may take them at a site and is seen there."""
-    chain = with_limits(calibration.nominal.chain, site, one_turn=False)
+    chain = with_limits(calibration.nominal.serial, site, one_turn=False)
     spheres = spheres_of(chain, site)
 
     def may(q: Array) -> np.ndarray:

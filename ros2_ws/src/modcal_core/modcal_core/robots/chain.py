@@ -110,6 +110,21 @@ class Chain:
         """Number of moving joints."""
         return len(self.names)
 
+    @property
+    def first_place(self) -> int:
+        """The place of the first joint; what stands before it is the base, so they share it."""
+        return 0
+
+    @property
+    def tool_place(self) -> int:
+        """The place of the tool, behind the last joint."""
+        return self.n
+
+    @property
+    def T_base_root(self) -> Array:
+        """The frame of the first joint before it moves, its axis along z, in the base, (4, 4)."""
+        return self.origins[0] @ se3.transform(self.joint_basis[0])
+
     @cached_property
     def T_base_joint_home(self) -> Array:
         """Joint frames, then the tip, in the base with every joint at zero, (n + 1, 4, 4)."""

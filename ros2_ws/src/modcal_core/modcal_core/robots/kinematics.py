@@ -8,7 +8,7 @@ moves the tip by ``Ad(T) e`` seen from the base.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,16 +19,39 @@ from modcal_core.robots.chain import Chain
 
 
 @dataclass(frozen=True)
+class Loop:
+    """How what happens at a place reaches the tool through a closed chain: as a shift, by its share along a rod.
+
+    gain, along, lever: (3, N), in the base: the tool moves by ``gain`` per unit that the rod's end moves ``along`` the
+    rod; ``lever`` [m] leads from the place to that end. rates: what the constants of the place move it along the rod
+    per unit, (constants, N).
+    """
+
+    gain: Array
+    along: Array
+    lever: Array
+    rates: Array
+
+    def moved(self, shift: Array, turn: Array) -> Array:
+        """The tool's motion (3, N) for a twist of the place, its parts (3,) or (3, N) in the base [m, rad]."""
+        end = shift.reshape(3, -1) + so3.cross(turn.reshape(3, -1), self.lever)
+        return self.gain * np.einsum("cn,cn->n", self.along, end)
+
+
+@dataclass(frozen=True)
 class Frames:
     """Frames along the chain for N poses: entry k is the frame M_k ends in, entry n the tip.
 
     Component-major, the batch axis last: ``axes[k, d]`` is the direction (3, N) of axis d of frame k in the base, joint
     axes being d = 2; ``p[k]`` its position (3, N) [m]. Each is one contiguous sweep, and a constant rotation is one
     matrix product for all poses.
+
+    loops: by place, where what happens there reaches the tool through a closed chain.
     """
 
     axes: Array
     p: Array
+    loops: Mapping[int, Loop] = field(default_factory=dict)
 
     def rotation(self, k: int) -> Array:
         """Orientations of frame k in the base, (N, 3, 3)."""
@@ -56,7 +79,7 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     turned = np.empty((3, 3, N))
     for k in range(n):
         if k in twists:
-            _moved(axes[k], p[k], twists[k])
+            moved_frame(axes[k], p[k], twists[k])
         x, y, z = axes[k]
         at = p[k]
         if chain.revolute[k]:
@@ -72,11 +95,11 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
         np.matmul(M[k + 1, :3, :3].T, flat, out=axes[k + 1].reshape(3, 3 * N))
         np.add(at, (M[k + 1, :3, 3] @ flat).reshape(3, N), out=p[k + 1])
     if n in twists:
-        _moved(axes[n], p[n], twists[n])
+        moved_frame(axes[n], p[n], twists[n])
     return Frames(axes, p)
 
 
-def _moved(axes: Array, p: Array, twist: Array) -> None:
+def moved_frame(axes: Array, p: Array, twist: Array) -> None:
     """Shift a frame by the first three rows of a twist (6, N) and turn it by the last three, seen from itself."""
     if twist[:3].any():
         p += np.einsum("dcn,dn->cn", axes, twist[:3])

@@ -131,7 +131,7 @@ def _of_bag(
     if not recording.joints:
         raise BadRecording(recording.source, "shows no handle: no poses, points or joint states", "record one of them")
     if calibration is not None:
-        chain = read_calibration(calibration).calibrated.chain
+        chain = read_calibration(calibration).calibrated.serial
     else:
         chain, _ = robot_of(recording, urdf, base, tip)
     stamps, q = joint_stamps_and_positions(recording, chain.names)

@@ -17,14 +17,16 @@ from modcal_core.loop import calibrate, evaluate
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.prepare import Prepared, prepare_pieces
 from modcal_core.report.report import Report
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.mcap_read import read_pieces
-from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.robot import delta_of
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration, read_cell
-from modcal_nodes.results import calibration_files, report_files
+from modcal_nodes.results import calibration_files, delta_files, report_files
 
 EXISTING = click.Path(exists=True, path_type=Path)
 _SPLITS = click.option(
@@ -47,6 +49,7 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 @click.command("calibrate")
 @click.argument("bag", type=EXISTING)
 @click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag.")
+@click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, in the URDF's place.")
 @click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
 @click.option(
     "--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints."
@@ -69,6 +72,7 @@ def calibrate_command(
     geometry_only: bool,
     more: tuple[Path, ...],
     urdf: Path | None,
+    delta: Path | None,
     base: str | None,
     tip: str | None,
     fixed: tuple[str, ...],
@@ -81,7 +85,7 @@ def calibrate_command(
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
     cell = read_cell(cell_file, fixed)
     recording, pieces = _begun(bag)
-    chain, text = robot_of(recording, urdf, base, tip)
+    chain, text = delta_of(recording, delta, urdf, base, tip)
     prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit)
     for other in more:
         added = prepare_pieces(read_pieces(other), chain, clock_limit=clock_limit)
@@ -92,12 +96,16 @@ def calibrate_command(
         np.random.default_rng(seed),
         cell,
         block,
-        read_inertias(text, chain),
+        read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
         look_for_effects=not geometry_only,
     )
     report = _named(result.report, recording, prepared)
     out = out or Path(f"{bag.resolve().stem}_calibration")
-    write_folder(out, calibration_files(result, report, chain, text))
+    if isinstance(chain, Chain) and text is not None:
+        files = calibration_files(result, report, chain, text)
+    else:
+        files = delta_files(result, report)
+    write_folder(out, files)
     show_report(report, Console())
     click.echo(f"Report: {out / 'report.html'}")
 
@@ -150,13 +158,13 @@ def _named(report: Report, recording: Recording, prepared: Prepared) -> Report:
 
 def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:
     """A sentence when the recording describes a robot other than the one that was calibrated."""
-    if recording.robot_description is None:
+    nominal, calibrated = frozen.nominal.chain, frozen.calibrated.chain
+    if recording.robot_description is None or isinstance(calibrated, Delta):
         return ()
-    nominal = frozen.nominal.chain
     try:
         described = fingerprint(read_chain(recording.robot_description, nominal.base, nominal.tip))
     except ModcalError as error:
         return (f"The recording's robot description was not compared: {error}.",)
-    if described in (frozen.robot, fingerprint(frozen.calibrated.chain)):
+    if described in (frozen.robot, fingerprint(calibrated)):
         return ()
     return ("The recording's robot description has other kinematics than the one that was calibrated.",)

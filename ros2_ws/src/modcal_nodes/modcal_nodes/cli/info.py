@@ -11,7 +11,7 @@ from rich.table import Table
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.robot import delta_of
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -19,17 +19,18 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.command("info")
 @click.argument("bag", type=_EXISTING)
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description. Default: the one in the bag.")
+@click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
 @click.option("--base", default=None, metavar="LINK")
 @click.option("--tip", default=None, metavar="LINK")
-def info_command(bag: Path, urdf: Path | None, base: str | None, tip: str | None) -> None:
+def info_command(bag: Path, urdf: Path | None, delta: Path | None, base: str | None, tip: str | None) -> None:
     """Say what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_bag(bag)
     console = Console()
     findings: tuple[str, ...] = ()
     try:
-        chain, _ = robot_of(recording, urdf, base, tip)
+        chain, _ = delta_of(recording, delta, urdf, base, tip)
     except ModcalError as error:
-        if urdf is not None or base is not None or tip is not None:
+        if any(given is not None for given in (urdf, delta, base, tip)):
             raise
         chain, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, chain)

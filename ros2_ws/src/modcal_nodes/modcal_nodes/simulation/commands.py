@@ -7,15 +7,15 @@ from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, passable
 from modcal_msgs_py.stamps import seconds
 
 
-def legs(chain: Chain, trajectory: JointTrajectory) -> list[tuple[float, Array]]:
+def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = None) -> list[tuple[float, Array]]:
     """Seconds after the start, and postures (n,) in the chain's order; velocities and efforts are not read.
 
-    Raises BadCommand for joints that are not the chain's, positions that are none, times that do not rise, and points
-    outside the limits.
+    start: where the arm is, (n,), where it matters. Raises BadCommand for joints that are not the chain's, positions
+    that are none, times that do not rise, points outside the limits, and ways on which a Delta's platform fits no more.
     """
     names = tuple(trajectory.joint_names)
     if sorted(names) != sorted(chain.names):
@@ -36,6 +36,8 @@ def legs(chain: Chain, trajectory: JointTrajectory) -> list[tuple[float, Array]]
         q = q[order]
         if (q < chain.lower).any() or (q > chain.upper).any():
             raise BadCommand(offender, "lies outside the joint limits", "stay within them")
+        if start is not None and not passable(chain, start, q):
+            raise BadCommand(offender, "the platform of the Delta does not fit all the way there", "go another way")
         out.append((after, q))
-        last = after
+        last, start = after, q
     return out

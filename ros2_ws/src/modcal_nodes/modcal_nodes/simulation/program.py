@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, passable
 
+_TRIALS = 1000  # postures that are drawn for one that a Delta can go to
 _BRAKE = 0.25  # s in which an arm that is sent elsewhere loses the speed it had
 
 
@@ -74,14 +75,23 @@ class Program:
         return q, v
 
 
-def tour(chain: Chain, count: int, travel: float, dwell: float, rng: np.random.Generator) -> list[tuple[float, Array]]:
+def tour(
+    chain: Mechanism, count: int, travel: float, dwell: float, rng: np.random.Generator
+) -> list[tuple[float, Array]]:
     """Legs that visit random postures (travel, then stand still), for :meth:`Program.reset` at time zero."""
     span = np.where(chain.revolute, 1.2, 0.3)
     low, high = np.maximum(chain.lower, -span), np.minimum(chain.upper, span)
     middle = np.clip(0.0, chain.lower, chain.upper)
     legs: list[tuple[float, Array]] = []
+    last = middle
     for k in range(count):
-        q = np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
+        for _ in range(_TRIALS):
+            q = np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
+            if passable(chain, last, q):
+                break
+        else:
+            q = last
+        last = q
         arrive = k * (travel + dwell) + travel
         legs += [(arrive, q), (arrive + dwell, q)]
     return legs

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.machine import Machine
 
 AMBIENT = 20.0  # °C
 EXPANSION = 23e-6  # 1/K, aluminium
@@ -34,7 +34,7 @@ class Growth:
 class Switches:
     """The present values of the switches, and what they do to a world."""
 
-    def __init__(self, world: World, chosen: dict[str, Any]) -> None:
+    def __init__(self, world: Machine, chosen: dict[str, Any]) -> None:
         """Begin with these values at time zero. Raises BadTable for one that cannot be."""
         self._world = world
         self._values = {name: chosen[name] for name in SWITCHES}

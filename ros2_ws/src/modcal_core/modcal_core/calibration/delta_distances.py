@@ -1,0 +1,260 @@
+"""A Delta from distances between points alone: no frame has to be known, or even to exist (CN114571465B).
+
+With p(q; X) the tool's position for the 24 parameters X of :class:`modcal_core.robots.delta.Delta`, and D_ij the
+measured distance between the points of postures i and j,
+
+    r_ij = D_ij − |p(q_i; X) − p(q_j; X)|,        f(X) = RMS of r_ij,
+
+    ∂r_ij/∂X = −u_ij · (∂p_i/∂X − ∂p_j/∂X),        u_ij = (p_i − p_j) / |p_i − p_j|.
+
+Distances stay the same when all points are moved together, so what moves all of them cannot be told, see
+:func:`visibility`. The fit leaves such combinations where the drawing has them: X is scaled by how far each parameter
+may be off, and every step is the shortest one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import csr_array, identity
+
+from modcal_core.calibration.annealing import Annealed, Schedule, anneal
+from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, PARAMETERS, UNITS, Delta
+from modcal_core.robots.delta_kinematics import position_jacobians, tool_positions
+
+_RANK = 1e-7  # share of the largest singular value below which a combination changes nothing
+_NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
+_TOOL_ROOM = 0.1  # m, rad; where a tool is held is less sure than how a robot is built
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Measured distances. first, second: numbers of the postures, (D,). distance: [m], (D,).
+
+    shared: whether they were computed from measured points, so that those with a point in common err together.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    distance: Array
+    shared: bool = False
+
+    @classmethod
+    def of_points(cls, points: Array) -> Pairs:
+        """All distances between points (N, 3) [m], whatever frame they are in."""
+        first, second = np.triu_indices(len(points), 1)
+        return cls(first, second, np.linalg.norm(points[first] - points[second], axis=1), True)
+
+
+@dataclass(frozen=True)
+class DistanceFit:
+    """What distances say of a Delta.
+
+    delta: fitted. f: RMS of the distances' errors before and after [m]. evaluations: of f or of its derivatives. std:
+    standard deviations of the parameters (24,); inf for those that take part in what cannot be told. at_bound: names of
+    parameters that ended at a bound.
+    """
+
+    delta: Delta
+    before: float
+    f: float
+    evaluations: int
+    std: Array
+    at_bound: tuple[str, ...]
+
+
+def rooms(delta: Delta) -> Array:
+    """How far each parameter may be from the drawing, (24,): 10 mm, 20 mrad, 2 % of a ratio; at the tool 0.1 m, rad."""
+    arms = np.repeat([PRIOR_LENGTH_M if unit == "m" else PRIOR_ANGLE_RAD for unit in UNITS], ARMS)
+    return np.r_[arms, np.full(PARAMETERS - len(arms), _TOOL_ROOM)]
+
+
+def distance_errors(delta: Delta, q: Array, pairs: Pairs) -> Array:
+    """Measured minus modelled distances [m], (D,), for postures q (N, n); NaN where no platform fits."""
+    p = tool_positions(delta, q)
+    return np.asarray(pairs.distance - np.linalg.norm(p[:, pairs.first] - p[:, pairs.second], axis=0))
+
+
+def distance_jacobian(delta: Delta, q: Array, pairs: Pairs) -> Array:
+    """Derivatives of the modelled distances by the parameters, (D, 24) [m per rad, 1 or m]."""
+    p, J, _ = position_jacobians(delta, q)
+    gap = p[pairs.first] - p[pairs.second]
+    u = gap / np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1e-12)
+    return np.einsum("dc,dcx->dx", u, J[pairs.first] - J[pairs.second])
+
+
+def objective(delta: Delta, q: Array, pairs: Pairs) -> float:
+    """f(X) [m]; infinite where some posture has no platform."""
+    r = distance_errors(delta, q, pairs)
+    return float(np.sqrt(np.mean(r * r))) if np.isfinite(r).all() else np.inf
+
+
+def fit_distances(nominal: Delta, q: Array, pairs: Pairs, room: Array | None = None) -> DistanceFit:
+    """The Delta whose distances are nearest to the measured ones, by bounded least squares with analytic derivatives.
+
+    room: how far each parameter may be from nominal, (24,); 0 holds it. Raises NotEnoughData where distances are no
+    more than the combinations they show, BadRecording for postures that the nominal robot cannot take.
+    """
+    room = rooms(nominal) if room is None else np.asarray(room, dtype=float)
+    before = _start(nominal, q, pairs)
+    free = np.flatnonzero(room > 0.0)
+    seen = visibility(nominal, q, pairs, room)
+    told = min(len(pairs.distance), 3 * len(q) - 6)  # points in space have no more than that of their own
+    if seen.rank >= told:
+        limit = f"{told} independent ones are as many as the combinations of parameters they show"
+        raise NotEnoughData(f"{len(pairs.distance)} distances", limit, "measure more of them, or hold parameters")
+
+    def at(x: Array) -> Delta:
+        X = nominal.vector.copy()
+        X[free] += x * room[free]
+        return nominal.with_vector(X)
+
+    def errors(x: Array) -> Array:
+        r = distance_errors(at(x), q, pairs)
+        return r if np.isfinite(r).all() else np.full(len(r), nominal.reach())
+
+    def derivatives(x: Array) -> Array:
+        return -distance_jacobian(at(x), q, pairs)[:, free] * room[free]
+
+    found = least_squares(
+        errors, np.zeros(len(free)), derivatives, bounds=(-1.0, 1.0), method="trf", tr_solver="exact",
+        ftol=1e-13, xtol=1e-13, gtol=1e-15,
+    )  # fmt: skip
+    fitted = at(found.x)
+    after = objective(fitted, q, pairs)
+    names = nominal.parameter_names
+    ended = tuple(names[j] for j, x in zip(free, found.x, strict=True) if abs(x) > 1.0 - 1e-6)
+    std = _standard_deviations(fitted, q, pairs, room)
+    return DistanceFit(fitted, before, after, int(found.nfev + (found.njev or 0)), std, ended)
+
+
+def anneal_distances(
+    nominal: Delta,
+    q: Array,
+    pairs: Pairs,
+    rng: np.random.Generator,
+    schedule: Schedule | None = None,
+    room: Array | None = None,
+) -> tuple[Delta, Annealed]:
+    """The Delta that simulated annealing comes to from the nominal one, and how it went. room: as of the fit."""
+    room = rooms(nominal) if room is None else np.asarray(room, dtype=float)
+    _start(nominal, q, pairs)
+    went = anneal(
+        lambda X: objective(nominal.with_vector(X), q, pairs),
+        nominal.vector,
+        rng,
+        schedule,
+        nominal.vector - room,
+        nominal.vector + room,
+    )
+    return nominal.with_vector(went.X), went
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """Which combinations of the 24 parameters distances show at certain postures.
+
+    rank: how many. condition: ratio of the largest to the smallest singular value among them, each parameter in units
+    of its room. unseen: the others, in words. weakest: what is seen least of all, by name.
+    """
+
+    rank: int
+    condition: float
+    unseen: tuple[str, ...]
+    weakest: str
+
+
+def visibility(delta: Delta, q: Array, pairs: Pairs, room: Array | None = None) -> Visibility:
+    """What these distances can tell of the parameters, and what they cannot. room: 0 for parameters that are held."""
+    room = rooms(delta) if room is None else np.asarray(room, dtype=float)
+    J = distance_jacobian(delta, q, pairs) * room
+    _, size, Vt = np.linalg.svd(np.concatenate([J, np.zeros((PARAMETERS, PARAMETERS))]), full_matrices=False)
+    rank = int((size > _RANK * size[0]).sum())
+    held = np.flatnonzero(room == 0.0)
+    left = Vt[rank:].T
+    left = left[:, np.linalg.norm(left, axis=0) > 0.5]
+    words = []
+    named = np.eye(PARAMETERS)[:, held]
+    for direction, sentence in _freedoms(delta):
+        v = np.where(room > 0.0, direction / np.maximum(room, 1e-300), 0.0)
+        if (direction[held] != 0.0).any() or not v.any():
+            continue
+        v /= np.linalg.norm(v)
+        if np.linalg.norm(J @ v) <= 10.0 * _RANK * size[0]:
+            words.append(sentence)
+            named = np.c_[named, v]
+    basis, _ = np.linalg.qr(named) if named.shape[1] else (named, None)
+    rest = left - basis @ (basis.T @ left)
+    U, extent, _ = np.linalg.svd(rest, full_matrices=False)
+    words += [_parts(delta, u) for u, e in zip(U.T, extent, strict=True) if e > 0.5]
+    condition = float(size[0] / size[rank - 1]) if rank else np.inf
+    return Visibility(rank, condition, tuple(words), _parts(delta, Vt[rank - 1]) if rank else "")
+
+
+def _freedoms(delta: Delta) -> list[tuple[Array, str]]:
+    """Combinations that move all points together, or none: their directions (24,), and what they are."""
+    names = delta.parameter_names
+    arms = len(CONSTANTS) * ARMS
+
+    def one(name: str) -> Array:
+        return np.asarray(np.eye(PARAMETERS)[names.index(name)])
+
+    turn = np.zeros(PARAMETERS)
+    turn[AZIMUTH * ARMS : (AZIMUTH + 1) * ARMS] = 1.0
+    turn[arms], turn[arms + 1] = -delta.tool[1], delta.tool[0]
+    out = [
+        (turn, "azimuths of all arms together, the tool turned along: that turns the base"),
+        (one("tool/z"), "tool/z: that lifts the base"),
+        *((one(f"tool/{d}"), f"tool/{d}: a point has no orientation") for d in ("rx", "ry", "rz")),
+    ]
+    shift = ((one(f"tool/{d}"), f"tool/{d}: without a turn of the shaft that shifts the base") for d in ("x", "y"))
+    return [*out, *shift]
+
+
+def _parts(delta: Delta, v: Array) -> str:
+    parts = sorted(((abs(x), name) for x, name in zip(v, delta.parameter_names, strict=True)), reverse=True)
+    return " with ".join([name for size, name in parts if size >= _NAMED] or [parts[0][1]])
+
+
+def _start(nominal: Delta, q: Array, pairs: Pairs) -> float:
+    before = objective(nominal, q, pairs)
+    if not np.isfinite(before):
+        lost = int((~np.isfinite(tool_positions(nominal, q)).all(axis=0)).sum())
+        said = f"{lost} of {len(q)} cannot be taken by the nominal Delta"
+        raise BadRecording("postures", said, "correct its constants, joint names and signs, or leave them out")
+    return before
+
+
+def _standard_deviations(delta: Delta, q: Array, pairs: Pairs, room: Array) -> Array:
+    """Of the parameters, (24,): with B how the distances follow what is measured, cov = J⁺ B Bᵀ J⁺ᵀ σ².
+
+    σ² is such that the residuals come out as large as they are: rᵀr = σ² tr(B Bᵀ (1 − Q Qᵀ)), Q the span of J.
+    """
+    r = distance_errors(delta, q, pairs)
+    Q, size, Vt = np.linalg.svd(distance_jacobian(delta, q, pairs) * room, full_matrices=False)
+    seen = size > _RANK * size[0]
+    B = _sources(delta, q, pairs)
+    of_sources = np.asarray(B.T @ Q[:, seen]).T  # (rank, sources)
+    freedom = max(float(B.multiply(B).sum()) - float(np.sum(of_sources**2)), 1e-300)
+    spread = (Vt[seen].T / size[seen]) @ of_sources
+    std = room * np.sqrt(float(r @ r) / freedom) * np.linalg.norm(spread, axis=1)
+    unseen = 1.0 - np.sum(Vt[seen] ** 2, axis=0) > 1e-6
+    return np.asarray(np.where(unseen & (room > 0.0), np.inf, std))
+
+
+def _sources(delta: Delta, q: Array, pairs: Pairs) -> csr_array:
+    """How each distance follows what was measured, (D, sources): the points' coordinates, or itself."""
+    D = len(pairs.distance)
+    if not pairs.shared:
+        return csr_array(identity(D))
+    p = tool_positions(delta, q).T
+    gap = p[pairs.first] - p[pairs.second]
+    u = gap / np.maximum(np.linalg.norm(gap, axis=1, keepdims=True), 1e-12)
+    column = np.concatenate([3 * pairs.first[:, None] + np.arange(3), 3 * pairs.second[:, None] + np.arange(3)], axis=1)
+    rows = np.repeat(np.arange(D), 6)
+    return csr_array((np.concatenate([u, -u], axis=1).ravel(), (rows, column.ravel())), shape=(D, 3 * len(q)))

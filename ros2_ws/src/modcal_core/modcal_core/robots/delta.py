@@ -1,0 +1,201 @@
+"""The Delta robot: three arms that carry a platform by parallelograms, and a shaft that turns the tool.
+
+Base frame: origin in the middle of the fixed platform, z up; the moving platform hangs below. Arm i stands in the
+upright plane at azimuth α_i and turns about the horizontal tangent there: at θ_i = 0 it points outwards, and a positive
+θ_i lowers it. The parallelogram keeps the moving platform's orientation, so its two rods are one rod of length L2_i
+from the elbow to the platform's centre, once the platform's own radius has been taken off that of the shoulder
+(dB_i = R_i − r_i). With θ_i = k_i q_i + q_zero,i the centre p of the platform obeys
+
+    |p − C_i| = L2_i,    C_i = Rz(α_i) (dB_i + L1_i cos θ_i, 0, −L1_i sin θ_i),    i = 1, 2, 3,
+
+and the tool stands at ``Trans(p) Rz(φ) T_tip_tool``, φ = k_s q_4 for the telescopic shaft, 0 where there is none.
+
+Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
+(x, y, z, rx, ry, rz). The zero of the shaft is the tool's rz. k_s belongs to the drawing; where it is wrong, the
+diagnosis names it (a gear ratio at the shaft).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+
+ARMS = 3
+CONSTANTS = ("zero", "ratio", "azimuth", "offset", "proximal", "distal")
+UNITS = ("rad", "1", "rad", "m", "m", "m")
+ZERO, RATIO, AZIMUTH, OFFSET, PROXIMAL, DISTAL = range(6)
+TOOL = ("x", "y", "z", "rx", "ry", "rz")
+PARAMETERS = ARMS * len(CONSTANTS) + len(TOOL)
+LOWER, UPPER = -0.7, 1.3  # rad; limits of an arm where none are stated
+
+
+@dataclass(frozen=True)
+class Delta:
+    """A Delta robot. Immutable; arrays are read-only.
+
+    names: joints of arms 1, 2, 3 and, where there is one, of the shaft. constants: of the arms, (6, 3), rows as in
+    ``CONSTANTS``: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad], (n,).
+    tool: where the drawing puts the tool in the tip, (6,): x y z [m] rx ry rz [rad], as ``Trans Rot(exp)``.
+    shaft_ratio: turns of the tool per turn of the shaft's joint, −1 where it counts the other way.
+    """
+
+    names: tuple[str, ...]
+    constants: Array
+    lower: Array
+    upper: Array
+    tool: Array
+    shaft_ratio: float = 1.0
+    base: str = "base"
+    tip: str = "tip"
+
+    @classmethod
+    def build(
+        cls,
+        names: Sequence[str],
+        offset: ArrayLike,
+        proximal: ArrayLike,
+        distal: ArrayLike,
+        azimuth: ArrayLike = (0.0, 2.0 * np.pi / 3.0, -2.0 * np.pi / 3.0),
+        zero: ArrayLike = 0.0,
+        ratio: ArrayLike = 1.0,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        tool: ArrayLike = (0.0,) * 6,
+        shaft_ratio: float = 1.0,
+        base: str = "base",
+        tip: str = "tip",
+    ) -> Delta:
+        """A Delta from its constants [m, rad], one number for all arms or one each. Raises BadRobot for what cannot be.
+
+        lower, upper: of all joints, in the order of the names.
+        """
+        n = len(names)
+        if n not in (ARMS, ARMS + 1) or len(set(names)) != n:
+            said = "names three arms, and perhaps a shaft, each once"
+            raise BadRobot(f"delta with joints {', '.join(names) or 'none'}", f"it {said}", "correct the names")
+        rows = [np.broadcast_to(np.asarray(row, dtype=float), ARMS) for row in
+                (zero, ratio, azimuth, offset, proximal, distal)]  # fmt: skip
+        wide = np.r_[np.full(ARMS, LOWER), np.full(n - ARMS, -np.pi)]
+        far = np.r_[np.full(ARMS, UPPER), np.full(n - ARMS, np.pi)]
+        out = cls(
+            tuple(names),
+            _read_only(np.stack(rows)),
+            _read_only(wide if lower is None else lower),
+            _read_only(far if upper is None else upper),
+            _read_only(tool),
+            float(shaft_ratio),
+            base,
+            tip,
+        )
+        _require_sound(out)
+        return out
+
+    @property
+    def n(self) -> int:
+        """Number of joints: 3, or 4 with a shaft."""
+        return len(self.names)
+
+    @property
+    def has_shaft(self) -> bool:
+        """Whether a shaft turns the tool."""
+        return self.n > ARMS
+
+    @property
+    def revolute(self) -> np.ndarray:
+        """True: every joint turns, (n,)."""
+        return np.ones(self.n, bool)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of links; a Delta's file states none."""
+        return ()
+
+    @property
+    def first_place(self) -> int:
+        """The place of the first arm's joint; place 0 is the base, which all arms stand on."""
+        return 1
+
+    @property
+    def tool_place(self) -> int:
+        """The place of the tool: base, arms, shaft, tool."""
+        return self.n + 1
+
+    @property
+    def T_base_root(self) -> Array:
+        """Where errors of the whole robot's place are put in: at its base, (4, 4)."""
+        return np.eye(4)
+
+    @property
+    def joint_basis(self) -> Array:
+        """The directions x, y, z of the place in front of each joint, as plain names need them, (n, 3, 3)."""
+        return np.tile(np.eye(3), (self.n, 1, 1))
+
+    @cached_property
+    def T_tip_tool(self) -> Array:
+        """Pose of the drawing's tool in the tip, (4, 4) [m]."""
+        return _read_only(se3.transform(so3.exp(self.tool[3:]), self.tool[:3]))
+
+    @cached_property
+    def vector(self) -> Array:
+        """The structural parameters X, (24,): q_zero, k, α, dB, L1, L2 of the three arms, then the tool [rad, 1, m]."""
+        return _read_only(np.r_[self.constants.ravel(), self.tool])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the entries of :attr:`vector`, as reports have them."""
+        arms = [f"{name}/{constant}" for constant in CONSTANTS for name in self.names[:ARMS]]
+        return (*arms, *(f"tool/{d}" for d in TOOL))
+
+    def with_vector(self, X: ArrayLike) -> Delta:
+        """The same robot with other structural parameters (24,)."""
+        X = np.asarray(X, dtype=float)
+        return replace(self, constants=_read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=_read_only(X[-6:]))
+
+    def moved(self, deviation: ArrayLike) -> Delta:
+        """The same robot with its arms' constants changed by these amounts, (6, 3)."""
+        return replace(self, constants=_read_only(self.constants + np.asarray(deviation, dtype=float)))
+
+    def reach(self) -> float:
+        """An upper bound on the distance from the base to the tip [m], used to recognise wrong units."""
+        return float(np.sum(np.abs(self.constants[[OFFSET, PROXIMAL, DISTAL]]), axis=0).max())
+
+
+def _read_only(a: ArrayLike) -> Array:
+    out: Array = np.array(a, dtype=float)
+    out.flags.writeable = False
+    return out
+
+
+def _require_sound(delta: Delta) -> None:
+    name = f"delta {', '.join(delta.names)}"
+    n = delta.n
+    shapes = {"limits": (delta.lower.shape, delta.upper.shape), "tool": (delta.tool.shape,)}
+    for what, found in shapes.items():
+        wanted = (6,) if what == "tool" else (n,)
+        if any(shape != wanted for shape in found):
+            raise BadRobot(name, f"{what} must be {wanted[0]} numbers", "correct the file")
+    if not all(np.isfinite(a).all() for a in (delta.constants, delta.lower, delta.upper, delta.tool)):
+        raise BadRobot(name, "has a constant or limit that is no finite number", "correct the file")
+    for row in (PROXIMAL, DISTAL):
+        for arm, length in zip(delta.names, delta.constants[row], strict=False):
+            if not 1e-3 < length < 10.0:
+                limit = f"{CONSTANTS[row]} length {length:g} m, 0.001 to 10 m is allowed"
+                raise BadRobot(f"arm {arm}", limit, "give metres")
+    if (delta.constants[RATIO] == 0.0).any() or delta.shaft_ratio == 0.0:
+        raise BadRobot(name, "a ratio of 0 moves nothing", "give the ratio, 1 where angles are those of the arm")
+    if not (delta.lower < delta.upper).all():
+        j = int(np.argmax(delta.lower >= delta.upper))
+        raise BadRobot(f"joint {delta.names[j]}", "its lower limit is not below its upper one", "correct the limits")
+    turns = np.sort(np.mod(delta.constants[AZIMUTH], 2.0 * np.pi))
+    apart = np.diff(np.r_[turns, turns[0] + 2.0 * np.pi])
+    if apart.min() < np.radians(10.0):
+        limit = f"two arms stand {np.degrees(apart.min()):.1f} degrees apart, 10 are the least"
+        raise BadRobot(name, limit, "correct the azimuths")

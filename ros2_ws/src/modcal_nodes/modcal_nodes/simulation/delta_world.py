@@ -1,0 +1,135 @@
+"""A Delta in MuJoCo whose constants are not those of its drawing. MuJoCo closes the chains, not modcal.
+
+The posture is found from MuJoCo's own constraints and their Jacobian by Newton steps, on the way from the last one in
+steps short enough that the platform stays on the same side of the arms.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot, NotReachable
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.delta import ARMS, CONSTANTS, PROXIMAL, RATIO, UNITS, ZERO, Delta
+from modcal_core.robots.delta_kinematics import reachable
+from modcal_nodes.simulation.delta_mjcf import PLATFORM, SHAFT, arm_joint, delta_mjcf
+from modcal_nodes.simulation.machine import Machine, tracker_and_tool
+from modcal_nodes.simulation.mjcf import PAYLOAD
+
+_LONGEST = 0.4  # rad, of a step towards another posture
+_SHORTEST = 1e-3  # of that, below which a platform that does not follow is stuck
+_CLOSED = 1e-12  # m, the largest gap of a closed chain
+_MOST_STEPS = 30
+_RIDGE = 1e-12  # m², against a platform that is loose
+
+
+class DeltaWorld(Machine):
+    """A Delta with these true constants. T_tracker_base, T_tip_tool: true poses [m]."""
+
+    def __init__(
+        self,
+        true: Delta,
+        T_tracker_base: Array | None = None,
+        T_tip_tool: Array | None = None,
+        compliance: ArrayLike = 0.0,
+    ) -> None:
+        """compliance: of the arms and the shaft, one number or one a joint [rad/(N m)]."""
+        first = float(np.clip(0.3, true.lower[:ARMS].max(), true.upper[:ARMS].min()))
+        tool = true.T_tip_tool if T_tip_tool is None else T_tip_tool
+        super().__init__(true.names, delta_mjcf(true, tool, first), T_tracker_base, compliance)
+        self._true = true
+        joints = [self.model.joint(arm_joint(i)) for i in range(ARMS)] + [self.model.joint(SHAFT)]
+        self._at = np.array([j.qposadr[0] for j in joints])
+        driven = np.array([j.dofadr[0] for j in joints])
+        self._driven = driven[:ARMS]
+        self._free = np.setdiff1d(np.arange(self.model.nv), driven)
+        self._lift = self.model.joint(PLATFORM).dofadr[0] + 2
+        at = self.model.joint(PLATFORM).qposadr[0]
+        self._platform = slice(at, at + 3)
+        self._farthest = float(true.constants[PROXIMAL].mean())  # that the platform goes in one step on its own side
+        self.data.qpos[self._at[:ARMS]] = first
+        self._close()
+
+    def length(self, link: str) -> float:
+        """Raises BadRobot: the links of a simulated Delta do not grow."""
+        raise BadRobot(f"link '{link}'", "is one of a Delta, whose links do not grow here", "leave warm_up_link empty")
+
+    def grow(self, link: str, metres: float) -> None:
+        """Raises BadRobot: the links of a simulated Delta do not grow."""
+        self.length(link)
+
+    def _place(self, q: Array) -> None:
+        true = self._true
+        theta = np.zeros(ARMS + 1)
+        theta[:ARMS] = true.constants[RATIO] * q[:ARMS] + true.constants[ZERO]
+        if true.has_shaft:
+            theta[ARMS] = true.shaft_ratio * q[ARMS]
+        kept = self.data.qpos.copy()
+        here = kept[self._at]
+        steps = max(int(np.ceil(np.abs(theta - here)[:ARMS].max() / _LONGEST)), 1)
+        done, step = 0.0, 1.0 / steps
+        while done < 1.0:
+            before = self.data.qpos.copy()
+            share = min(done + step, 1.0)
+            self.data.qpos[self._at] = here + share * (theta - here)
+            gap = self._close()
+            moved = np.linalg.norm(self.data.qpos[self._platform] - before[self._platform])
+            if gap < _CLOSED and moved < self._farthest:
+                done = share
+                continue
+            self.data.qpos[:] = before
+            step *= 0.5
+            if step * steps < _SHORTEST:
+                self.data.qpos[:] = kept
+                said = f"its rods come no nearer to the platform than {1e3 * gap:.3g} mm"
+                raise NotReachable("posture of the simulated Delta", said, "send it where its platform fits")
+
+    def _close(self) -> float:
+        """Move rods and platform, the arms held, until every rod meets the platform; the gap that is left [m]."""
+        model, data = self.model, self.data
+        step = np.zeros(model.nv)
+        for _ in range(_MOST_STEPS):
+            mujoco.mj_fwdPosition(model, data)
+            gap = data.efc_pos
+            if np.abs(gap).max() < _CLOSED:
+                break
+            J = data.efc_J.reshape(-1, model.nv)[:, self._free]
+            # the shortest step: rods may spin about themselves as they like
+            step[self._free] = -J.T @ np.linalg.solve(J @ J.T + _RIDGE * np.eye(len(J)), gap)
+            mujoco.mj_integratePos(model, data.qpos, step, 1.0)
+        return float(np.abs(gap).max())
+
+    def _held(self, q: Array) -> Array:
+        """By virtual work: what the arms' motions lift, found from MuJoCo's constraints."""
+        self._place(q)
+        J = self.data.efc_J.reshape(-1, self.model.nv)
+        moved = np.linalg.lstsq(J[:, self._free], -J[:, self._driven], rcond=1e-10)[0]
+        lifted = moved[int(np.searchsorted(self._free, self._lift))]
+        mass = self.model.body(PLATFORM).mass[0] + self.model.body(PAYLOAD).mass[0]
+        weight = -float(mass) * float(self.model.opt.gravity[2])
+        out = np.zeros(len(self._names))
+        out[:ARMS] = weight * lifted * self._true.constants[RATIO]
+        return out
+
+
+def make_delta_world(
+    nominal: Delta, rng: np.random.Generator, length_std: float, angle_std: float, compliance: ArrayLike = 0.0
+) -> DeltaWorld:
+    """The true cell of a seed: every constant off by these standard deviations, tracker and tool somewhere."""
+    T_tracker_base, T_tip_tool = tracker_and_tool(rng)
+    return DeltaWorld(displaced(nominal, rng, length_std, angle_std), T_tracker_base, T_tip_tool, compliance)
+
+
+def require_drivable(delta: Delta) -> None:
+    """Raises BadRobot for a Delta that cannot begin with its joints at zero, or as near to it as limits allow."""
+    if not reachable(delta, np.clip(np.zeros((1, delta.n)), delta.lower, delta.upper))[0]:
+        name = f"delta {', '.join(delta.names)}"
+        raise BadRobot(name, "cannot stand with its joints at zero", "correct its constants or limits")
+
+
+def displaced(nominal: Delta, rng: np.random.Generator, length_std: float, angle_std: float) -> Delta:
+    """A Delta as it may have been built: every constant off by these standard deviations [m; rad, and for ratios 1]."""
+    scale = np.array([length_std if UNITS[row] == "m" else angle_std for row in range(len(CONSTANTS))])
+    return nominal.moved(scale[:, None] * rng.standard_normal((len(CONSTANTS), ARMS)))

@@ -1,0 +1,100 @@
+"""``modcal`` on a Delta: from a bag and the drawing's file to a report, and back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from deltas import FILE, RecordedDelta, record_delta
+
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.robots.delta_kinematics import tool_pose
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.main import run
+from modcal_nodes.inputs import read_delta
+
+
+def write(cell: RecordedDelta, bag: Path) -> None:
+    """A bag of joint_states and tracker/point, a finished station each."""
+    s = cell.samples
+    unknown = np.full_like(s.q, np.nan)
+    joints = JointTrack(s.names, s.stamps, s.q, unknown, unknown, s.stamps)
+    points = ReadingTrack("point", "tracker", s.stamps, s.position, s.stamps)
+    write_recording(Recording((joints,), (points,), source="made"), bag)
+
+
+def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell = record_delta(2, 160, gear=(1, 60.0, 3e-4))
+    write(cell, tmp_path / "bag")
+    out = tmp_path / "out"
+    assert run(["calibrate", str(tmp_path / "bag"), "--delta", str(FILE), "--out", str(out)]) == 0
+    assert {p.name for p in out.iterdir()} == {
+        "report.json",
+        "report.html",
+        "calibration.yaml",
+        "calibrated_delta.yaml",
+    }
+    report = json.loads((out / "report.json").read_text())
+    assert report["recording"]["joints"] == ["arm_1", "arm_2", "arm_3", "shaft"]
+    assert report["recording"]["measurement"] == "point"
+    (gear,) = report["effects"]
+    assert (gear["place"], gear["direction"], gear["driver"]) == ("arm_2", "axis", "position:arm_2")
+    assert report["error_mm"]["final"]["rms"] < 0.7 * report["error_mm"]["geometric"]["rms"]
+    assert "tool/z" in report["identifiability"]["left_out"]
+
+    # the corrected file is a drawing again, nearer to the truth: distances between its points are the true ones
+    corrected = read_delta(out / "calibrated_delta.yaml")
+    true = cell.world.tool_in_base(cell.samples.q)[:, :3, 3]
+
+    def off(points: np.ndarray) -> float:
+        pairs = np.triu_indices(len(points), 1)
+        lengths = [np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (points, true)]
+        return float(np.sqrt(np.mean((lengths[0] - lengths[1]) ** 2)))
+
+    nominal = off(tool_pose(cell.nominal, cell.samples.q)[:, :3, 3])
+    assert off(tool_pose(corrected, cell.samples.q)[:, :3, 3]) < 0.3 * nominal
+
+    # another recording of the same robot, through the frozen calibration
+    fresh = record_delta(2, 161, gear=(1, 60.0, 3e-4))
+    write(fresh, tmp_path / "again")
+    assert run(["evaluate", str(out), str(tmp_path / "again"), "--out", str(tmp_path / "score")]) == 0
+    scored = json.loads((tmp_path / "score" / "report.json").read_text())
+    assert scored["error_mm"]["final"]["rms"] < 0.08
+    assert run(["info", str(tmp_path / "bag"), "--delta", str(FILE)]) == 0
+    said = capsys.readouterr().out
+    assert "base → tip, 4 joints" in said
+    assert "calibration from 160 finished stations (points)" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "said"),
+    [
+        ("modcal_delta: 1\n", [], "joints: must name three arms"),
+        ("arms: [1", [], "is not YAML"),
+        (None, ["--urdf", str(FILE)], "goes with none of --urdf"),
+        (None, ["--tip", "tool0"], "goes with none of --urdf"),
+        (FILE.read_text().replace("shaft", "wrist"), [], "joint wrist"),
+        (FILE.read_text().replace("distal_m: 0.80", "distal_m: 0.42"), [], "no platform fits"),
+    ],
+)
+def test_what_is_refused_writes_nothing(
+    text: str | None, arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(record_delta(1, 40), tmp_path / "bag")
+    file = FILE
+    if text is not None:
+        file = tmp_path / "delta.yaml"
+        file.write_text(text)
+    out = tmp_path / "out"
+    assert run(["calibrate", str(tmp_path / "bag"), "--delta", str(file), *arguments, "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert not out.exists()
+
+
+def test_without_its_file_a_bag_of_a_delta_has_no_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(record_delta(1, 20), tmp_path / "bag")
+    assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 2
+    assert "--delta" in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""Deltas whose truth is MuJoCo's closed chains: what the tests of the Delta measure against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from cells import samples_of
+
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import random_postures
+from modcal_nodes.inputs import read_delta
+from modcal_nodes.simulation.delta_world import DeltaWorld, displaced
+
+FILE = Path(__file__).resolve().parents[1] / "examples" / "robots" / "delta.yaml"
+NOISE_M = 3e-5
+
+
+def nominal(shaft: bool = True) -> Delta:
+    """The Delta of the examples, or the same without its shaft."""
+    delta = read_delta(FILE)
+    if shaft:
+        return delta
+    offset, proximal, distal = delta.constants[3:]
+    return Delta.build(delta.names[:3], offset, proximal, distal, tool=delta.tool)
+
+
+@dataclass(frozen=True)
+class RecordedDelta:
+    """The drawing, the true robot in MuJoCo, and samples of it."""
+
+    nominal: Delta
+    true: Delta
+    world: DeltaWorld
+    samples: Samples
+
+
+def record_delta(
+    seed: int,
+    count: int,
+    kind: str = "point",
+    shaft: bool = True,
+    gear: tuple[int, float, float] | None = None,
+    compliance: float = 0.0,
+    noise_m: float = NOISE_M,
+) -> RecordedDelta:
+    """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of what nobody declared."""
+    rng = np.random.default_rng(seed)
+    drawn = nominal(shaft)
+    true = displaced(drawn, rng, 5e-4, 1e-3)
+    world = DeltaWorld(true, se3.exp(rng.normal(size=6)), compliance=compliance)
+    q = random_postures(drawn, count, rng)
+    sent = q.copy()
+    if gear is not None:
+        joint, cycles, amplitude = gear
+        sent[:, joint] += amplitude * np.sin(cycles * q[:, joint] + 0.4)
+    T = world.tool_in_tracker(sent)
+    T[:, :3, 3] += noise_m * rng.standard_normal((count, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((count, 3)))
+    return RecordedDelta(drawn, true, world, samples_of(drawn, q, T, kind))
+
+
+def postures(delta: Delta, count: int, seed: int = 0) -> Array:
+    """Postures (count, n) that the platform can take."""
+    return random_postures(delta, count, np.random.default_rng(seed))

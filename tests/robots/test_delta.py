@@ -1,0 +1,221 @@
+"""A Delta against MuJoCo's closed chains, against differences, and against itself backwards; and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from deltas import nominal, postures
+from finite_differences import assert_jacobian
+
+from modcal_core.errors import BadRobot, NotReachable
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.delta import DISTAL, PARAMETERS, Delta
+from modcal_core.robots.delta_kinematics import (
+    forward,
+    frames,
+    inverse,
+    looseness,
+    payload_wrench,
+    position_jacobians,
+    reachable,
+    stretch,
+    tool_pose,
+)
+from modcal_core.robots.mechanism import passable
+from modcal_nodes.simulation.delta_mjcf import PLATFORM_KG
+from modcal_nodes.simulation.delta_world import DeltaWorld, displaced
+
+GRAVITY = 9.80665
+
+
+def odd(shaft: bool = True, size: float = 1.0) -> Delta:
+    """A Delta whose constants are all different."""
+    drawn = nominal(shaft)
+    return displaced(
+        drawn.with_vector(np.r_[drawn.vector[:-3], 0.2, -0.1, 0.4]), np.random.default_rng(3), 5e-3 * size, 0.01 * size
+    )
+
+
+@pytest.mark.parametrize("shaft", [True, False])
+def test_forward_is_where_closed_chains_of_mujoco_meet(shaft: bool) -> None:
+    delta = odd(shaft)
+    q = postures(delta, 40)
+    true = DeltaWorld(delta).tool_in_base(q)
+    assert np.abs(true - tool_pose(delta, q)).max() < 1e-10
+    # the platform of six rods stays upright by itself, wherever it is
+    assert np.ptp(true[:, 2, 3]) > 0.2
+
+
+def test_mujoco_keeps_the_platform_on_its_side_on_any_way() -> None:
+    """The truth of the other tests must not flip over, whichever posture comes after which."""
+    delta = odd()
+    q = postures(delta, 250, seed=4)
+    assert np.abs(DeltaWorld(delta).tool_in_base(q) - tool_pose(delta, q)).max() < 1e-10
+
+
+def test_a_shaft_that_counts_the_other_way() -> None:
+    drawn = nominal()
+    offset, proximal, distal = drawn.constants[3:]
+    delta = Delta.build(drawn.names, offset, proximal, distal, tool=drawn.tool, shaft_ratio=-0.5)
+    q = postures(delta, 10)
+    assert np.abs(DeltaWorld(delta).tool_in_base(q) - tool_pose(delta, q)).max() < 1e-10
+
+
+def test_inverse_undoes_forward() -> None:
+    delta = odd()
+    for q in postures(delta, 100):
+        T = forward(delta, q)
+        back = inverse(delta, T[:3, 3], np.arctan2(T[1, 0], T[0, 0]))
+        assert np.abs(back - q).max() < 1e-9
+
+
+def test_jacobians_are_derivatives() -> None:
+    delta = odd()
+    q = postures(delta, 2)
+    p, by_parameters, by_joints = position_jacobians(delta, q)
+    assert np.abs(p - tool_pose(delta, q)[:, :3, 3]).max() < 1e-15
+    for k in range(len(q)):
+        assert_jacobian(lambda X: tool_pose(delta.with_vector(X), q[k])[:3, 3], by_parameters[k], delta.vector)  # noqa: B023
+        assert_jacobian(lambda x: tool_pose(delta, x)[:3, 3], by_joints[k], q[k])
+
+
+def test_twists_anywhere_move_the_tool_as_their_columns_say() -> None:
+    """Of every place, arms included, against differences of the whole mechanism with the twist put in."""
+    delta = odd()
+    q = postures(delta, 3)
+
+    def moved(place: int, twist: Array) -> Array:
+        return frames(delta, q, {place: np.tile(twist[:, None], (1, len(q)))}, delta.T_tip_tool).p[-1].T.ravel()
+
+    f = frames(delta, q, T_tip_tool=delta.T_tip_tool)
+    for place in range(delta.tool_place + 1):
+        axes = f.axes[place]
+        columns = []
+        for d in range(6):
+            shift, turn = (axes[d], np.zeros(3)) if d < 3 else (np.zeros(3), axes[d - 3])
+            if place in f.loops:
+                motion = f.loops[place].moved(shift, turn)
+            else:
+                motion = np.broadcast_to(shift.reshape(3, -1), f.p[-1].shape) + np.cross(
+                    np.broadcast_to(turn.reshape(3, -1), f.p[-1].shape), f.p[-1] - f.p[place], axis=0
+                )
+            columns.append(motion.T.ravel())
+        assert_jacobian(lambda x: moved(place, x), np.stack(columns, axis=1), np.zeros(6))  # noqa: B023
+
+
+def test_weight_on_the_platform_is_what_mujoco_holds() -> None:
+    delta = odd()
+    q = postures(delta, 20)
+    world = DeltaWorld(delta)
+    world.carry(3.0)
+    torque = payload_wrench(delta, q, GRAVITY * (PLATFORM_KG + 3.0))[:, 5].T
+    motors = torque[:, :3] * delta.constants[1]  # an arm's torque, as its motor feels it
+    assert np.abs(world.holding(q)[:, :3] + motors).max() < 1e-7
+    assert np.abs(motors).max() > 1.0
+
+
+def test_the_parameters_are_24() -> None:
+    delta = odd()
+    assert len(delta.parameter_names) == len(set(delta.parameter_names)) == len(delta.vector) == PARAMETERS == 24
+    X = delta.vector + 1e-3 * np.arange(24)
+    assert np.array_equal(delta.with_vector(X).vector, X)
+
+
+def test_reach_bounds_the_tip() -> None:
+    delta = odd()
+    assert np.linalg.norm(forward(delta, postures(delta, 500))[:, :3, 3], axis=1).max() < delta.reach()
+
+
+@pytest.mark.parametrize(
+    ("position", "said"),
+    [
+        ([0.0, 0.0, -1.5], "mm too far away for arm arm_1"),
+        ([0.0, 0.0, -0.1], "mm too near for arm arm_1"),
+        ([0.3, 0.0, -1.0], "rad beyond its limits"),
+    ],
+)
+def test_inverse_says_what_is_out_of_reach_and_by_how_much(position: list[float], said: str) -> None:
+    with pytest.raises(NotReachable, match=said):
+        inverse(nominal(), position)
+
+
+def test_the_gap_that_is_named_is_the_gap() -> None:
+    """Rods that are longer by what is said to lack reach just so."""
+    delta = nominal()
+    with pytest.raises(NotReachable) as refused:
+        inverse(delta, [0.0, 0.0, -1.5])
+    gap = refused.value.position
+    longer = Delta.build(
+        delta.names,
+        delta.constants[3],
+        delta.constants[4],
+        delta.constants[DISTAL] + gap + 1e-9,
+        lower=[-3] * 4,
+        upper=[3] * 4,
+    )
+    with pytest.raises(NotReachable, match="loose|in line with its rod"):
+        inverse(longer, [0.0, 0.0, -1.5])
+
+
+def test_forward_says_that_no_platform_fits_and_by_how_much() -> None:
+    wide = Delta.build(["a", "b", "c"], offset=0.5, proximal=0.3, distal=0.7)
+    with pytest.raises(NotReachable, match="100.0 mm too short") as refused:
+        forward(wide, np.zeros((1, 3)))
+    assert abs(refused.value.position - 0.1) < 1e-9
+    assert "a 0.000, b 0.000, c 0.000" in str(refused.value)
+
+
+def test_a_loose_platform_is_refused() -> None:
+    """With the rods all but level the weight of a feather moves the platform: no forward kinematics is worth having."""
+    delta = Delta.build(["a", "b", "c"], offset=0.5, proximal=0.3, distal=0.80005)
+    assert looseness(frames(delta, np.zeros((1, 3))))[0] < 0.05
+    with pytest.raises(NotReachable, match="the platform is loose"):
+        forward(delta, np.zeros(3))
+    assert not reachable(delta, np.zeros((1, 3)))[0]
+
+
+def test_a_stretched_arm_is_refused_and_moves_nothing() -> None:
+    drawn = nominal(shaft=False)
+    offset, proximal, distal = drawn.constants[3:, 0]
+    delta = Delta.build(drawn.names, offset, proximal, distal, lower=[-3.0] * 3, upper=[3.0] * 3)
+    along = np.array([np.cos(1.9), 0.0, -np.sin(1.9)])
+
+    def short_of_stretched(gap: float) -> Array:
+        return np.array([offset, 0.0, 0.0]) + (proximal + distal - gap) * along
+
+    with pytest.raises(NotReachable, match="arm arm_1 is 0.78 degrees from in line with its rod"):
+        inverse(delta, short_of_stretched(2e-5))
+    q = inverse(delta, short_of_stretched(1e-4))[None]
+    far = inverse(delta, short_of_stretched(0.2))[None]
+    pull = [np.linalg.norm(position_jacobians(delta, at)[2][0, :, 0]) for at in (q, far)]
+    assert pull[0] < 0.15 * pull[1]
+    assert stretch(delta, frames(delta, q))[0, 0] < 0.05
+
+
+def test_ways_between_postures() -> None:
+    """Arms that all point outwards leave no room for a platform; above and below there is."""
+    delta = Delta.build(["a", "b", "c"], offset=0.5, proximal=0.3, distal=0.7, lower=[-2.0] * 3, upper=[2.0] * 3)
+    up, down = np.full(3, -1.2), np.full(3, 1.2)
+    assert reachable(delta, np.stack([up, down])).all()
+    assert passable(delta, down, down - 0.2)
+    assert not passable(delta, up, down)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"names": ["a", "b"]}, "three arms"),
+        ({"names": ["a", "b", "a"]}, "three arms"),
+        ({"proximal": 300.0}, "0.001 to 10 m"),
+        ({"distal": [0.8, np.nan, 0.8]}, "no finite number"),
+        ({"ratio": [1.0, 0.0, 1.0]}, "moves nothing"),
+        ({"azimuth": [0.0, 0.1, 2.0]}, "5.7 degrees apart"),
+        ({"lower": [0.0, 0.0, 1.0], "upper": [1.0, 1.0, 1.0]}, "not below its upper"),
+        ({"lower": [0.0, 0.0]}, "limits must be 3"),
+        ({"tool": [0.0] * 5}, "tool must be 6"),
+    ],
+)
+def test_what_is_no_delta(changes: dict[str, object], said: str) -> None:
+    given: dict[str, object] = {"names": ["a", "b", "c"], "offset": 0.15, "proximal": 0.3, "distal": 0.8}
+    with pytest.raises(BadRobot, match=said):
+        Delta.build(**{**given, **changes})  # type: ignore[arg-type]
