@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test lint format bench undeclared \
-	closed-loop soak doors articulation control-tick synthesis modular planning lock clean
+	closed-loop soak doors articulation control-tick synthesis modular planning limits lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -76,6 +76,9 @@ modular: setup-test build  ## calibration after re-assembly, with and without wh
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
 	@$(PY) bench/pose_planning.py $(BENCH_ARGS)
+
+limits: setup-test build  ## a pick and place within torque limits and within constant ones, played in MuJoCo
+	@$(PY) bench/limits.py $(BENCH_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py

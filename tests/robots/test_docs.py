@@ -1,4 +1,4 @@
-"""The code in docs/robots.md runs as it stands."""
+"""The code in docs/robots.md and docs/acceleration_limits.md runs as it stands."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 
-def test_examples_run(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (root / "docs" / "robots.md").read_text(), re.DOTALL)
-    assert len(blocks) == 2
+@pytest.mark.parametrize(("page", "blocks"), [("robots", 3), ("acceleration_limits", 2)])
+def test_examples_run(page: str, blocks: int, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = re.findall(r"```python\n(.*?)```", (root / "docs" / f"{page}.md").read_text(), re.DOTALL)
+    assert len(found) == blocks
     monkeypatch.chdir(root)
-    exec("\n".join(blocks), {})
+    exec("\n".join(found), {})
