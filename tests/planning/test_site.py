@@ -13,7 +13,7 @@ from planning.sites import HALL, ground, hall
 from modcal_core.calibration.structure import random_postures
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.ground import survey, with_limits
+from modcal_core.planning.ground import one_turn, survey, with_limits
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.chain import Chain
@@ -132,7 +132,9 @@ def test_what_is_chosen_from_is_within_limits_free_and_seen() -> None:
     here, there = hall(), ground()
     q = there.q
     assert len(q) == 300
-    assert (np.abs(q) <= np.pi).all()
+    assert (q >= ur10().lower).all()
+    assert (q <= ur10().upper).all()
+    assert (np.ptp(q, axis=0) <= 2 * np.pi).all()
     spheres = spheres_of(ur10(), here)
     assert (clearance(spheres, here, q) >= 0.0).all()
     assert visible(spheres, here, q).all()
@@ -149,8 +151,21 @@ def test_what_is_chosen_from_is_within_limits_free_and_seen() -> None:
 def test_limits_of_the_site_hold() -> None:
     chain = with_limits(irb1410(), site(limits={"joint_2": [-0.5, 9.0]}))
     assert (chain.lower[1], chain.upper[1]) == pytest.approx((-0.5, 1.2217 - 0.02), abs=1e-3)
-    assert chain.upper[5] - chain.lower[5] == pytest.approx(2 * np.pi)
-    assert (chain.lower >= irb1410().lower).all()
+    assert (chain.lower > irb1410().lower).all()
+    assert (chain.upper < irb1410().upper).all()
+
+
+def test_one_turn_is_cut_where_the_arm_cannot_be() -> None:
+    """The shoulder of an arm that stands on a floor: straight down at π/2, so the turn goes from there over the top."""
+    here = site(surroundings={"floor_m": 0.0}, limits={"wrist_3_joint": [-6.0, 6.0]})
+    chain = one_turn(spheres_of(with_limits(ur10(), here), here), here, np.random.default_rng(0))
+    width = chain.upper - chain.lower
+    assert np.allclose(width[:5], 2 * np.pi)
+    assert width[5] == pytest.approx(12.0)
+    assert (chain.lower >= ur10().lower).all()
+    assert (chain.upper <= ur10().upper).all()
+    T = forward(ur10(), np.array([0.0, chain.lower[1], 0.0, 0.0, 0.0, 0.0]))
+    assert T[2, 3] < 0.0
 
 
 @pytest.mark.parametrize(

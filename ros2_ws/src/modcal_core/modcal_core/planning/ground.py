@@ -26,6 +26,8 @@ CANDIDATES = 1500
 _WORKSPACE = 400
 _ROADMAP = 1500  # postures that ways may lead over
 _OFF_LIMITS = 0.02  # rad or m that is kept from the joints' limits
+_PROBED = 2048  # postures by which it is seen where a joint's turn had better end
+_CUT = 0.15  # rad, about that end
 _DRAWN = 40  # times as many postures are drawn as are wanted, before it is said that hardly any is allowed
 _RANDOM = 20  # random sets that a plan is compared with
 
@@ -76,8 +78,8 @@ def survey(
     reading: ``point`` or ``pose``. fixed: parameters that are not fitted. candidates: how many postures.
     besides: stations (N, n) that are measured already, wherever they are.
     """
-    chain = with_limits(chain, site)
-    spheres = spheres_of(chain, site)
+    spheres = spheres_of(with_limits(chain, site), site)
+    chain = one_turn(spheres, site, rng)
     T = np.eye(4)
     if site.tracker is not None:
         T[:3, 3] = -site.tracker.position  # how the tracker is turned does not matter
@@ -118,19 +120,14 @@ def survey(
     )
 
 
-def with_limits(chain: Chain, site: Site, one_turn: bool = True) -> Chain:
-    """The chain within the site's narrower limits. Raises BadTable for a joint that is not there.
+def with_limits(chain: Chain, site: Site) -> Chain:
+    """The chain within the site's narrower limits, a little kept free at either end, where controllers stop.
 
-    one_turn: where the site states none, a joint that turns farther than once is held to the one turn about its middle,
-    for geometry looks the same after a turn and the ways get shorter. A little is kept free at either end, where
-    controllers stop.
+    Raises BadTable for a joint that is not there, and for limits that leave nothing.
     """
     lower, upper = joint_ranges(chain)
     off = np.minimum(_OFF_LIMITS, 0.05 * (upper - lower))
     lower, upper = lower + off, upper - off
-    wide = one_turn & chain.revolute & (upper - lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
-    middle = 0.5 * (lower + upper)
-    lower, upper = np.where(wide, middle - np.pi, lower), np.where(wide, middle + np.pi, upper)
     for name, (low, high) in site.limits.items():
         if name not in chain.names:
             raise BadTable(f"limits of '{name}'", "there is no such joint", f"choose from {', '.join(chain.names)}")
@@ -141,6 +138,29 @@ def with_limits(chain: Chain, site: Site, one_turn: bool = True) -> Chain:
     return replace(chain, lower=lower, upper=upper)
 
 
+def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Chain:
+    """The chain whose joints turn once at most: geometry looks the same after a turn, and ways get shorter.
+
+    Of the turns that a joint may make, the one is taken that begins and ends where the fewest postures are free, so
+    that hardly any way is cut that the arm could go. Joints for which the site states limits are left as they are.
+    """
+    chain = spheres.chain
+    wide = chain.revolute & (chain.upper - chain.lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
+    if not wide.any():
+        return chain
+    q = sobol_postures(chain, _PROBED, rng)
+    q = q[clearance(spheres, site, q) >= 0.0]
+    lower, upper = chain.lower.copy(), chain.upper.copy()
+    for k in np.flatnonzero(wide):
+        # first angles of turns that stay within the limits, the middle one first among equals
+        first = np.linspace(lower[k], upper[k] - 2.0 * np.pi, 25)
+        first = first[np.argsort(np.abs(first - first.mean()), kind="stable")]
+        apart = np.abs(np.angle(np.exp(1j * (q[:, k, None] - first))))
+        begin = first[np.argmin(np.sum(apart < _CUT, axis=0))]
+        lower[k], upper[k] = begin, begin + 2.0 * np.pi
+    return replace(chain, lower=lower, upper=upper)
+
+
 def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
     """What as many stations would give that are drawn from the same postures."""
     return [ground.accuracy(ground.rows.of(rng.choice(len(ground.q), count, replace=False))) for _ in range(sets)]
@@ -148,7 +168,7 @@ def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
     """Says of postures (N, n) whether this arm, by its nominal model, may take them at a site and is seen there."""
-    chain = with_limits(calibration.nominal.serial, site, one_turn=False)
+    chain = with_limits(calibration.nominal.serial, site)
     spheres = spheres_of(chain, site)
 
     def may(q: Array) -> np.ndarray:
