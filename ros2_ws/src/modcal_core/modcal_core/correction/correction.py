@@ -222,7 +222,7 @@ def _deviations_covariance(calibration: Calibration) -> Array | None:
     chain, n, P = calibration.calibrated.serial, calibration.calibrated.chain.n, len(known.parameters)
     selected = np.zeros((6 * n, P))
     for j, parameter in enumerate(known.parameters):
-        if parameter.place:
+        if parameter.place > 0:
             selected[6 * (parameter.place - 1) + parameter.direction, j] = 1.0
     passing = passing_directions(chain, calibration.calibrated.T_tip_tool)
     inner = slice(0, 6 * (n - 1))

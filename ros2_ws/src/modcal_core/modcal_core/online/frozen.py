@@ -71,7 +71,8 @@ class Frozen:
             residual.append(rotation[:, 0])
         J = np.concatenate(rows)
         if len(self._T_root_frame) > 1:
-            J[:, (self._place == 0) & (self._frame != frame)] = 0.0
+            here = (self._frame == frame) | (self._frame == self._model.leader(frame))
+            J[:, (self._place == 0) & ~here] = 0.0
         if self._effects:
             view = View(sample, np.flatnonzero(sample.is_pose), f, position[:, None], rotation, reading[:, None])
             more = [view.moved_by(terms) for terms in all_columns(self._model.effects, at)]

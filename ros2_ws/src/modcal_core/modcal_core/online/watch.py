@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.frozen import Frozen
@@ -56,8 +56,12 @@ class Watch:
         self.model = model
         self.directions = all_directions(model)
         names = {(p.place, p.direction, p.frame): i for i, p in enumerate(self.directions)}
-        self._known = np.array([names[p.place, p.direction, p.frame] for p in parameters], dtype=int)
-        self._covariance = covariance[: len(parameters), : len(parameters)]
+        # constants of instruments move nothing that is watched here
+        moving = [i for i, p in enumerate(parameters) if p.place != INSTRUMENT]
+        self._known = np.array(
+            [names[p.place, p.direction, p.frame] for p in (parameters[i] for i in moving)], dtype=int
+        )
+        self._covariance = covariance[np.ix_(moving, moving)]
         self._spread = spread
         self._frozen = Frozen(model, self.directions, np.zeros(len(self.directions)))
         self.seen: list[Seen] = []
