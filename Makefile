@@ -16,8 +16,10 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared \
-	closed-loop soak doors articulation control-tick synthesis modular planning limits lock clean
+.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop \
+	soak doors articulation control-tick synthesis modular planning limits delta lock clean
+
+	closed-loop soak doors articulation control-tick synthesis modular delta planning lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -79,6 +81,9 @@ planning: setup-test build  ## planned stations against random ones, on arms of 
 
 limits: setup-test build  ## a pick and place within torque limits and within constant ones, played in MuJoCo
 	@$(PY) bench/limits.py $(BENCH_ARGS)
+
+delta: setup-test build  ## a Delta by simulated annealing and by least squares, side by side; BENCH_ARGS="--robots 1"
+	@$(PY) bench/delta.py $(BENCH_ARGS)
 
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py

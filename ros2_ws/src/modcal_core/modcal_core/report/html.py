@@ -70,7 +70,7 @@ condition {{ "%.0f"|format(data.identifiability.condition) }}{% endif %}.
 <tr><th>name</th><th class="n">value</th><th class="n">std</th><th>unit</th></tr>
 {% for p in data.parameters %}
 <tr><td>{{ p.name }}</td><td class="n">{{ "%.4f"|format(1e3 * p.value) }}</td><td class="n">{{ "%.4f"|format(1e3 * p.std) }}</td>
-<td>{{ {"m": "mm", "rad": "mrad"}.get(p.unit, p.unit) }}</td></tr>
+<td>{{ {"m": "mm", "rad": "mrad", "1": "‰"}.get(p.unit, p.unit) }}</td></tr>
 {% endfor %}
 </table></div>
 {% endif %}
