@@ -19,8 +19,6 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 .PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop \
 	soak doors articulation control-tick synthesis modular planning limits delta lock clean
 
-	closed-loop soak doors articulation control-tick synthesis modular delta planning lock clean
-
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
 		printf '  make %-12s %s\n' "$$name" "$$what"; done
