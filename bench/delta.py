@@ -46,7 +46,7 @@ def compare(seed: int, count: int) -> dict[str, tuple[float, int, float]]:
     annealed, went = anneal_distances(cell.nominal, q, pairs, np.random.default_rng(seed))
     middle = time.process_time()
     out["annealing"] = (missed(annealed, cell, count), went.evaluations, middle - began)
-    polished = fit_distances(annealed, q, pairs)
+    polished = fit_distances(cell.nominal, q, pairs, begin=annealed)
     evaluations = went.evaluations + polished.evaluations
     out[ROWS[2]] = (missed(polished.delta, cell, count), evaluations, time.process_time() - began)
     began = time.process_time()

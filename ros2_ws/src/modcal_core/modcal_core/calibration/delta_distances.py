@@ -29,6 +29,7 @@ from modcal_core.robots.delta_kinematics import position_jacobians, tool_positio
 
 _RANK = 1e-7  # share of the largest singular value below which a combination changes nothing
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
+_INSIDE = 0.999  # of the room; a fit begins inside its bounds
 _TOOL_ROOM = 0.1  # m, rad; where a tool is held is less sure than how a robot is built
 
 
@@ -94,10 +95,13 @@ def objective(delta: Delta, q: Array, pairs: Pairs) -> float:
     return float(np.sqrt(np.mean(r * r))) if np.isfinite(r).all() else np.inf
 
 
-def fit_distances(nominal: Delta, q: Array, pairs: Pairs, room: Array | None = None) -> DistanceFit:
+def fit_distances(
+    nominal: Delta, q: Array, pairs: Pairs, room: Array | None = None, begin: Delta | None = None
+) -> DistanceFit:
     """The Delta whose distances are nearest to the measured ones, by bounded least squares with analytic derivatives.
 
-    room: how far each parameter may be from nominal, (24,); 0 holds it. Raises NotEnoughData where distances are no
+    room: how far each parameter may be from nominal, (24,); 0 holds it. begin: where to begin, such as where annealing
+    ended; nominal by default. Raises NotEnoughData where distances are no
     more than the combinations they show, BadRecording for postures that the nominal robot cannot take.
     """
     room = rooms(nominal) if room is None else np.asarray(room, dtype=float)
@@ -121,8 +125,11 @@ def fit_distances(nominal: Delta, q: Array, pairs: Pairs, room: Array | None = N
     def derivatives(x: Array) -> Array:
         return -distance_jacobian(at(x), q, pairs)[:, free] * room[free]
 
+    first = np.zeros(len(free))
+    if begin is not None:
+        first = np.clip((begin.vector - nominal.vector)[free] / room[free], -_INSIDE, _INSIDE)
     found = least_squares(
-        errors, np.zeros(len(free)), derivatives, bounds=(-1.0, 1.0), method="trf", tr_solver="exact",
+        errors, first, derivatives, bounds=(-1.0, 1.0), method="trf", tr_solver="exact",
         ftol=1e-13, xtol=1e-13, gtol=1e-15,
     )  # fmt: skip
     fitted = at(found.x)
