@@ -81,7 +81,7 @@ class Deviations:
 
     frames: Array
     places: Array
-    constants: Array
+    constants: Array = field(default_factory=lambda: np.zeros((0, 6)))
     instruments: tuple[Array, ...] = ()
 
 
