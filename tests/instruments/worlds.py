@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from cells import samples_of as as_samples
 from cells import ur10
 
 from modcal_core.geometry import se3
@@ -79,22 +80,8 @@ def samples_of(
     values = values + noise * rng.standard_normal(values.shape)
     if kind == "bearing":
         values /= np.linalg.norm(values, axis=1, keepdims=True)
-    N = len(q)
-    return Samples(
-        names=chain.names,
-        frames=(frame,),
-        q=q,
-        stamps=1.7e9 + 2.0 * np.arange(N),
-        station=np.arange(N),
-        frame=np.zeros(N, int),
-        kind=np.array([kind] * N, dtype="U8"),
-        position=np.pad(values, ((0, 0), (0, 3 - values.shape[1]))),
-        R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros_like(q),
-        moving=np.zeros(N, bool),
-    )
+    values = np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
+    return as_samples(chain, q, se3.transform(p=values), kind, frame)
 
 
 def together(parts: list[Samples]) -> Samples:
