@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import KIND_NAMES, Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
 from modcal_nodes.simulation.world import World
@@ -90,7 +90,7 @@ def samples_of(chain: Mechanism, q: Array, T: Array, kind: str = "pose", frame: 
         stamps=1.7e9 + 2.0 * np.arange(N),
         station=np.arange(N),
         frame=np.zeros(N, int),
-        kind=np.array([kind] * N, dtype="U8"),
+        kind=np.array([kind] * N, dtype=KIND_NAMES),
         position=T[:, :3, 3],
         R=T[:, :3, :3] if kind == "pose" else np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=np.full(N, np.nan),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadRecording
+from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
@@ -23,9 +23,10 @@ from modcal_core.measurements.recording import (
     Recording,
     SignalTrack,
 )
+from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
 from modcal_msgs_py.layout import Bytes, Layout, numeric_paths
 from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
+from modcal_msgs_py.topics import ADDED, JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
 
 
 @dataclass
@@ -97,6 +98,10 @@ class RecordingBuilder:
         elif role == TEMPERATURE:
             stamp = self._stamp(topic, message, received)
             self._signal(topic, f"temperature:{message.header.frame_id}", stamp, received, [message.temperature])
+        elif role in ADDED:
+            stamp = self._stamp(topic, message, received)
+            for said in ADDED[role].take(message):
+                self._add_said(topic, said, stamp, received)
         else:
             stamp = self._stamp(topic, message, received)
             numbers = list(_numbers(message))
@@ -181,8 +186,10 @@ class RecordingBuilder:
         )
 
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
+        self._add_joints(topic, message, self._stamp(topic, message, received), received)
+
+    def _add_joints(self, topic: str, message: Any, stamp: float, received: float) -> None:
         names = tuple(message.name)
-        stamp = self._stamp(topic, message, received)
         n = _require_joints(topic, names, len(message.position), stamp)
         # a column that was not sent, or not for every joint, is unknown for all of them
         sent = (message.velocity, message.effort)
@@ -199,6 +206,20 @@ class RecordingBuilder:
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
         rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(kinds()[kind].width))
         rows.append(self._stamp(topic, message, received), received, READING[kind](message))
+
+    def _add_said(self, topic: str, said: Said, stamp: float, received: float) -> None:
+        """Take what a package makes of its own message. Raises BadTable where it makes no sense of it."""
+        if isinstance(said, Signal):
+            self._signal(topic, said.name, stamp, received, [float(said.value)])
+        elif isinstance(said, Joints):
+            self._add_joints(topic, said, stamp, received)
+        elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
+            rows = self._readings.setdefault((topic, said.kind, said.frame), _Rows(len(said.values)))
+            rows.append(stamp, received, tuple(map(float, said.values)))
+        else:
+            raise BadTable(
+                f"topic {topic}", f"its package made {said!r} of a message", "yield Signal, Joints or Reading of a kind"
+            )
 
     def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
         self._signals.setdefault((topic, name), _Rows(1)).extend(stamps, received, values)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from modcal_core.errors import BadTable
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_msgs_py.added_topics import GROUP, added_topics
 
 JOINT_STATES = "joint_states"
 ROBOT_DESCRIPTION = "robot_description"
@@ -19,7 +21,13 @@ TYPES = {
     NOTES: "std_msgs/msg/String",
     **{kind.topic: kind.message for kind in kinds().values()},
 }
+ADDED = added_topics()
 LATCHED = (ROBOT_DESCRIPTION, NOTES)
+
+for _topic, _added in ADDED.items():
+    if _topic in TYPES:
+        raise BadTable(f"topic {_topic} of {GROUP}", "is the contract's own", "choose another name")
+    TYPES[_topic] = _added.message
 
 
 def role_of(topic: str, type_name: str) -> str | None:

@@ -3,7 +3,7 @@
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``. Three more are ways to know a load and are reported as
 ``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip, and
-``moment:J`` the two components across the axis.
+``moment:J`` the two components across the axis. Packages may add more.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from modcal_core.calibration.added import added_driver
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
@@ -71,6 +72,8 @@ class Circumstances:
             return np.ones(len(self))
         if kind in ("position", "direction", "effort", "load", "payload", "moment"):
             return self._of_joint(kind, self.samples.names.index(of))
+        if added := added_driver(kind):
+            return np.asarray(added(self, of), dtype=float)
         return self._signal(name, lag)
 
     def signal_names(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.circumstances import Circumstances, public_driver
 from modcal_core.calibration.parameters import DIRECTIONS
-from modcal_core.calibration.shapes import REFINED, Shape
+from modcal_core.calibration.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import ARMS
@@ -79,7 +79,7 @@ class Effect:
     @property
     def refined(self) -> tuple[str, ...]:
         """Names of the settings that are fitted with the amplitudes."""
-        return REFINED.get(self.shape.kind, ())
+        return self.shape.refined
 
     @property
     def amplitudes(self) -> Array:
@@ -166,10 +166,7 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
             out.append(EXPECTED_BEND)
         else:
             out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
-    for name in effect.refined:
-        value = effect.shape.settings[name]
-        out.append(0.5 if name == "cycles" else max(0.5 * abs(value), 1e-3))
-    return np.array(out)
+    return np.array([*out, *(effect.shape.expected(name) for name in effect.refined)])
 
 
 def place_index(place: str, chain: Mechanism) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modcal_core.calibration.added import added_shape, basis_of
 from modcal_core.geometry.so3 import Array
 
 REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
@@ -21,7 +22,7 @@ PERIODIC = ("sine", "turn", "double")
 @dataclass(frozen=True)
 class Shape:
     """kind: one of linear, lagged, several, since, hardening, turn, sine, double, sign, ramp, step, settle, spline,
-    polynomial and waves. settings: by name, see ``basis``.
+    polynomial and waves, or one that a package adds. settings: by name, see ``basis``.
     """
 
     kind: str
@@ -37,7 +38,22 @@ class Shape:
         if self.kind == "waves":
             order = int(self.settings["order"])
             return 2 * (order + order * (order + 1) + order * order)
+        if added := added_shape(self.kind):
+            return added.size
         return {"sine": 2, "turn": 2, "several": 2, "double": 4}.get(self.kind, 1)
+
+    @property
+    def refined(self) -> tuple[str, ...]:
+        """Names of the settings that are fitted with the amplitudes."""
+        if added := added_shape(self.kind):
+            return tuple(added.refined)
+        return REFINED.get(self.kind, ())
+
+    def expected(self, name: str) -> float:
+        """How far a refined setting may lie from its value before its prior minds."""
+        if added := added_shape(self.kind):
+            return added.refined[name].expected
+        return 0.5 if name == "cycles" else max(0.5 * abs(self.settings[name]), 1e-3)
 
     def with_settings(self, settings: Mapping[str, float]) -> Shape:
         """The same kind of shape with some settings changed."""
@@ -81,6 +97,8 @@ class Shape:
             return np.stack([u ** (k + 1) for k in range(int(s["degree"]))])
         if self.kind == "waves":
             return self._waves(x)
+        if added := added_shape(self.kind):
+            return basis_of(self.kind, added, x, s)
         raise ValueError(f"no shape '{self.kind}'")
 
     def _splines(self, x: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.calibration.added import require_known
 from modcal_core.calibration.circumstances import Arm
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
@@ -175,7 +176,7 @@ def _effect_to_data(effect: Effect) -> dict[str, Any]:
 
 def _effect_from_data(data: Mapping[str, Any]) -> Effect:
     shape = dict(data["shape"])
-    return Effect(
+    effect = Effect(
         str(data["family"]),
         str(data["place"]),
         str(data["direction"]),
@@ -184,6 +185,8 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
         np.array(data["values"], dtype=float),
         np.array(data["std"], dtype=float),
     )
+    require_known(effect)
+    return effect
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import PLANE, scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import KIND_NAMES, Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_core.robots.mechanism import Mechanism, forward
@@ -82,7 +82,7 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
         q_parts.append(q)
         frame += [view.frame] * len(q)
         kind += [view.kind] * len(q)
-    return exact_samples(model, np.concatenate(q_parts), np.array(frame), np.array(kind, dtype="U8"))
+    return exact_samples(model, np.concatenate(q_parts), np.array(frame), np.array(kind, dtype=KIND_NAMES))
 
 
 def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray) -> Samples:

@@ -1,7 +1,7 @@
 """Everything that is looked for: each effect of the vocabulary at every place it can sit, before any has a size.
 
-One function names one kind of effect; adding a kind is adding a function to :data:`KINDS`. What has no name yet comes
-last, as free shapes of any driver.
+One function names one kind of effect; adding a kind is adding a function to :data:`KINDS`, or installing a package that
+brings one (:mod:`~modcal_core.calibration.added`). What has no name yet comes last, as free shapes of any driver.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from modcal_core.calibration import added
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, RADIAL, SHIFT, Effect, length_direction
 from modcal_core.calibration.shapes import Shape
@@ -34,6 +35,7 @@ def vocabulary(at: Circumstances) -> Iterator[Effect]:
     """All candidates for these samples, without values."""
     for kind in KINDS:
         yield from kind(at)
+    yield from added.candidates(at)
 
 
 def plainness(effect: Effect) -> int:

@@ -10,6 +10,8 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE, SignalTrack
 
+KIND_NAMES = np.dtype("U32")  # of Samples.kind; a kind with a longer name is refused
+
 
 @dataclass(frozen=True)
 class Samples:

@@ -25,7 +25,7 @@ from modcal_core.measurements.recording import (
     joint_stamps_and,
     joint_stamps_and_positions,
 )
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import KIND_NAMES, Samples
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -94,7 +94,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         stamps=stamps,
         station=_number(stamps),
         frame=np.repeat([frames.index(track.frame) for track in tracks], [len(p.q) for p in pieces]),
-        kind=np.repeat(np.array([track.kind for track in tracks], dtype="U8"), [len(p.q) for p in pieces]),
+        kind=np.repeat(np.array([track.kind for track in tracks], dtype=KIND_NAMES), [len(p.q) for p in pieces]),
         position=np.concatenate([p.position for p in pieces]),
         R=np.concatenate([p.R for p in pieces]),
         sigma_position=np.concatenate([p.sigma_position for p in pieces]),

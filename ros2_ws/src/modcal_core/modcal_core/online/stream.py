@@ -19,7 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, ReadingTrack
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import KIND_NAMES, Samples
 from modcal_core.measurements.stations import StationRules, averaged
 
 _HELD = 8192  # joint states, and readings of each frame
@@ -261,7 +261,7 @@ class Stream:
                 stamps=np.array([stamp]),
                 station=np.array([self._station]),
                 frame=np.array([self.frames.index(frame)]),
-                kind=np.array([kind], dtype="U8"),
+                kind=np.array([kind], dtype=KIND_NAMES),
                 position=np.array(position)[None],
                 R=np.array(R)[None],
                 sigma_position=np.array([sigma_position]),

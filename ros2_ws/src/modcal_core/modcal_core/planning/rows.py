@@ -21,6 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.structure import exact_samples
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import KIND_NAMES
 from modcal_core.planning.site import Noise
 
 
@@ -78,7 +79,7 @@ def station_rows(
     spread: that of other stations of the same fit; that of these where it is not given.
     """
     N, n = q.shape
-    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype="U8"))
+    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
     view = View.of(model, samples, model.circumstances(samples))
     scale = np.array([p.prior_std for p in parameters])
     J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
@@ -101,7 +102,7 @@ def station_rows(
 def position_rows(model: Model, parameters: Sequence[Parameter], q: Array, noise: Noise) -> tuple[Array, Array]:
     """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
     N, n = q.shape
-    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype="U8"))
+    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
     view = View.of(model, samples, model.circumstances(samples))
     scale = np.array([p.prior_std for p in parameters])
     turning = model.chain.revolute

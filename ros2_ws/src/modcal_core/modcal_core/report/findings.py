@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modcal_core.calibration.added import added_effects, added_shape
 from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
 from modcal_core.calibration.identify import Fit
@@ -44,7 +45,9 @@ class Finding:
     def sentence(self) -> str:
         """What a technician should know of it."""
         gain = f"adding it takes the error from {1e3 * self.before:.3f} to {1e3 * self.after:.3f} mm"
-        return f"{_STORIES.get(self.family, _unknown)(self)}; {gain}."
+        added = added_effects().get(self.family)
+        story = f"{self.place} {added.story}" if added and added.story else _STORIES.get(self.family, _unknown)(self)
+        return f"{story}; {gain}."
 
 
 def findings(
@@ -157,6 +160,9 @@ def _sizes(effect: Effect) -> dict[str, Quantity]:
         out["cycles_per_turn"] = (settings["cycles"], 0.0, "1")
     if effect.lag:
         out["lag"] = (effect.lag, float(s[-1]), "s")
+    if own := added_shape(effect.shape.kind):
+        for name, std in zip(effect.refined, s[len(effect.amplitudes) :], strict=True):
+            out[name] = (settings[name], float(std), own.refined[name].unit)
     return out
 
 

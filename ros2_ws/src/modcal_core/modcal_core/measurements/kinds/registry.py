@@ -20,9 +20,10 @@ from modcal_core.measurements.kinds.kind import MESSAGES, Kind
 from modcal_core.measurements.kinds.positions import Point, Pose
 from modcal_core.measurements.kinds.ray import Ray
 from modcal_core.measurements.kinds.touch import Touch
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import KIND_NAMES, Samples
 
 GROUP = "modcal.measurement_kinds"
+_LONGEST = KIND_NAMES.itemsize // 4  # letters
 _OWN: tuple[Kind, ...] = (Pose(), Point(), Distance(), Bearing(), Touch(), Ray())
 
 
@@ -36,6 +37,10 @@ def kinds() -> dict[str, Kind]:
             raise BadTable(f"entry point {point.name} of {GROUP}", f"names a {type(kind).__name__}", "name a Kind")
         if kind.name in out or kind.topic in {k.topic for k in out.values()}:
             raise BadTable(f"entry point {point.name} of {GROUP}", "its name or topic is taken", "choose others")
+        if len(kind.name) > _LONGEST:
+            raise BadTable(
+                f"entry point {point.name} of {GROUP}", f"name of {len(kind.name)} letters", f"use at most {_LONGEST}"
+            )
         if kind.message not in MESSAGES:
             raise BadTable(
                 f"entry point {point.name} of {GROUP}", f"message {kind.message}", f"use {', '.join(MESSAGES)}"

@@ -1,0 +1,1 @@
+"""What one cell has that modcal does not know. A file each; pyproject.toml registers them."""

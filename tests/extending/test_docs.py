@@ -1,0 +1,37 @@
+"""What docs/extending.md shows works as it stands there, and names what the example package registers."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace as Message
+
+from modcal_core.calibration.added import AddedEffect
+from modcal_msgs_py.added_topics import AddedTopic, Joints
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "extending.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+
+
+def test_the_examples_run() -> None:
+    effect, topic = ({}, {})  # type: tuple[dict[str, object], dict[str, object]]
+    for program, names in zip(blocks("python"), (effect, topic), strict=True):
+        exec(compile(program, "docs/extending.md", "exec"), names)
+    assert isinstance(effect["EFFECT"], AddedEffect)
+    added = topic["TOPIC"]
+    assert isinstance(added, AddedTopic)
+    (said,) = added.take(Message(data=[0.1] * 6))
+    assert isinstance(said, Joints)
+    assert said.name[5] == "joint_6"
+
+
+def test_the_entry_points_are_those_of_the_example() -> None:
+    (text,) = blocks("toml")
+    written = tomllib.loads(text)["project"]["entry-points"]
+    package = tomllib.loads((ROOT / "examples" / "extending" / "pyproject.toml").read_text())
+    assert written == package["project"]["entry-points"]

@@ -1,0 +1,111 @@
+"""What cannot be added is refused, in one line that names it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = """
+from modcal_core.calibration.added import AddedEffect, AddedShape
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.shapes import Shape
+from modcal_msgs_py.added_topics import AddedTopic
+import numpy as np
+
+def candidates(at):
+    yield Effect("{yields}", "elbow_joint", AXIS, "{driver}", Shape("{shape}"))
+
+def bent(x, settings):
+    return {basis}
+
+ADDED = {added}
+"""
+SCANNED = """
+from cells import record, ur10
+from modcal_core.calibration.circumstances import Arm, Circumstances
+from modcal_core.calibration.effects import columns
+from modcal_core.diagnosis.vocabulary import vocabulary
+at = Circumstances(record(1, 20).samples, Arm(ur10()))
+print([columns(e, at)[0][0].size.shape for e in vocabulary(at) if e.family == "bend"])
+"""
+GOOD = {
+    "yields": "bend",
+    "driver": "position:elbow_joint",
+    "shape": "bent",
+    "basis": "(x**2)[None]",
+    "added": 'AddedEffect("bend", candidates, {"bent": AddedShape(bent)})',
+}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def said(folder: Path, group: str, program: str, **changes: str) -> str:
+    """What a program says with such a package beside it."""
+    (folder / "bend.py").write_text(PACKAGE.format(**{**GOOD, **changes}))
+    info = folder / "bend-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bend\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\nbend = bend:ADDED\n")
+    path = os.pathsep.join([str(folder), str(ROOT / "tests"), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True
+    )
+    return done.stdout + done.stderr
+
+
+def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
+    assert said(tmp_path, "modcal.effects", SCANNED).strip() == "[(20,)]"
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"added": "3"}, "entry point bend of modcal.effects: names a int: name an AddedEffect"),
+        ({"added": 'AddedEffect("drift", candidates)'}, "entry point bend of modcal.effects: family drift is taken"),
+        (
+            {"added": 'AddedEffect("bend", candidates, {"sine": AddedShape(bent)})'},
+            "entry point bend of modcal.effects: shape sine is taken",
+        ),
+        (
+            {"added": 'AddedEffect("bend", candidates, drivers={"time": bent})'},
+            "entry point bend of modcal.effects: driver time is taken",
+        ),
+        ({"yields": "other"}, "effect bend: yields one of family other"),
+        ({"shape": "crooked"}, "effect bend at elbow_joint: no shape crooked"),
+        ({"driver": "mood:elbow_joint"}, "effect bend at elbow_joint: no driver mood:elbow_joint"),
+        ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): mend the package that brings it"),
+        ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: mend the package that brings it"),
+    ],
+)
+def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line: str) -> None:
+    assert line in said(tmp_path, "modcal.effects", SCANNED, **changes)
+
+
+@pytest.mark.parametrize(
+    ("added", "line"),
+    [
+        ("3", "entry point bend of modcal.topics: names a int: name an AddedTopic"),
+        (
+            'AddedTopic("/tracker/pose", "std_msgs/msg/String", print)',
+            "topic tracker/pose of modcal.topics: is the con",
+        ),
+    ],
+)
+def test_a_topic_that_cannot_be(tmp_path: Path, added: str, line: str) -> None:
+    assert line in said(tmp_path, "modcal.topics", "import modcal_msgs_py.topics", added=added)
+
+
+@pytest.mark.parametrize("made", ["7", 'Reading("smell", "nose", [1.0])', 'Reading("point", "f", [1.0])'])
+def test_a_message_that_its_package_makes_nothing_of(tmp_path: Path, made: str) -> None:
+    program = """
+from types import SimpleNamespace as N
+from modcal_msgs_py.messages import RecordingBuilder
+RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
+"""
+    take = f'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [__import__("modcal_msgs_py.added_topics").added_topics.{made}])'
+    if made == "7":
+        take = 'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [7])'
+    assert "topic /vendor: its package made " in said(tmp_path, "modcal.topics", program, added=take)
