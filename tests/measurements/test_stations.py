@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cells import ur10
-from cli.recordings import START, stations, streams, with_reading
+from cli.recordings import START, stations, streams, with_joints, with_reading
 from scipy.ndimage import maximum_filter1d
 
 from modcal_core.errors import BadRecording
@@ -38,6 +38,19 @@ def test_paired_readings_are_stations_as_they_are() -> None:
     assert np.array_equal(samples.q, recording.joints[0].position)
     assert np.array_equal(samples.position, recording.readings[0].values[:, :3])
     assert np.isnan(samples.sigma_position).all()
+
+
+@pytest.mark.parametrize(("joints", "readings"), [(10, 60), (60, 10), (3, 80)])
+def test_pairs_are_recognised_where_one_topic_was_heard_for_longer(joints: int, readings: int) -> None:
+    """A recording may be looked at while it comes in, a topic in one go; what both cover are pairs all the same."""
+    whole = stations(80)
+    track, reading = whole.joints[0], whole.readings[0]
+    cut = {k: getattr(track, k)[:joints] for k in ("stamps", "position", "velocity", "effort", "received")}
+    heard = with_joints(whole, **cut)
+    heard = with_reading(heard, stamps=reading.stamps[:readings], values=reading.values[:readings])
+    samples = cut_stations(heard, ur10().names)
+    assert len(samples) == min(joints, readings)
+    assert not samples.moving.any()
 
 
 def test_a_motion_is_used_reading_by_reading() -> None:

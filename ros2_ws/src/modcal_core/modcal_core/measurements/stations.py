@@ -150,7 +150,9 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     pairs = _paired(track.stamps, t)
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
-    if len(pairs) >= 0.5 * len(track.stamps) and (sparse or len(dwells) < _LEAST_DWELLS):
+    # one topic may have been heard for longer than the other; what counts is the time that both cover
+    shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
+    if len(pairs) and len(pairs) >= 0.5 * shared and (sparse or len(dwells) < _LEAST_DWELLS):
         rows = pairs[:, 1]
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
