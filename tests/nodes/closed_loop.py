@@ -34,7 +34,7 @@ from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.cli.main import run
 from modcal_nodes.inputs import read_calibration
-from modcal_nodes.simulated_cell import make_world
+from modcal_nodes.simulation.plant import make_world
 from modcal_nodes.simulation.world import World
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -20,7 +20,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.main import run
 from modcal_nodes.inputs import read_calibration
-from modcal_nodes.simulated_cell import make_world
+from modcal_nodes.simulation.plant import make_world
 from modcal_nodes.simulation.world import World
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -24,7 +24,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.simulated_cell import make_world
+from modcal_nodes.simulation.plant import make_world
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 CHAIN = read_chain(URDF.read_text())

@@ -22,6 +22,7 @@ VERBS = {
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "sensitivity": ("sensitivity", "sensitivity_command", "Say which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
+    "simulate": ("simulate", "simulate_command", "Record a simulated cell, with what its model lacks."),
     "info": ("info", "info_command", "Say what is in BAG, what it can be used for, and what looks wrong."),
     "limits": ("limits", "limits_command", "Say how hard each joint may be accelerated, with this payload."),
     "import": ("import_tables", "import_command", "Turn CSV tables into a bag, or a kinematic table into a URDF."),
