@@ -283,7 +283,7 @@ def test_simulated_time_that_begins_late_and_jumps_back(tmp_path: Path) -> None:
 def _stamps(bag: Path) -> list[tuple[int, int]]:
     numbers = numbers_on_disk(bag)
     received = [raw.received_ns for path in bag.glob("*.mcap") for raw in McapFile(path).messages()]
-    return list(zip(numbers, received, strict=True))
+    return list(zip(numbers, received[: len(numbers)], strict=True))  # more may have been written since
 
 
 def test_save_says_what_is_safe_and_reset_begins_another_bag(tmp_path: Path) -> None:
