@@ -50,6 +50,19 @@ def test_it_says_what_the_true_cell_of_that_seed_shows(tmp_path: Path) -> None:
     assert recording.robot_description == URDF.read_text()
 
 
+def test_another_visit_finds_the_same_cell(tmp_path: Path) -> None:
+    world = make_world(CHAIN, np.random.default_rng(1), 5e-4, 1e-3)
+    seen = []
+    for visit in ("0", "1"):
+        (tmp_path / visit).mkdir()
+        _, q, T = still(simulated(tmp_path / visit, "-p", f"visit={visit}"))
+        off = se3.log(se3.inverse(world.tool_in_tracker(q)) @ T)
+        assert np.abs(off[:, :3]).max() < 5.0 * 2e-5
+        seen.append((q, off))
+    assert np.abs(seen[0][0] - seen[1][0]).max() > 0.1
+    assert not np.array_equal(seen[0][1], seen[1][1])
+
+
 def test_what_happens_happens_then(tmp_path: Path) -> None:
     bump = (3e-3, 0.0, -4e-3)
     recording = simulated(tmp_path, "--at", "5", f"tool_bump_m={list(bump)}", "-p", "clock_start_s=2000")

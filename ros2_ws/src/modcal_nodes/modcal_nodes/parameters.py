@@ -109,6 +109,9 @@ SIMULATED_CELL = {
     "seed": Parameter(
         1, "Decides the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
     ),
+    "visit": Parameter(
+        0, "Another number: the same arm, tracker and tool, visited at other postures with other noise.", 0, 2**31 - 1
+    ),
     "length_std_m": Parameter(5e-4, "How far the true arm's bodies are displaced, per axis [m].", 0.0, 0.1),
     "angle_std_rad": Parameter(1e-3, "How far the true arm's bodies are turned, per axis [rad].", 0.0, 0.2),
     "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),

@@ -50,6 +50,9 @@ class Plant:
         self._chosen, self._rng = chosen, rng
         self._noise = np.random.default_rng(chosen["seed"] + 1)
         self._arrivals = np.random.default_rng(chosen["seed"] + 2)
+        if chosen["visit"]:  # what is random from here on belongs to the visit, not to the cell
+            of_visit = np.random.SeedSequence((chosen["seed"], chosen["visit"])).spawn(3)
+            self._rng, self._noise, self._arrivals = map(np.random.default_rng, of_visit)
         self._gear = self.chain.names.index(chosen["gear_joint"]) if chosen["gear_joint"] else None
         self._program = Program(np.clip(np.zeros(self.chain.n), self.chain.lower, self.chain.upper))
         self._miss = Program(np.zeros(self.chain.n))
