@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio
 import pytest
 from cells import record, samples_of, ur10
-from cli.recordings import streams
+from cli.recordings import URDF, streams
 from robots.test_kinematics import urdf
 
 from modcal_core.geometry import se3, so3
@@ -25,6 +25,9 @@ from modcal_core.prepare import prepare
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import Report, to_json_data
 from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.cli.simulate import recorded as simulated
+from modcal_nodes.parameters import SIMULATED_CELL
+from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.world import World
 
 REPEATABILITY = 2e-5  # rad
@@ -293,3 +296,19 @@ def _forearm(world: World, q: Array) -> Array:
     places = [World(c, np.random.default_rng(0), 0.0, 0.0) for c in (chain, chain.with_origins(origins))]
     moved = np.subtract(*(place.tool_in_tracker(q)[:3, 3] for place in places[::-1])) / step
     return np.asarray(world.T_tracker_base[:3, :3] @ moved)
+
+
+@pytest.mark.parametrize(("repeatability", "left"), [(2e-5, False), (5e-4, True)])
+def test_what_an_arm_does_not_repeat_is_noise_as_long_as_an_arm_in_order_may_do_it(
+    repeatability: float, left: bool
+) -> None:
+    """Stations that scatter by less within than among themselves, and no posture seen twice."""
+    chosen = {name: parameter.default for name, parameter in SIMULATED_CELL.items()}
+    chosen |= {"urdf": str(URDF), "stations": 70, "repeatability_rad": repeatability, "joint_rate_hz": 50.0}
+    report = report_of(prepare(simulated(Plant(chosen), chosen, []), ur10()).samples)
+    assert report.effects == ()
+    assert report.noise_floor is not None
+    assert not report.noise_floor.whole
+    assert report.errors["final"].size_mm().rms > 1.2e3 * report.noise_floor.rms
+    assert (to_json_data(report)["unexplained"] is not None) == left
+    assert ("Postures visited twice would tell" in report.verdict) == (not left)

@@ -117,11 +117,22 @@ def _scores(e: Errors, samples: Samples, spread: Spread, mixed: bool) -> Array:
     return standard_score(squared_misses(e, samples, spread, FINEST), Groups.of(samples, mixed).dimensions)
 
 
-def noise_floor(samples: Samples) -> float | None:
-    """RMS distance [m] between a reading and what a perfect model would say, or None when the data cannot tell.
+@dataclass(frozen=True)
+class Floor:
+    """RMS distance [m] between a reading and what a perfect model would say.
+
+    whole: whether what the arm does not repeat is in it; else it is the readings' scatter alone, a lower bound.
+    """
+
+    rms: float
+    whole: bool
+
+
+def noise_floor(samples: Samples) -> Floor | None:
+    """What no model can do better than, or None when the data cannot tell.
 
     Postures visited again show it with everything included that does not repeat; failing those, the scatter within the
-    stations is taken, which is a lower bound. Nothing is said of recordings with readings that are no positions: what
+    stations is taken. Nothing is said of recordings with readings that are no positions: what
     is noise differs from one instrument to the next.
     """
     if not is_direct(np.unique(samples.kind).tolist()):
@@ -136,6 +147,6 @@ def noise_floor(samples: Samples) -> float | None:
         gap = samples.position[pairs[:, 0]] - samples.position[pairs[:, 1]]
         # half of the squared gap is one reading's variance; the median ignores readings that were plainly wrong
         chi3_median = 2.366
-        return float(np.sqrt(1.5 * np.median(np.sum(gap**2, axis=1)) / chi3_median))
+        return Floor(float(np.sqrt(1.5 * np.median(np.sum(gap**2, axis=1)) / chi3_median)), True)
     known = samples.sigma_position[np.isfinite(samples.sigma_position)]
-    return float(np.sqrt(3.0 * np.mean(known**2))) if len(known) >= _REPEATS else None
+    return Floor(float(np.sqrt(3.0 * np.mean(known**2))), False) if len(known) >= _REPEATS else None

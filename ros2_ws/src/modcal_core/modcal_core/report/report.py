@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
-from modcal_core.calibration.score import Errors, ErrorSize
+from modcal_core.calibration.score import Errors, ErrorSize, Floor
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import Choice
 from modcal_core.measurements.samples import Samples
@@ -17,6 +17,7 @@ from modcal_core.report.findings import Finding
 FORMAT = 1
 _DRAWS = 400
 STAGES = ("nominal", "geometric", "final")
+_REPEATS_WITHIN_MM = 0.1  # what an arm in order misses a posture by when it comes again (ISO 9283 RP of common arms)
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: [m], None where the recording does not show it. effects: what
+    many samples were left out as outliers. noise_floor: None where the recording does not show it. effects: what
     the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise.
     parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
     sentence each, for a person.
@@ -35,7 +36,7 @@ class Report:
     scored: Samples
     rejected: int
     errors: dict[str, Errors]
-    noise_floor: float | None
+    noise_floor: Floor | None
     effects: tuple[Finding, ...] = ()
     left: Choice | None = None
     identifiability: Identifiability | None = None
@@ -82,14 +83,23 @@ class Report:
     def unexplained_mm(self) -> float | None:
         """RMS of what is left beyond the noise [mm]; None when the rest is noise as far as the recording shows.
 
-        With a known noise floor, what exceeds it by more than a fifth; without, what one more effect would take away.
+        What exceeds the noise floor by more than a fifth; where the floor lacks what the arm does not repeat, by
+        more than arms in order do not. Otherwise what one more effect would take away.
         """
-        final = self.size_mm("final")
+        final, beyond = self.size_mm("final"), self._beyond_floor_mm
         if final is None:
             return None
-        if self.noise_floor is not None and final.rms > 1.2e3 * self.noise_floor:
-            return float(np.sqrt(final.rms**2 - (1e3 * self.noise_floor) ** 2))
+        if beyond and self.noise_floor is not None and (self.noise_floor.whole or beyond > _REPEATS_WITHIN_MM):
+            return beyond
         return None if self.left is None else final.rms * float(np.sqrt(self.left.share))
+
+    @property
+    def _beyond_floor_mm(self) -> float:
+        """RMS beyond the noise floor [mm], 0 where it is less than a fifth more, or where no floor is known."""
+        final = self.size_mm("final")
+        if final is None or self.noise_floor is None or final.rms <= 1.2e3 * self.noise_floor.rms:
+            return 0.0
+        return float(np.sqrt(final.rms**2 - (1e3 * self.noise_floor.rms) ** 2))
 
     @property
     def verdict(self) -> str:
@@ -111,8 +121,14 @@ class Report:
         rest = self.unexplained_mm
         if rest is None and self.noise_floor is None:
             return "; nothing in what is left stands out from noise."
-        if rest is None:
-            return f", which is the noise of the measurement ({1e3 * (self.noise_floor or 0.0):.3f} mm)."
+        if rest is None and self.noise_floor is not None:
+            noise = 1e3 * self.noise_floor.rms
+            if not self._beyond_floor_mm:
+                return f", which is the noise of the measurement ({noise:.3f} mm)."
+            return (
+                f". Readings scatter by {noise:.3f} mm within a station; the rest goes along with nothing that was "
+                "recorded, as what an arm does not repeat. Postures visited twice would tell."
+            )
         said = f"; at least {rest:.3f} mm of it is more than noise, and the model does not explain it."
         if self.left is None:
             return said
@@ -145,7 +161,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
         "split": {"unit": report.sets.unit, **report.set_sizes()},
         "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
-        "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor,
+        "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor.rms,
         "effects": [_effect(finding) for finding in report.effects],
         "unexplained": None if rest is None else _unexplained(rest, report.left),
         "identifiability": None
