@@ -134,6 +134,42 @@ def test_a_singular_posture_does_not_pass() -> None:
             guard.check(wish(stretched), heard(10.004, stretched), 10.004)
 
 
+def test_beyond_the_limit_of_force_only_what_goes_back_to_the_tool_passes() -> None:
+    """Once it was said that the tool is let go, for a second; of the same steps, one away from the tool shuts it."""
+    step = 1e-4 * np.array([0, 0, 0, 0, 0, 0.3, 1.0])
+    pressed = np.array([0, 90.0, 0, 0, 0, 0])
+    for side, passes in ((1.0, True), (-1.0, False)):
+        guard, tool = opened(), READY + 40.0 * side * step  # which lies on one side of where the arm was told to be
+
+        def said(now: float, tool: Array = tool) -> Heard:
+            return replace(heard(now, tool), wrench=pressed)
+
+        guard.let_go(10.0)
+        with contextlib.nullcontext() if passes else pytest.raises(BadCommand, match="leads away"):
+            guard.check(wish(READY + step), said(10.004), 10.004)
+        assert bool(guard.shut) != passes
+    guard = opened()
+    with pytest.raises(BadCommand, match="90.0 N"):  # nobody has said so
+        guard.check(wish(READY), replace(heard(10.004), wrench=pressed), 10.004)
+    guard = opened()
+    guard.let_go(10.0)
+    guard.check(wish(READY), replace(heard(10.9), wrench=pressed), 10.9)
+    with pytest.raises(BadCommand, match="90.0 N"):
+        guard.check(wish(READY), replace(heard(11.1), wrench=pressed), 11.1)
+
+
+def test_what_still_moves_away_must_brake() -> None:
+    """The limits of acceleration forbid to turn back at once; going on as before is not braking."""
+    step = 1e-4 * np.array([0, 0, 0, 0, 0, 0, 1.0])
+    tool = READY - 40.0 * step
+    for second, passes in ((0.9, False), (0.3, True)):
+        guard = opened()
+        guard.check(wish(READY + step), heard(10.004, tool), 10.004)
+        guard.let_go(10.004)
+        with contextlib.nullcontext() if passes else pytest.raises(BadCommand, match="leads away"):
+            guard.check(wish(READY + (1.0 + second) * step), heard(10.008, tool), 10.008)
+
+
 def test_a_clock_that_goes_back_shuts_it() -> None:
     guard = opened()
     guard.check(wish(READY), heard(10.004), 10.004)

@@ -93,6 +93,40 @@ def test_what_is_locked_is_left_alone() -> None:
     assert_smooth(done)
 
 
+@pytest.mark.parametrize("delay", [2, 10, 20])
+def test_a_hard_stop_is_met_below_the_limit(delay: int) -> None:
+    """As stiff as is believed, heard 8 to 80 ms late, at full speed: no more than the last force that may be."""
+    hard = Toy(drawer(), friction=6.0, last=0.15, stiffness=np.array([15e3] * 3 + [600.0] * 3), delay=delay)
+    done = pull(hard, Operation(PANDA, TASK, LIMITS), trusts=0.03)
+    assert done.stop is not None
+    assert not done.stop.done
+    assert done.opened == pytest.approx(0.15, abs=1e-3)
+    assert "follow" in done.phases
+    assert hard.peak < LIMITS.force
+    assert done.forces[-1] < 5.0
+    assert_smooth(done)
+
+
+def test_a_force_beyond_the_limit_is_let_go_and_not_left_standing() -> None:
+    """Of a limit below what the object takes: the spring between setpoint and tool is unwound before the end."""
+    done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, limits(force=20.0)))
+    assert done.stop is not None
+    assert "20 N is the limit" in done.stop.why
+    assert 20.0 < done.forces.max() < 23.0
+    assert done.forces[-1] < 1.0
+    assert_smooth(done)
+
+
+def test_the_expected_mode_lets_go_as_well() -> None:
+    """There it is the stack that would go on pulling, at where it was told to be."""
+    soft = Toy(door(), locked=True, stiffness=np.array([400.0] * 3 + [30.0] * 3))
+    done = pull(soft, Operation(PANDA, replace(TASK, mode="expected"), limits(displacement=0.15)))
+    assert done.stop is not None
+    assert "does not move" in done.stop.why
+    assert done.forces.max() > 15.0
+    assert done.forces[-1] < 1.0
+
+
 def test_a_door_that_ends_early_is_noticed() -> None:
     done = pull(Toy(door(), last=0.5), Operation(PANDA, TASK, LIMITS))
     assert done.stop is not None
@@ -203,14 +237,19 @@ def test_it_does_not_wait_for_ever() -> None:
     assert isinstance(still.tick(), Stop)  # and stays so
 
 
-def test_a_blow_ends_it_at_once() -> None:
+def test_a_blow_ends_it_and_is_not_given_way_to_further_than_it_moves_the_tool() -> None:
+    """What is felt, but moves nothing, may be the sensor's fault: the tool stands where it is, and that is the end."""
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
-    for _ in range(20):
+    for _ in range(200):
         still.tick()
-    outs = [still.tick(np.array([0, 200.0, 0, 0, 0, 0])) for _ in range(10)]
+    before = forward(PANDA, still.q)
+    outs = [still.tick(np.array([0, 200.0, 0, 0, 0, 0])) for _ in range(200)]
+    assert still.operation.phase == "release"
     assert isinstance(outs[-1], Stop)
     assert "force" in outs[-1].why
+    assert "50 N is the limit" in outs[-1].why
+    assert np.linalg.norm(forward(PANDA, still.q)[:3, 3] - before[:3, 3]) < 1e-3
 
 
 def test_a_clock_that_goes_back_ends_it() -> None:

@@ -44,3 +44,13 @@ def test_a_locked_door_is_let_alone(tmp_path: Path) -> None:
     assert 5.0 < opening.pull.peak < 60.0
     # and then it does not hang on
     assert opening.forces[-10:, 1].mean() < 0.7 * opening.pull.peak
+
+
+@pytest.mark.slow
+def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -> None:
+    """At a hard stop, half way and at full speed."""
+    opening = opened(tmp_path, 1, kind="drawer", grasp="weld", stop=0.12)
+    assert not opening.pull.done
+    assert opening.pull.opened == pytest.approx(0.12, abs=2e-3)
+    assert 15.0 < opening.pull.peak < 60.0
+    assert opening.forces[-10:, 1].mean() < 0.5 * opening.pull.peak

@@ -224,6 +224,8 @@ IMPEDANCE_SETPOINT = {
     "wrench_frame": Parameter("", "A link fixed to the tool that wrenches may be in, beside the tool's own."),
     "wrench_by_tool": Parameter(False, "Whether the sensor says what the tool does, not what is done to it."),
     "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
+    "servo_lag_s": Parameter(0.03, "How far setpoints that move steadily are ahead of the arm [s].", 0.0, 1.0),
+    "hand_n_m": Parameter(15e3, "Stiffness of arm, hand and object at a hard stop, as believed [N/m].", 100.0, 1e6),
     "tare_s": Parameter(0.5, "How long the tool is weighed [s].", 0.1, 10.0),
     "stale_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
     "patience_s": Parameter(1.0, "How long a pull waits for an input that is late before it ends [s].", 0.0, 60.0),

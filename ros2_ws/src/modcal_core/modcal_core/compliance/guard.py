@@ -5,6 +5,10 @@ it stays within them is done before (shaping.py, following.py). After a refusal 
 late) the next good setpoint may follow from where the last one was; after any other the guard stays shut until it is
 opened anew.
 
+A force or a moment beyond its limit shuts the guard as well, which leaves the last setpoint standing, and with it the
+spring that a servo has wound up between the tool and there. Whoever wants that let go says so (:meth:`Guard.let_go`):
+for a second forces are then no reason to stand still, and only what goes back towards the tool passes.
+
 Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
 stop, after which no more than one period's step is allowed.
 """
@@ -25,6 +29,9 @@ from modcal_core.robots.posture import pose_and_jacobian
 _ROUNDING = 1e-6  # share by which a number may exceed its limit for being rounded
 _I = np.eye(3)
 _PAUSE = 5.0  # periods without a setpoint, after which the arm counts as standing
+_LETTING_GO = 1.0  # s
+_BRAKES = 0.25  # share of the accelerations allowed with which a setpoint turns back, at least
+_AT_TOOL = 1e-3, 2e-3  # m, rad between setpoint and tool, within which neither can be told from where the other comes
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,7 @@ class Guard:
         self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
         self._now = -math.inf
+        self._let_go = math.nan
 
     def open(self, pose: Array, q: Array, now: float) -> None:
         """Let setpoints through that follow from a pose (4, 4) and joints (n,) at which the arm stands. Or raise."""
@@ -117,7 +125,11 @@ class Guard:
         if not finite or np.shape(pose) != (4, 4) or np.shape(q) != (self.chain.n,):
             raise BadCommand("place to begin from", "is not finite", "wait for joint states")
         self._last = _Last(now, np.array(pose, float), np.array(q, float), self.limits.period, self._rest())
-        self._now, self.shut = now, ""
+        self._now, self.shut, self._let_go = now, "", math.nan
+
+    def let_go(self, now: float) -> None:
+        """For a second from ``now`` [s] on pass, whatever the force, what goes back to the tool, and nothing else."""
+        self._let_go = now
 
     def close(self, why: str) -> None:
         """Let nothing through from now on."""
@@ -164,12 +176,20 @@ class Guard:
             raise BadCommand("wrench", said, "bring it there first")
         _require_finite("wrench", heard.wrench, (6,))
         _require_rotation("measured tool", heard.T_base_tool)
-        force, moment = _norm(heard.wrench[:3]), _norm(heard.wrench[3:])
-        if not force <= limits.force:
-            raise BadCommand("force", f"{force:.1f} N, {limits.force:g} N is the limit", "see what holds the object")
-        if not moment <= limits.moment:
-            said = f"{moment:.1f} N m, {limits.moment:g} N m is the limit"
-            raise BadCommand("moment", said, "see what holds the object")
+        refused = self.too_much(heard.wrench)
+        if refused is not None and not 0.0 <= now - self._let_go <= _LETTING_GO:
+            raise refused
+
+    def too_much(self, wrench: Array) -> BadCommand | None:
+        """What is said of a force and moment (6,) on the tool that lie beyond their limits; None of any other."""
+        force, moment = _norm(wrench[:3]), _norm(wrench[3:])
+        if not force <= self.limits.force:
+            said = f"{force:.1f} N, {self.limits.force:g} N is the limit"
+            return BadCommand("force", said, "see what holds the object")
+        if not moment <= self.limits.moment:
+            said = f"{moment:.1f} N m, {self.limits.moment:g} N m is the limit"
+            return BadCommand("moment", said, "see what holds the object")
+        return None
 
     def _check_form(self, wish: Setpoint) -> None:
         chain, limits = self.chain, self.limits
@@ -220,6 +240,11 @@ class Guard:
         ):
             _require_most(f"speed of the {what}", _norm(now_), speed)
             _require_most(f"acceleration of the {what}", _norm(now_ - then) / span, change)
+        if not math.isnan(self._let_go):
+            T, way, turning = heard.T_base_tool, limits.acceleration, limits.turning_acceleration
+            lead, brake = last.pose[:3, 3] - T[:3, 3], _BRAKES * span
+            _require_back("setpoint", lead, new[0], rates[0], _AT_TOOL[0], brake * way)
+            _require_back("turn of the setpoint", _turn(T, last.pose), new[1], rates[1], _AT_TOOL[1], brake * turning)
         for what, values, most in (
             ("speed", np.abs(new[2]), limits.joint_speed),
             ("named speed", np.abs(wish.velocity), limits.joint_speed),
@@ -251,6 +276,13 @@ class Guard:
 def _require_most(what: str, value: float, most: float) -> None:
     if not value <= most * (1.0 + _ROUNDING):
         raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or see what went wrong before")
+
+
+def _require_back(what: str, lead: Array, now: Array, before: Array, near: float, brake: float) -> None:
+    """A motion (3,) that leads no farther from the tool than lead (3,), or brakes: speeds now and before, each (3,)."""
+    far = _norm(lead)
+    if far > near and not float(now @ lead) / far <= max(float(before @ lead) / far - brake, 0.0) + _ROUNDING:
+        raise BadCommand(what, "leads away from the tool, which is let go", "bring it back to where the tool is")
 
 
 def _require_finite(what: str, array: Array, shape: tuple[int, ...]) -> None:

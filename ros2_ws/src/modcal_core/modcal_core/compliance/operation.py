@@ -18,8 +18,8 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.compliance.course import Course, Pull
 from modcal_core.compliance.following import Follower
 from modcal_core.compliance.guard import Guard, Heard, Late, Limits, Setpoint
-from modcal_core.compliance.impedance import Gains, Impedance
-from modcal_core.compliance.pace import Pace
+from modcal_core.compliance.impedance import Impedance
+from modcal_core.compliance.pace import Foresight, Pace
 from modcal_core.compliance.reach import Reach, Walk
 from modcal_core.compliance.task import Belief, Joints, Stop, Task, Wait
 from modcal_core.compliance.wrench import Tare, WrenchSensor
@@ -54,7 +54,8 @@ class Operation:
         self.pace = Pace(task.patience)
         self.reached: Reach | None = None
         self.course: Course | None = None
-        self.force = np.zeros(6)
+        self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), Foresight()
+        self._delay = 0.0  # s from a touch until the arm begins to brake
         self.expected = np.eye(4)
         self._pull: Pull | None = None
         self._tare = Tare(task.tare_s)
@@ -78,7 +79,8 @@ class Operation:
         }
 
     def stop(self, why: str) -> Stop:
-        """End it now, whatever it does."""
+        """End it now, whatever it does; what is let go says why it was."""
+        why = self._why or why
         self.guard.close(why)
         self._stop = self._stop or Stop(False, why, self._opened())
         return self._stop
@@ -155,12 +157,20 @@ class Operation:
             self.impedance.halt()
             self.pace.stand(now)
             h = self.limits.period
-        self._heed(max(now - joints.stamp, now - sensor.stamp), h)
+        age = max(now - joints.stamp, now - sensor.stamp)
+        self._heed(age, h)
         self.force = sensor.on_tool(T, self.task.down)
+        self._delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + self.task.servo_lag
+        self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.pace.braking)
+        refused = self.guard.too_much(self.force)
+        if refused is not None and self.phase != "release":
+            self._let_go(str(refused), now)
         self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
-        if self.task.mode == "admittance" and self.phase != "arrive":
+        if self.phase == "release":
+            goal = self.expected = T
+        elif self.task.mode == "admittance" and self.phase != "arrive":
             F = np.concatenate([relative(self.expected, T, self.force[:3]), relative(self.expected, T, self.force[3:])])
             self.impedance.step(F, h, self._caution)
             goal = self.impedance.command(self.expected)
@@ -168,20 +178,14 @@ class Operation:
             goal = self.expected
         self.follower.step(goal, h, self._posture())
         self._last = now
-        heard = Heard(
-            dict(zip(self.chain.names, joints.q.tolist(), strict=True)),
-            joints.stamp,
-            T,
-            self.force,
-            self.chain.tip,
-            sensor.stamp,
-        )
+        positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
+        heard = Heard(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
         return self.guard.check(self._setpoint(), heard, now)
 
     def _explore(self, h: float, T: Array, state: Belief) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self.pace.step(self.task.exploring / self._caution, self.force, h)
+        ds = self._go(self.task.exploring, h)
         self.expected = pull.advance(ds, T, h)
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
@@ -196,7 +200,7 @@ class Operation:
         """Stand, and walk along the way in thought."""
         course, now = self.course, self._last + h
         assert course is not None
-        self.expected = course.advance(self.pace.step(0.0, self.force, h))
+        self.expected = course.advance(self._go(0.0, h))
         done = self._look(_STEPS_A_TICK)
         if done is not None:
             if done.whole:
@@ -226,7 +230,7 @@ class Operation:
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
-        ds = self.pace.step(wanted / self._caution, self.force, h)
+        ds = self._go(wanted, h)
         self.expected = course.advance(ds)
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
         if left <= -_SURELY * course.way:
@@ -235,7 +239,7 @@ class Operation:
         elif self._untrusted > 0.05:
             self._let_go(f"it moves otherwise than before ({state.event or 'no model predicts it'})", now)
         elif self.pace.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
-            self._let_go(f"it does not move on: {self._pushed()}, open to {self._said()}", now)
+            self._let_go(f"it does not move on: {self._pushed()}, open to {self._said(T)}", now)
 
     def _arrive(self, h: float, T: Array, state: Belief) -> None:
         """Stand where the goal was reached."""
@@ -245,7 +249,10 @@ class Operation:
             self.guard.close(self._stop.why)
 
     def _release(self, h: float, T: Array, state: Belief) -> None:
-        """Give way to the force, instead of holding against it."""
+        """Expect the tool where it is: a servo that is sent where its arm already is holds against nothing.
+
+        That is stable however late the tool is measured, and what is felt moves nothing, only a force does.
+        """
         if self._last + h - self._since > _RELEASE:
             self.stop(self._why)
 
@@ -256,20 +263,17 @@ class Operation:
         now = 1.0 + max(age - _PROMPT, 0.0) / _DOUBLES
         self._caution = max(now, self._caution + (now - self._caution) * h / (h + _HEEDED))
 
+    def _go(self, wanted: float, h: float) -> float:
+        """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it."""
+        sight = self.pace.in_sight(math.sqrt(self.force[:3] @ self.force[:3]), self._delay)
+        return self.pace.step(min(wanted / self._caution, sight), self._foreseen, h)
+
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now
 
     def _let_go(self, why: str, now: float) -> None:
         self._why = why
-        if self.task.mode == "admittance":
-            soft = self.task.gains(self.impedance.gains.task[:, 0])
-            free = Gains.of(soft.mass, soft.damping, np.zeros(6), soft.task)
-            self.impedance.expect(self.expected, self.follower.pose)
-            self.expected = self.follower.pose
-            self.impedance.settle()
-            self.impedance.change(free)
-        else:
-            self.expected = self.follower.pose
+        self.guard.let_go(now)
         self._enter("release", now)
 
     def _believe(self, model: JointModel, T: Array) -> None:
@@ -303,7 +307,7 @@ class Operation:
 
     def _posture(self) -> Array | None:
         """The posture that was found for where it is expected."""
-        if self.phase == "arrive" or self.reached is None or self.course is None or not self.reached.whole:
+        if self.phase in ("arrive", "release") or self.reached is None or self.course is None or not self.reached.whole:
             return None
         span = self.course.opened(self.course.goal_at) - self._walked_from
         share = (self.course.opened(self.course.at) - self._walked_from) / span if abs(span) > 1e-6 else 1.0
@@ -333,7 +337,7 @@ class Operation:
         """How far it is open [rad or m]."""
         if self.course is None:
             return 0.0
-        return self.course.opened(self.course.configuration(T) if T is not None else self.course.at)
+        return self.course.opened(self.course.configuration(self.expected if T is None else T))
 
     def _said(self, T: Array | None = None) -> str:
         opened = self._opened(T)

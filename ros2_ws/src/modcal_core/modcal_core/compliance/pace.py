@@ -3,6 +3,15 @@
 A force that rises slows the pace down before it becomes too much: full speed up to ``slow``, none from ``most`` on.
 With the damping B of the impedance law, something that does not give way is then pushed with the force at which B times
 the pace is that force, whatever the arm's stiffness.
+
+At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm times speed, and goes on
+growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for the way
+v²/2a in which it brakes at a. So
+
+    F + K (v T + v²/2a) ≤ F_last,        Ḟ = K v.
+
+The first says how fast it may be before anything is felt, as one drives on sight (K is believed). The second says what
+a force that rises will have come to, F + Ḟ (T + v/2a), with no K in it; that is the force which the pace answers.
 """
 
 from __future__ import annotations
@@ -10,19 +19,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from modcal_core.compliance.wrench import LowPass
 from modcal_core.geometry.so3 import Array
+
+_RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 
 
 @dataclass(frozen=True)
 class Patience:
     """slow, most: force [N] and moment [N m] at which the pace begins to fall, and at which it is zero.
 
+    last: force that a hard stop may come to [N], against the stiffness ``hand`` of hand, arm and object together [N/m].
     still_m: way [m] that counts as having moved. still_s: how long nothing may move under nearly the most force, or
     with the expected pose ``lead`` [m] ahead [s]. give_up_s: or under any force.
     """
 
     slow: tuple[float, float] = (15.0, 6.0)
     most: tuple[float, float] = (35.0, 14.0)
+    last: float = 50.0
+    hand: float = 15e3
     still_m: float = 0.002
     still_s: float = 1.0
     give_up_s: float = 8.0
@@ -36,6 +53,24 @@ class Patience:
             for value, slow, most in zip((force, moment), self.slow, self.most, strict=True)
         ]
         return min(max(min(left), 0.0), 1.0)
+
+
+class Foresight:
+    """What a force will have come to when all that is under way has been done."""
+
+    def __init__(self) -> None:
+        """Nothing felt yet."""
+        self._past = LowPass(_RATE_HZ)
+        self.lag = self._past.lag  # s until it is seen that a force rises
+
+    def ahead(self, F: Array, stamp: float, seconds: float) -> Array:
+        """Force and moment (6,) some seconds after F (6,), felt at ``stamp`` [s], if it goes on rising as it does.
+
+        It keeps its direction, and what falls is taken as it is: what is about to give way need not be trusted to.
+        """
+        sizes = np.array([math.sqrt(F[:3] @ F[:3]), math.sqrt(F[3:] @ F[3:])])
+        rising = np.maximum(sizes - self._past.take(sizes, stamp), 0.0) / self.lag
+        return F * np.repeat(1.0 + seconds * rising / np.maximum(sizes, 1e-9), 3)
 
 
 class Pace:
@@ -52,6 +87,20 @@ class Pace:
         aim = wanted * self.patience.share(F)
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
+
+    def in_sight(self, force: float, delay: float) -> float:
+        """The speed [m/s] at which a hard stop met now, at a force [N], comes to no more than the last that may be.
+
+        delay: how long it goes on as it does before it brakes [s]. Solves F + K (v T + v²/2a) = F_last.
+        """
+        way = max(self.patience.last - force, 0.0) / self.patience.hand
+        slow = self._brake * delay
+        return math.sqrt(slow * slow + 2.0 * self._brake * way) - slow
+
+    @property
+    def braking(self) -> float:
+        """For how long it would have to go on as it does, to go as far as it does until it stands [s]."""
+        return 0.5 * self.speed / self._brake
 
     def stand(self, now: float) -> None:
         """Stand; patience begins anew."""

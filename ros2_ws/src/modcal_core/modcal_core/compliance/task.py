@@ -67,6 +67,7 @@ class Task:
     never both. exploring, speed: of the tool while the way is unknown, and once it is known [m/s]. explore: longest way
     that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
     stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
+    servo_lag: how far ahead of the arm a setpoint is that moves steadily [s], and so how late the arm stops.
     down (3,): gravity in the base [m/s²]. patience_s: longest silence of an input before it is the end [s].
     """
 
@@ -83,6 +84,7 @@ class Task:
     stack: tuple[float, float] = (3000.0, 200.0)
     blend: float = 0.5
     tare_s: float = 0.5
+    servo_lag: float = 0.03
     down: Array = field(default_factory=lambda: DOWN.copy())
     patience: Patience = field(default_factory=Patience)
     patience_s: float = 1.0

@@ -108,7 +108,7 @@ class LowPass:
     """A first-order low-pass of a vector, that begins at what it first hears."""
 
     def __init__(self, cutoff_hz: float) -> None:
-        self._tau = 1.0 / (2.0 * math.pi * cutoff_hz)
+        self.lag = 1.0 / (2.0 * math.pi * cutoff_hz)  # s by which what rises steadily comes later
         self._last: tuple[float, Array] | None = None
 
     def take(self, value: Array, stamp: float) -> Array:
@@ -116,7 +116,7 @@ class LowPass:
         if self._last is None:
             self._last = stamp, value
         elif (h := stamp - self._last[0]) > 0.0:
-            self._last = stamp, self._last[1] + (value - self._last[1]) * (h / (self._tau + h))
+            self._last = stamp, self._last[1] + (value - self._last[1]) * (h / (self.lag + h))
         return self._last[1]
 
     def forget(self) -> None:
@@ -169,6 +169,11 @@ class WrenchSensor:
         if frame != self._frame:
             self._filter.forget()
         self._frame, self.stamp, self._raw = frame, stamp, self._sign * w
+
+    @property
+    def lag(self) -> float:
+        """By how much smoothing makes a force come later [s]."""
+        return self._filter.lag
 
     @property
     def raw(self) -> Array:

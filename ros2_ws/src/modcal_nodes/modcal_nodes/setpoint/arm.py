@@ -86,10 +86,13 @@ def task(chosen: dict[str, Any]) -> Task:
         stack=(float(_numbers("stack_stiffness", chosen, 2)[0]), float(_numbers("stack_stiffness", chosen, 2)[1])),
         blend=chosen["blend_s"],
         tare_s=chosen["tare_s"],
+        servo_lag=chosen["servo_lag_s"],
         down=_vector("gravity", chosen),
         patience=Patience(
             slow=(chosen["slow_force_n"], chosen["slow_moment_nm"]),
             most=(chosen["stand_force_n"], chosen["stand_moment_nm"]),
+            last=chosen["most_force_n"],
+            hand=chosen["hand_n_m"],
         ),
         patience_s=chosen["patience_s"],
     )
