@@ -324,6 +324,15 @@ def test_a_pull_turns_towards_where_the_tool_is_led() -> None:
     assert np.linalg.norm(pulled.pose[:3, 3] - truth.pose(0.8)[:3, 3]) < 0.02
 
 
+def test_a_pull_is_led_aside_no_faster_than_it_explores() -> None:
+    """A tool that is found 30 mm beside the way at once: the expected pose comes over there, but is not swung across."""
+    pulled, there = Pull(T_READY, BACK, 0.03), se3.transform(p=[0.0, 0.03, 0.0]) @ T_READY
+    way = [T_READY[:3, 3], *(pulled.advance(0.0, there, PERIOD)[:3, 3] for _ in range(600))]
+    speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / PERIOD
+    assert speeds.max() == pytest.approx(0.03)
+    assert way[-1] - T_READY[:3, 3] == pytest.approx([0.0, 0.027, 0.0], abs=1e-4)
+
+
 def test_a_model_from_positions_turns_the_tool_with_it() -> None:
     truth = door()
     model = JointModel("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)

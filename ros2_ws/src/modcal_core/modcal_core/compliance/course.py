@@ -35,8 +35,13 @@ class Pull:
     hand by 10° over 10 cm would otherwise have to turn it against the damping of the impedance law.
     """
 
-    def __init__(self, T_base_tool: Array, direction: Array) -> None:
-        """Begin at a pose (4, 4). direction (3,): of the pull, seen from the tool."""
+    def __init__(self, T_base_tool: Array, direction: Array, aside: float = 0.03) -> None:
+        """Begin at a pose (4, 4). direction (3,): of the pull, seen from the tool. aside: fastest it is led so [m/s].
+
+        Without a limit, a pose that is centimetres ahead, as one is that turns a hand against its damping about a near
+        axis, would be swung across to the new direction in a tenth of a second, and the hand with it.
+        """
+        self._fastest = aside
         self.start, self.pose = np.array(T_base_tool), np.array(T_base_tool)
         length = float(np.linalg.norm(direction))
         if not (math.isfinite(length) and length > 1e-6):
@@ -60,7 +65,8 @@ class Pull:
         self._line = self._line + ds * d
         off = T_measured[:3, 3] - self._line
         off = off - (off @ d) * d
-        self._aside = self._aside + share * (_LED * off - self._aside)
+        led = share * (_LED * off - self._aside)
+        self._aside = self._aside + led * min(1.0, self._fastest * h / max(math.sqrt(led @ led), 1e-12))
         self.pose = posed(R, self._line + self._aside)
         return self.pose
 

@@ -139,7 +139,7 @@ class Operation:
         sensor.forget_past()
         self.follower.begin(joints.q, T)
         self.guard.open(T, joints.q, now)
-        self._pull = Pull(T, self.task.direction)
+        self._pull = Pull(T, self.task.direction, self.task.exploring)
         self.expected = T
         self._enter("explore", now)
         return Wait("the wrench is tared")
