@@ -3,7 +3,8 @@
 Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–Marquardt). The columns are scaled to unit
 length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
 wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
-step (see :mod:`modcal_core.calibration.noise`).
+step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone through
+but two or three times; and near the end only the gradient is computed anew, which alone decides where that is.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.effects import Effect, prior_stds
-from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations, linearise
+from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
     Groups,
@@ -27,8 +28,8 @@ from modcal_core.calibration.noise import (
     robust_weights,
     standard_score,
 )
-from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.system import system_of
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import dimensions, kinds
@@ -37,6 +38,12 @@ from modcal_core.measurements.samples import Samples
 MAX_ITERATIONS = 60
 CONVERGED = 1e-5
 FITTED = 1e-2  # the same for models with effects, some of which have many values
+# A step shorter than this, in standard deviations, leaves the curvature as it is: that changes with the step's length
+# in metres and radians, which are the fewer the more samples there are. The covariance is then right to 1e-4.
+_NEAR, _NEAR_FOR = 3.0, 3e3
+_ROUGHLY = 0.3  # standard deviations of a fit that another begins with
+_UNSEEN = 1e-3  # standard deviations; a step that is shorter does not show in the residuals
+_FEW, _MANY = 500, 8  # samples that a large fit begins with, and how many times more make it large
 EQUATIONS_PER_PARAMETER = 1.25
 
 
@@ -98,6 +105,11 @@ def identify(
     Raises NotEnoughData when the readings are too few for the parameters.
     """
     require_enough(samples, len(parameters), len(distances))
+    rough: Fit | None = None
+    if begin is None and not start.effects and len(samples) >= _MANY * _FEW:
+        few = samples.select(np.arange(0, len(samples), len(samples) // _FEW))
+        rough = identify(start, few, parameters, distances, robust, tolerance=_ROUGHLY)
+        begin = rough.values
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
@@ -107,13 +119,23 @@ def identify(
     centre, prior = priors(fitted, parameters, around)
     values = np.concatenate([np.zeros(P) if begin is None else begin, *(e.values for e in fitted)])
 
-    damping = 0.0
-    at = linearise(start, parameters, values, samples, jacobian=False, circumstances=around)
+    equations = system_of(start, parameters, samples, around)
+    damping, length = 0.0, np.inf  # length: of the last step, in standard deviations
+    near = min(_NEAR, _NEAR_FOR * tolerance * np.sqrt(len(samples)))
+    H_samples = np.zeros((len(values), len(values)))
+    if rough is not None and equations.quick_gradient:  # what the few say of the curvature does for the first step
+        H_samples, length = rough.information * (len(samples) / len(rough.weights)), 0.0
+    at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
         row_weight = row_weights(weights, spread, samples)
-        H_data, g = normal_equations(start, parameters, values, samples, row_weight)
+        if length < near and equations.quick_gradient:
+            g = equations.gradient(values, row_weight)
+        else:
+            H_samples, g = equations.normal_equations(values, row_weight)
+        H_data = H_samples
         if distances:
+            H_data = H_samples.copy()
             rows = distance_rows(start, parameters, values, distances)
             H_data[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
             g[:P] += (rows.J / rows.std**2) @ rows.residual
@@ -121,14 +143,18 @@ def identify(
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
-            new = linearise(start, parameters, values + step, samples, jacobian=False, circumstances=around)
+            length = float(np.sqrt(step @ H @ step)) if damping == 0.0 else np.inf
+            if length <= min(tolerance, _UNSEEN):
+                new = at
+                break
+            new = equations.residuals(values + step)
             before = _cost(at, row_weight) + float(np.sum(((values - centre) / prior) ** 2))
             after = _cost(new, row_weight) + float(np.sum(((values + step - centre) / prior) ** 2))
             if after <= before * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
                 break
             damping = max(10.0 * damping, 1e-4)
         values, at = values + step, new
-        if damping == 0.0 and float(step @ H @ step) <= tolerance**2:
+        if length <= tolerance:
             break
         damping = 0.0 if damping < 1e-3 else damping / 10.0
 
@@ -227,8 +253,9 @@ def _slack(distances: Sequence[AnyDistance]) -> float:
 def _solve(H: Array, g: Array, damping: float) -> Array:
     """Solution of the scaled, damped system; a tiny ridge where it is singular to rounding."""
     for ridge in (0.0, 1e-12, 1e-10, 1e-8):
-        try:
-            return cho_solve(cho_factor(H + (damping + ridge) * np.eye(len(H)), lower=True), g)
-        except np.linalg.LinAlgError:
-            continue
+        damped = H.copy()
+        damped.flat[:: len(H) + 1] += damping + ridge
+        _, x, singular = lapack.dposv(damped, g, lower=1, overwrite_a=1)
+        if not singular:
+            return np.asarray(x)
     return np.asarray(np.linalg.lstsq(H, g, rcond=1e-12)[0], dtype=float)

@@ -67,7 +67,7 @@ def local_twists(twist: Array) -> Array:
     """
     out = np.zeros((*twist.shape, 6))
     out[..., :3, :3] = so3.exp(twist[..., 3:])  # row d is Rᵀ e_d
-    out[..., 3:, 3:] = np.swapaxes(np.linalg.inv(so3.left_jacobian_inverse(-twist[..., 3:])), -1, -2)
+    out[..., 3:, 3:] = so3.left_jacobian(twist[..., 3:])  # the transpose of the right one
     return out
 
 

@@ -70,6 +70,14 @@ def log(R: ArrayLike) -> Array:
     return v * scale[..., None]
 
 
+def left_jacobian(w: ArrayLike) -> Array:
+    """Left Jacobian (..., 3, 3) of SO(3), ``exp(w + d) ≈ exp(J d) exp(w)`` for small d; transposed, the right one."""
+    w = np.asarray(w, dtype=float)
+    _, b, c = rodrigues_coefficients(np.linalg.norm(w, axis=-1))
+    W = hat(w)
+    return np.eye(3) + b[..., None, None] * W + c[..., None, None] * (W @ W)
+
+
 def left_jacobian_inverse(w: ArrayLike) -> Array:
     """Inverse left Jacobian (..., 3, 3) of SO(3): ``log(exp(d) exp(w)) ≈ w + J⁻¹ d`` for small d."""
     w = np.asarray(w, dtype=float)

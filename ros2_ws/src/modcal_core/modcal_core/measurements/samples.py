@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,12 +59,18 @@ class Samples:
     def __len__(self) -> int:
         return len(self.q)
 
-    @property
+    @cached_property
     def is_pose(self) -> np.ndarray:
         """True where the reading has an orientation, (N,)."""
         return self.kind == POSE
 
-    @property
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of reading there are."""
+        alike = len(self.kind) > 0 and bool((self.kind == self.kind[0]).all())  # far quicker than to sort them
+        return (str(self.kind[0]),) if alike else tuple(np.unique(self.kind).tolist())
+
+    @cached_property
     def stations(self) -> int:
         """Number of distinct stations."""
         return len(np.unique(self.station))

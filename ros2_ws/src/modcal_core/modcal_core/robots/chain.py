@@ -151,7 +151,7 @@ class Chain:
 
         Kinematics are computed on these: a turn about z mixes two columns and leaves the rest alone.
         """
-        A = se3.transform(np.stack([rotation_to_axis(a) for a in self.axes]))
+        A = se3.transform(self.joint_basis)
         M = np.array(self.origins)
         M[:-1] = M[:-1] @ A
         M[1:] = se3.inverse(A) @ M[1:]

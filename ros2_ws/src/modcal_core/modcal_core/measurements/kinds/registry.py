@@ -57,7 +57,7 @@ def is_direct(names: Iterable[str]) -> bool:
 def indirect_rows(samples: Samples) -> np.ndarray:
     """True for readings that are no positions, (N,)."""
     out = np.zeros(len(samples), bool)
-    for name in np.unique(samples.kind).tolist():
+    for name in samples.kinds:
         if not kinds()[name].direct:
             out |= samples.kind == name
     return out
@@ -66,6 +66,9 @@ def indirect_rows(samples: Samples) -> np.ndarray:
 def dimensions(samples: Samples) -> Array:
     """In how many directions each reading sees, (N,)."""
     out = np.empty(len(samples))
-    for name in np.unique(samples.kind).tolist():
+    if len(samples.kinds) == 1:
+        out[:] = kinds()[samples.kinds[0]].dimensions
+        return out
+    for name in samples.kinds:
         out[samples.kind == name] = kinds()[name].dimensions
     return out

@@ -1,0 +1,64 @@
+"""What a fit asks of its equations, and the plain way to answer: residuals, gradient, normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from modcal_core.calibration.circumstances import Circumstances
+from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
+from modcal_core.calibration.linearise import Linearised, linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+
+class System(Protocol):
+    """Equations of the same samples at different values of the same parameters, (P,).
+
+    quick_gradient: whether the gradient alone is had for much less than the normal equations.
+    """
+
+    quick_gradient: bool
+
+    def residuals(self, values: Array) -> Linearised:
+        """Residuals, without derivatives."""
+
+    def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
+        """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
+
+    def gradient(self, values: Array, row_weight: Array) -> Array:
+        """JᵀWr alone, (P,)."""
+
+
+class PlainSystem:
+    """The equations of any model."""
+
+    quick_gradient = False
+
+    def __init__(self, start: Model, parameters: Sequence[Parameter], samples: Samples, around: Circumstances) -> None:
+        """around: the circumstances of the samples."""
+        self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
+
+    def residuals(self, values: Array) -> Linearised:
+        """Residuals, without derivatives."""
+        return linearise(
+            self._start, self._parameters, values, self._samples, jacobian=False, circumstances=self._around
+        )
+
+    def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
+        """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
+        return normal_equations(self._start, self._parameters, values, self._samples, row_weight)
+
+    def gradient(self, values: Array, row_weight: Array) -> Array:
+        """JᵀWr alone, (P,)."""
+        return self.normal_equations(values, row_weight)[1]
+
+
+def system_of(start: Model, parameters: Sequence[Parameter], samples: Samples, around: Circumstances) -> System:
+    """The equations of these samples, by the quickest way that knows this model."""
+    if is_serial(start, samples, parameters):
+        return SerialSystem(start, parameters, samples)
+    return PlainSystem(start, parameters, samples, around)
