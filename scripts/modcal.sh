@@ -10,4 +10,5 @@ if [ ! -x "$install/modcal_nodes/lib/modcal_nodes/modcal" ]; then
 fi
 AMENT_PREFIX_PATH=$install/modcal_nodes:$install/modcal_msgs_py:$install/modcal_core:$venv
 export AMENT_PREFIX_PATH
-exec "$install/modcal_nodes/lib/modcal_nodes/modcal" "$@"
+# Not by the installed script, which looks its entry point up among all packages first.
+exec "$venv/bin/python" -c "from modcal_nodes.cli.main import main; main()" "$@"

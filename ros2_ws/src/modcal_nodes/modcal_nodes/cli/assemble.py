@@ -45,7 +45,7 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
     """Make a robot of SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
-    console = Console()
+    console = Console(emoji=False)
     console.print(_table(assembly, library))
     console.print(str(incidence_of(assembly, library)), highlight=False)
     if errors is not None:
@@ -86,7 +86,7 @@ def learn_command(spec: Path, bag: Path, store: Path, library_file: Path | None)
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     prepared = prepare(read_bag(bag), chain_of(assembly, library))
     new = witness(assembly, library, prepared.samples)
-    console = Console()
+    console = Console(emoji=False)
     for note in prepared.notes:
         console.print(note, style="yellow", highlight=False)
     others = [w for w in known.witnesses if w.assembly.name != assembly.name]

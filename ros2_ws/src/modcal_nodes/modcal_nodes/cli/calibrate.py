@@ -106,7 +106,7 @@ def calibrate_command(
     else:
         files = delta_files(result, report)
     write_folder(out, files)
-    show_report(report, Console())
+    show_report(report, Console(emoji=False))
     click.echo(f"Report: {out / 'report.html'}")
 
 
@@ -141,7 +141,7 @@ def evaluate_command(
     report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
-    show_report(report, Console())
+    show_report(report, Console(emoji=False))
     click.echo(f"Report: {out / 'report.html'}")
 
 

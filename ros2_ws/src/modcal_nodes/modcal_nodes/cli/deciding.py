@@ -28,7 +28,7 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
         raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
     rng = np.random.default_rng(seed)
     share = max(2, stations // len(ties))
-    console = Console()
+    console = Console(emoji=False)
     proposals = []
     for i, j in ties:
         console.print(_tie(calibration, i, j), highlight=False)

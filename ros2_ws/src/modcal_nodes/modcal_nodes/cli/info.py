@@ -25,7 +25,7 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 def info_command(bag: Path, urdf: Path | None, delta: Path | None, base: str | None, tip: str | None) -> None:
     """Say what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_bag(bag)
-    console = Console()
+    console = Console(emoji=False)
     findings: tuple[str, ...] = ()
     try:
         chain, _ = delta_of(recording, delta, urdf, base, tip)

@@ -105,7 +105,7 @@ def limits_command(
     if as_json:
         click.echo(to_json(data), nl=False)
         return
-    Console().print(_table(data))
+    Console(emoji=False).print(_table(data))
     if len(q) > 1:
         click.echo(f"{len(q)} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
     if out is not None:

@@ -69,7 +69,7 @@ def modcal() -> None:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Exit code of the command with these arguments (default: those of the process)."""
     try:
-        code = modcal.main(args=None if arguments is None else list(arguments), standalone_mode=False)
+        code = modcal.main(None if arguments is None else list(arguments), prog_name="modcal", standalone_mode=False)
         return int(code or 0)
     except ModcalError as error:
         return _refuse(str(error))

@@ -99,7 +99,7 @@ def plan_command(
     found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
     out = out or Path(f"{robot.stem}_plan")
     write_folder(out, _files(found, speed, dwell))
-    console = Console()
+    console = Console(emoji=False)
     for line in sentences(found):
         console.print(line, highlight=False)
     click.echo(f"Stations: {out / 'plan.yaml'}")

@@ -23,7 +23,7 @@ def repair_command(bag: Path, out: Path | None) -> None:
         place = bag.resolve()
         out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
     done = repair_bag(bag, out)
-    console = Console()
+    console = Console(emoji=False)
     count = sum(done.saved.values())
     if done.folder is None:
         console.print(f"{bag} is whole ({count} messages): nothing to repair", highlight=False)

@@ -104,7 +104,7 @@ def sensitivity_command(
         "gain.svg": gain_figure(result),
     }
     write_folder(out, files)
-    console = Console()
+    console = Console(emoji=False)
     console.print(_table(result))
     for line in sentences(result):
         console.print(line, highlight=False)

@@ -43,7 +43,7 @@ def synthesize_command(
     """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
     task = task_from_data(read_yaml(task_file), str(task_file))
     library = read_library(library_file)
-    console = Console()
+    console = Console(emoji=False)
     with _progress(task) as watch:
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), watch)
     out = out or Path(f"{task.name}_synthesis")
@@ -78,7 +78,7 @@ def synthesis_files(result: Synthesis, library: Library, library_file: Path | No
 @contextmanager
 def _progress(task: Task) -> Iterator[Watch | None]:
     """Something to call after every generation; nothing is shown where nobody looks."""
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
     if not console.is_terminal:
         yield None
         return

@@ -6,9 +6,10 @@ A package adds a kind with an entry point of the group ``modcal.measurement_kind
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from functools import cache
-from importlib.metadata import entry_points
+from pathlib import Path
 
 import numpy as np
 
@@ -31,6 +32,10 @@ _OWN: tuple[Kind, ...] = (Pose(), Point(), Distance(), Bearing(), Touch(), Ray()
 def kinds() -> dict[str, Kind]:
     """Every kind by its name. Raises BadTable for one of a package that is no kind, or that takes another's name."""
     out = {kind.name: kind for kind in _OWN}
+    if not _announced():
+        return out
+    from importlib.metadata import entry_points  # takes as long as NumPy, and few installations need it
+
     for point in entry_points(group=GROUP):
         kind = point.load()
         if not isinstance(kind, Kind):
@@ -47,6 +52,20 @@ def kinds() -> dict[str, Kind]:
             )
         out[kind.name] = kind
     return out
+
+
+def _announced() -> bool:
+    """Whether any package on the path has an entry point of our group, by the files that installers write."""
+    wanted = GROUP.encode()
+    for folder in map(Path, dict.fromkeys(sys.path)):
+        for pattern in ("*.dist-info/entry_points.txt", "*.egg-info/entry_points.txt"):
+            for file in folder.glob(pattern):
+                try:
+                    if wanted in file.read_bytes():
+                        return True
+                except OSError:
+                    continue
+    return False
 
 
 def is_direct(names: Iterable[str]) -> bool:
