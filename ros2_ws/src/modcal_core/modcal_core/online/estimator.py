@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
+from scipy.linalg import lapack
 
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.identify import priors
@@ -176,8 +178,8 @@ class Estimator:
 
     def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
-        out = np.full(rows, np.hypot(self.spread.position, _known(sample.sigma_position[0])))
-        out[3:] = np.hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
+        out = np.full(rows, hypot(self.spread.position, _known(sample.sigma_position[0])))
+        out[3:] = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
         return out
 
     def _judge(self, r: Array, J: Array, noise: Array) -> tuple[float, float]:
@@ -186,7 +188,8 @@ class Estimator:
         if expected is None:
             return 0.0, 1.0
         expected[np.diag_indices(len(r))] += noise**2
-        square = float(r @ np.linalg.solve(expected, r))
+        # positive definite, for the noise is: several times quicker than a general solver
+        square = float(r @ lapack.dposv(expected, r)[1])
         score = standard_score(np.array(square), np.array(len(r)))
         return float(score), float(robust_weights(score)) if self._robust else 1.0
 
@@ -252,7 +255,7 @@ def _whitened(b: Array, A: Array, noise: Array, weight: float) -> tuple[Array, A
 
 
 def _known(sigma: float) -> float:
-    return float(sigma) if np.isfinite(sigma) else 0.0
+    return float(sigma) if isfinite(sigma) else 0.0
 
 
 def _effect_names(model: Model) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ orthogonal triangularisation, which gives what a batch solution of all rows woul
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -36,7 +37,7 @@ class Information:
         stacked = np.empty((P + len(A), P + 1), order="F")
         stacked[:P, :P], stacked[:P, P] = self.R, self.z
         stacked[P:, :P], stacked[P:, P] = A, b
-        top = triangular(stacked)
+        top = _triangular(stacked)
         return Information(top[:P, :P], top[:P, P])
 
     def grown(self, G: Array, variance: Array) -> Information:
@@ -79,9 +80,20 @@ class Information:
 
 def triangular(rows: Array) -> Array:
     """The upper triangle that an orthogonal transformation makes of rows (m, n), its diagonal not negative."""
-    a = np.array(rows, order="F")
-    qr, _, _, _ = lapack.dgeqrf(a, overwrite_a=1)
-    R = np.triu(qr[: a.shape[1]])
-    sign = np.where(np.diag(R) < 0.0, -1.0, 1.0)
-    R[: len(sign)] *= sign[:, None]
+    return _triangular(np.array(rows, order="F"))
+
+
+def _triangular(rows: Array) -> Array:
+    """The same, in the place of the rows, which are lost."""
+    qr, _, _, _ = lapack.dgeqrf(rows, overwrite_a=1)
+    R = qr[: rows.shape[1]] * _upper(*qr[: rows.shape[1]].shape)
+    diagonal = R.diagonal()
+    if diagonal.min(initial=0.0) < 0.0:
+        R[: len(diagonal)] *= np.where(diagonal < 0.0, -1.0, 1.0)[:, None]
     return np.asarray(R)
+
+
+@cache
+def _upper(m: int, n: int) -> Array:
+    """Ones on and above the diagonal, (m, n)."""
+    return np.asfortranarray(np.triu(np.ones((m, n))))

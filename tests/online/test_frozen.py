@@ -1,0 +1,48 @@
+"""Single samples, quickly seen, say what the linearisation of all of them says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibration.test_linearise import SHIFT, TURN, cell
+from cells import slider_arm, ur10
+from numpy.random import Generator
+
+from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.parameters import ordered_candidates
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.structure import views_of
+from modcal_core.geometry import so3
+from modcal_core.online.frozen import Frozen, small_log
+from modcal_core.robots.chain import Chain
+
+
+@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
+@pytest.mark.parametrize("bent", [False, True], ids=["geometry", "effect"])
+def test_rows_are_those_of_all_samples_at_once(chain: Chain, bent: bool) -> None:
+    model, samples = cell(chain, ("pose", "point", "pose"))
+    parameters = ordered_candidates(chain, model.frames, views_of(samples))
+    x = np.random.default_rng(2).normal(size=len(parameters)) * [TURN if p.turns else SHIFT for p in parameters]
+    if bent:
+        joint = chain.names[2]
+        bend = Effect("gear_ratio", joint, "axis", f"position:{joint}", Shape("linear")).started(np.array([1e-3]))
+        model, x = model.with_effects((bend,)), np.r_[x, 2e-3]
+    at = linearise(model, parameters, x, samples)
+    frozen = Frozen(model, parameters, x)
+    N, turned = len(samples), np.cumsum(samples.is_pose) - 1
+    M = int(samples.is_pose.sum())
+    for i in range(N):
+        rows = [i, N + i, 2 * N + i]
+        if samples.is_pose[i]:
+            rows += [3 * N + k * M + turned[i] for k in range(3)]
+        residual, J = frozen(samples.select(np.array([i])))
+        assert np.abs(residual - at.residual[rows]).max() < 1e-12
+        assert np.abs(J - at.J[:, rows].T).max() < 1e-12
+
+
+def test_logarithms_of_any_size(rng: Generator) -> None:
+    for size in (0.0, 1e-12, 1e-9, 1e-4, 0.3, 0.6, 2.0, 3.1):
+        axis = rng.normal(size=3)
+        w = size * axis / np.linalg.norm(axis)
+        assert np.abs(small_log(so3.exp(w)) - w).max() < 1e-12
