@@ -34,6 +34,26 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
         shutil.rmtree(stage, ignore_errors=True)
 
 
+def replace_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put a folder with these files, and no others, where this one is or is not yet.
+
+    It is written elsewhere on the same disk and moved into place by renaming, so whoever looks sees the old folder, or
+    for a moment none, or the new one, but never a part.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        new = stage / "new"
+        new.mkdir()
+        for name, content in files.items():
+            (new / name).write_bytes(content)
+        if folder.exists():
+            os.replace(folder, stage / "old")
+        os.replace(new, folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
 def write_file(path: Path, text: str) -> None:
     """Write one file, its folder made if need be; on failure what stood there stays."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,7 @@ def error_histogram(report: Report) -> str:
         axes.hist(norms[stage], bins.tolist(), color=colour, alpha=0.8, label=label)
     axes.set_xlabel("position error of held-out samples, mm")
     axes.set_ylabel("samples")
-    axes.legend(frameon=False)
+    axes.legend(loc="upper right", frameon=False)
     return svg(figure)
 
 
@@ -54,7 +54,7 @@ def error_by_joint(report: Report) -> str:
         axes[j].tick_params(labelsize=7)
     for spare in axes[n:]:
         spare.set_visible(False)
-    axes[0].legend(frameon=False, fontsize=7, markerscale=4, ncols=3)
+    axes[0].legend(loc="upper right", frameon=False, fontsize=7, markerscale=4, ncols=3)
     figure.supylabel("left over, mm", fontsize=9)
     figure.supxlabel("joint position, rad or m", fontsize=9)
     return svg(figure)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import wait
 from typing import Any
 
 from modcal_core.calibration.store import Calibration
@@ -18,6 +15,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Comparison, Heard, Job, resolve
 from modcal_core.robots.chain import Chain
+from modcal_nodes.child import settle_in
 from modcal_nodes.results import calibration_files
 
 
@@ -71,7 +69,7 @@ class Workshop:
         self._start()
 
     def _start(self) -> None:
-        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_settle_in)
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=settle_in)
         self._pool.submit(os.getpid)  # the first piece of work does not wait for the process to start
 
     @property
@@ -125,16 +123,3 @@ class Workshop:
         for process in list((self._pool._processes or {}).values()):
             process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _settle_in() -> None:
-    # Ctrl-C in a terminal reaches every process of the group; the node decides when this one ends
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    wait([sentinel])
-    os._exit(1)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain as chained
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -13,20 +13,17 @@ from rich.console import Console
 
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.errors import ModcalError
-from modcal_core.loop import calibrate, evaluate
-from modcal_core.measurements.recording import Piece, Recording
-from modcal_core.prepare import Prepared, prepare_pieces
-from modcal_core.report.report import Report
-from modcal_core.robots.chain import Chain
+from modcal_core.loop import evaluate
+from modcal_core.measurements.recording import Recording
+from modcal_core.prepare import prepare_pieces
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_msgs_py.mcap_read import read_pieces
-from modcal_nodes.cli.robot import delta_of
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration, read_cell
-from modcal_nodes.results import calibration_files, delta_files, report_files
+from modcal_nodes.recorded import begun, calibrate_bag, named
+from modcal_nodes.results import report_files
+from modcal_nodes.wishes import Wishes
 
 EXISTING = click.Path(exists=True, path_type=Path)
 _SPLITS = click.option(
@@ -46,67 +43,42 @@ _CELL = click.option(
 _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 
 
+_ROBOT = (
+    click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag."),
+    click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, in the URDF's place."),
+    click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link."),
+    click.option(
+        "--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints."
+    ),
+    click.option(
+        "--fix", "fixed", multiple=True, metavar="NAME",
+        help="Keep a parameter or place as it is, e.g. tool. Repeatable.",
+    ),
+    click.option("--geometry-only", is_flag=True, help="Look for no other effects: only the geometry is fitted."),
+)  # fmt: skip
+
+
+def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with the options of a calibration, one for each field of :class:`Wishes`."""
+    for option in reversed((*_ROBOT, _CELL, _SPLITS, _SEED, _CLOCK)):
+        command = option(command)
+    return command
+
+
 @click.command("calibrate")
 @click.argument("bag", type=EXISTING)
-@click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag.")
-@click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, in the URDF's place.")
-@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
-@click.option(
-    "--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints."
-)
-@click.option(
-    "--fix", "fixed", multiple=True, metavar="NAME", help="Keep a parameter or place as it is, e.g. tool. Repeatable."
-)
-@click.option("--geometry-only", is_flag=True, help="Look for no other effects: only the geometry is fitted.")
 @click.option(
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
 )  # fmt: skip
-@_CELL
-@_SPLITS
-@_SEED
-@_CLOCK
+@calibration_options
 @_OUT
-def calibrate_command(
-    bag: Path,
-    geometry_only: bool,
-    more: tuple[Path, ...],
-    urdf: Path | None,
-    delta: Path | None,
-    base: str | None,
-    tip: str | None,
-    fixed: tuple[str, ...],
-    cell_file: Path | None,
-    block: int | None,
-    seed: int,
-    clock_limit: float,
-    out: Path | None,
-) -> None:
+def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, **wishes: Any) -> None:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
-    cell = read_cell(cell_file, fixed)
-    recording, pieces = _begun(bag)
-    chain, text = delta_of(recording, delta, urdf, base, tip)
-    prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit)
-    for other in more:
-        added = prepare_pieces(read_pieces(other), chain, clock_limit=clock_limit)
-        prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
-    result = calibrate(
-        prepared.samples,
-        chain,
-        np.random.default_rng(seed),
-        cell,
-        block,
-        read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
-        look_for_effects=not geometry_only,
-    )
-    report = _named(result.report, recording, prepared)
+    done = calibrate_bag(bag, Wishes(**wishes), more)
     out = out or Path(f"{bag.resolve().stem}_calibration")
-    if isinstance(chain, Chain) and text is not None:
-        files = calibration_files(result, report, chain, text)
-    else:
-        files = delta_files(result, report)
-    write_folder(out, files)
-    show_report(report, Console(emoji=False))
+    write_folder(out, done.files)
+    show_report(done.report, Console(emoji=False))
     click.echo(f"Report: {out / 'report.html'}")
 
 
@@ -133,27 +105,16 @@ def evaluate_command(
 ) -> None:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     frozen = read_calibration(calibration)
-    recording, pieces = _begun(bag)
+    recording, pieces = begun(bag)
     prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
     rng = np.random.default_rng(seed)
     report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
-    report = _named(report, recording, prepared)
+    report = named(report, recording, prepared)
     report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
     show_report(report, Console(emoji=False))
     click.echo(f"Report: {out / 'report.html'}")
-
-
-def _begun(bag: Path) -> tuple[Recording, Iterator[Piece]]:
-    """The beginning of a bag, which says whose it is, and all of it in pieces."""
-    pieces = read_pieces(bag)
-    first = next(pieces)
-    return first.recording, chained([first], pieces)
-
-
-def _named(report: Report, recording: Recording, prepared: Prepared) -> Report:
-    return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))
 
 
 def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from modcal_core.errors import ModcalError
 # the readers of bags take a second or two, which a request for help should not.
 VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
+    "fleet": ("fleet", "fleet_command", "Calibrate many recordings, and say which robots drift."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "sensitivity": ("sensitivity", "sensitivity_command", "Say which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),

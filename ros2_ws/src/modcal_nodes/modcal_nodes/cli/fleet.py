@@ -1,0 +1,138 @@
+"""``modcal fleet``: many recordings, on all cores or on a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from modcal_nodes.cli.calibrate import calibration_options
+from modcal_nodes.files import to_json
+from modcal_nodes.fleet.cluster import run_on_cluster
+from modcal_nodes.fleet.compare import Compared, Row
+from modcal_nodes.fleet.pool import run_here
+from modcal_nodes.fleet.room import room
+from modcal_nodes.fleet.run import Plan, plan, run
+from modcal_nodes.fleet.task import DONE, Outcome, Task
+from modcal_nodes.fleet.work import do
+from modcal_nodes.wishes import Wishes
+
+
+@click.command("fleet")
+@click.argument("bags", nargs=-1, required=True)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("fleet"), show_default=True, help="Folder of the results."
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=None,
+    metavar="N",
+    help="How many at a time. Default: one a core, as far as the memory goes.",
+)
+@click.option(
+    "--dask",
+    "address",
+    default=None,
+    metavar="ADDRESS",
+    help="Work on the Dask cluster whose scheduler listens here, instead of on this machine's cores.",
+)
+@click.option(
+    "--robot-by",
+    default="folder",
+    show_default=True,
+    metavar="HOW",
+    help="Which robot a bag is of: 'folder' it lies in, name in its 'urdf', or a pattern of its path with "
+    "the name in (…).",
+)
+@click.option("--refit-base", is_flag=True, help="Say nothing of bases: tracker or robot are set up anew each time.")
+@click.option("--refit-tool", is_flag=True, help="Say nothing of tools: they are mounted anew each time.")
+@click.option("--again", is_flag=True, help="Do all of them, also those that are done already.")
+@click.option("--json", "as_json", is_flag=True, help="Print both tables as JSON in place of the summary.")
+@calibration_options
+def fleet_command(
+    bags: tuple[str, ...],
+    out: Path,
+    jobs: int | None,
+    address: str | None,
+    robot_by: str,
+    refit_base: bool,
+    refit_tool: bool,
+    again: bool,
+    as_json: bool,
+    **wishes: Any,
+) -> int:
+    """Calibrate every recording in BAGS (bags, folders that hold some, patterns) and hold each robot's together.
+
+    Writes a folder for each, fleet.parquet with a row for each, and drift.parquet. A second call does only what is
+    missing or has changed. Exit 2 when some could not be calibrated; all others are then written nevertheless.
+    """
+    planned = plan(bags, out, Wishes(**wishes), again)
+    console = Console()
+    quiet = as_json or not console.is_terminal
+    here = room()
+    jobs = jobs or here.jobs
+    if not as_json:
+        where = f"on {address}" if address else here.said(jobs)
+        console.print(f"{len(planned.missing)} of {len(planned.tasks)} recordings to do, {where}", highlight=False)
+
+    def runner(tasks: Sequence[Task]) -> Generator[Outcome, None, None]:
+        return run_on_cluster(tasks, address, do) if address else run_here(tasks, jobs, do)
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=quiet, transient=True) as progress:
+        bar = progress.add_task("", total=len(planned.missing))
+
+        def heard(row: Row) -> None:
+            progress.advance(bar)
+            if not quiet and row["state"] != DONE:
+                progress.console.print(f"{row['name']}: {row['said']}", style="yellow", highlight=False)
+
+        compared = run(planned, runner, robot_by, refit_base, refit_tool, heard)
+    if as_json:
+        click.echo(to_json(_data(planned, compared)), nl=False)
+    else:
+        _show(planned, compared, console)
+    left = [row for row in compared.rows if row["state"] != DONE]
+    if left:
+        first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
+        click.echo(f"modcal: {len(left)} of {len(compared.rows)} recordings were not calibrated; {first}", err=True)
+    return 2 if left else 0
+
+
+def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
+    states = [row["state"] for row in compared.rows]
+    return {
+        "modcal_fleet": 1,
+        "out": str(planned.out),
+        "states": {state: states.count(state) for state in sorted(set(states))},
+        "kept": len(planned.kept),
+        "recordings": compared.rows,
+        "drift": compared.drifts,
+    }
+
+
+def _show(planned: Plan, compared: Compared, console: Console) -> None:
+    """A line for each robot, then those that could not be calibrated."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for name in ("robot", "recordings", "last", "RMS mm before", "after", "over time"):
+        table.add_column(name, justify="right" if "mm" in name or name == "after" else "left", overflow="fold")
+    robots: dict[tuple[str, str], list[Row]] = {}
+    for row in compared.rows:
+        if row["state"] == DONE:
+            robots.setdefault((row["robot"], row["kinematics"]), []).append(row)
+    for (robot, _), rows in sorted(robots.items()):
+        last = max(rows, key=lambda row: row["started"])
+        sizes = [last[f"{stage}_rms_mm"] for stage in ("nominal", "final")]
+        numbers = ["" if size is None else f"{size:.3f}" for size in sizes]
+        table.add_row(robot, str(len(rows)), last["started"][:10], *numbers, last["drift"] or "")
+    console.print(table, highlight=False)
+    for row in compared.rows:
+        if row["state"] != DONE:
+            console.print(f"{row['name']} {row['state']}: {row['said']}", style="yellow", highlight=False)
+    click.echo(f"Table: {planned.out / 'fleet.parquet'}")

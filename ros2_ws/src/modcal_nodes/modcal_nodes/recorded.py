@@ -1,0 +1,80 @@
+"""The calibration of a recording, as ``modcal calibrate`` makes one and ``modcal fleet`` many."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain as chained
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.loop import calibrate
+from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.measurements.samples import Samples
+from modcal_core.prepare import Prepared, prepare_pieces
+from modcal_core.report.report import Report
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_core.robots.urdf_tree import document
+from modcal_msgs_py.mcap_read import read_pieces
+from modcal_nodes.cli.robot import delta_of
+from modcal_nodes.inputs import read_cell
+from modcal_nodes.results import calibration_files, delta_files
+from modcal_nodes.wishes import Wishes
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A report, the calibration, the samples it was made from, and names and texts of the files it leaves behind.
+
+    robot: the name that the description gives the robot. began: earliest stamp of the recording [s].
+    """
+
+    report: Report
+    calibration: Calibration
+    samples: Samples
+    files: dict[str, str]
+    robot: str
+    began: float
+
+
+def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = ()) -> Calibrated:
+    """The calibration of the arm in a bag, and in more bags of its cell. Raises ModcalError for unusable ones."""
+    cell = read_cell(wishes.cell_file, wishes.fixed)
+    recording, pieces = begun(bag)
+    chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
+    prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
+    for other in more:
+        added = prepare_pieces(read_pieces(other), chain, clock_limit=wishes.clock_limit)
+        prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
+    result = calibrate(
+        prepared.samples,
+        chain,
+        np.random.default_rng(wishes.seed),
+        cell,
+        wishes.block,
+        read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
+        look_for_effects=not wishes.geometry_only,
+    )
+    report = named(result.report, recording, prepared)
+    if isinstance(chain, Chain) and text is not None:
+        files, robot = calibration_files(result, report, chain, text), str(document(text).get("name") or "robot")
+    else:
+        files, robot = delta_files(result, report), "delta"
+    stamps = [t.stamps for t in recording.joints] + [t.stamps for t in recording.readings]
+    began = min(float(s.min()) for s in stamps if len(s))
+    return Calibrated(report, result.calibration, prepared.samples, files, robot, began)
+
+
+def begun(bag: Path) -> tuple[Recording, Iterator[Piece]]:
+    """The beginning of a bag, which says whose it is, and all of it in pieces."""
+    pieces = read_pieces(bag)
+    first = next(pieces)
+    return first.recording, chained([first], pieces)
+
+
+def named(report: Report, recording: Recording, prepared: Prepared) -> Report:
+    """The report with the recording's name, and with what there is to know of its samples."""
+    return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))
