@@ -47,7 +47,8 @@ format: setup-test  ## let ruff mend what it can
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
 
-bench: setup-test build  ## measure; see bench/
+bench: setup-test build  ## times beside others doing the same; BENCH_ARGS="--only calibration --most 10000" narrows
+	@bench/setup.sh
 	@$(PY) bench/run.py $(BENCH_ARGS)
 
 undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
@@ -87,6 +88,6 @@ lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 an
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
-	@rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log demo
+	@rm -rf $(VENV) .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
 	@rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

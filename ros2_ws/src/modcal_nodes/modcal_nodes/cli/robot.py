@@ -10,7 +10,6 @@ from modcal_core.errors import BadRobot
 from modcal_core.measurements.recording import Recording
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.files import read_yaml
 
@@ -29,6 +28,8 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> C
     if path.suffix in (".yaml", ".yml"):
         if base is not None or tip is not None:
             raise BadRobot(str(path), "is a table, which is one arm from end to end", "leave out --base and --tip")
+        from modcal_core.robots.tables import from_table  # few arms come as tables
+
         return from_table(read_yaml(path))
     return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
 

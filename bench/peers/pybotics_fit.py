@@ -1,0 +1,58 @@
+"""A UR10 fitted to positions by pybotics, as its documentation does. Usage: pybotics_fit.py SAMPLES.npz.
+
+The file holds q (N, 6), position (N, 3), frame (4, 4): a guess of the base in the readings, and tool (4, 4). Fitted are
+all DH parameters, the base and the tool's point; printed is the RMS of what is left, which the caller compares.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import numpy as np
+from pybotics.robot import Robot
+from scipy.optimize import least_squares
+
+# pybotics counts in millimetres; its rows are alpha, a, theta, d before the joint (modified DH)
+ROWS = [
+    [0.0, 0.0, 0.0, 127.3],
+    [np.pi / 2, 0.0, 0.0, 0.0],
+    [0.0, -612.0, 0.0, 0.0],
+    [0.0, -572.3, 0.0, 163.941],
+    [np.pi / 2, 0.0, 0.0, 115.7],
+    [-np.pi / 2, 0.0, 0.0, 92.2],
+]
+
+
+def turned(w: np.ndarray) -> np.ndarray:
+    """Rotation matrix of a rotation vector."""
+    angle = np.linalg.norm(w)
+    x, y, z = w / max(angle, 1e-300)
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * W + (1.0 - np.cos(angle)) * W @ W
+
+
+def main() -> None:
+    data = np.load(sys.argv[1])
+    q, seen = data["q"], 1e3 * data["position"]
+    frame, tool = data["frame"], 1e3 * data["tool"][:3, 3]
+    table = np.array(ROWS).ravel()
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        robot = Robot.from_parameters((table + x[:24] * np.tile([1e-3, 1.0, 1e-3, 1.0], 6)).reshape(6, 4))
+        R = turned(1e-3 * x[24:27]) @ frame[:3, :3]
+        at = 1e3 * frame[:3, 3] + x[27:30]
+        point = tool + x[30:33]
+        T = np.array([robot.fk(row) for row in q])
+        return ((T[:, :3, :3] @ point + T[:, :3, 3]) @ R.T + at - seen).ravel()
+
+    begun = time.process_time()
+    found = least_squares(residual, np.zeros(33), method="trf", xtol=1e-10, ftol=1e-10)
+    ms = 1e3 * (time.process_time() - begun)
+    rms = float(np.sqrt(np.mean(found.fun**2)))
+    print(json.dumps({"ms": ms, "found": [rms], "remark": f"{1e3 * rms:.1f} um left"}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Full calibration, against the plain equations and SciPy's least squares; its growth, and its memory."""
+
+from __future__ import annotations
+
+import tempfile
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
+from peers import ask
+from scipy.optimize import least_squares
+from timing import Row, median_ms, pair_ms, spent_ms
+
+from modcal_core.calibration import identify as fitting
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.linearise import apply_deviations, deviations, linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.system import PlainSystem
+from modcal_core.geometry import so3
+from modcal_core.measurements.samples import Samples
+
+KINDS = ("point", "pose")
+SAME = 1e-2  # standard deviations that two solutions of the same samples may differ by
+# Milliseconds of others that are not to be had from an index of Python packages, on the machine they were taken on:
+# Ceres with numeric differences and a dense QR (positions), industrial_calibration (poses), a NumPy prototype
+PUBLISHED = {
+    ("point", 100): {"Ceres": 15.5, "FIGAROH": 240.0, "prototype": 1.05},
+    ("point", 1_000): {"Ceres": 121.0, "FIGAROH": 2220.0, "prototype": 1.67},
+    ("point", 10_000): {"Ceres": 1275.0, "FIGAROH": 33480.0, "prototype": 10.5},
+    ("pose", 100): {"industrial_calibration": 34.0, "prototype": 1.10},
+    ("pose", 1_000): {"industrial_calibration": 236.0, "prototype": 4.25},
+    ("pose", 10_000): {"industrial_calibration": 2373.0, "prototype": 29.0},
+}
+
+
+def located(samples: Samples) -> tuple[Model, tuple[Parameter, ...]]:
+    """The nominal arm, with base and tool found from a hundred samples, and its parameters."""
+    few = samples.select(np.arange(min(len(samples), 100)))
+    start = fit_cell(ur10(), few, Cell()).model
+    return start, tuple(choose_parameters(start, views_of(samples)).parameters)
+
+
+def many(count: int, kind: str, seed: int = 1) -> Samples:
+    """Samples of a displaced arm. From 20 000 on by this suite's own kinematics, for MuJoCo takes its time."""
+    if count <= 20_000:
+        return record(seed, count, kind).samples
+    model, parameters = located(record(seed, 200, kind).samples)
+    rng = np.random.default_rng(seed)
+    true = apply_deviations(
+        model,
+        deviations(
+            model, parameters, rng.normal(size=len(parameters)) * [1e-3 if p.turns else 5e-4 for p in parameters]
+        ),
+    )
+    q = rng.uniform(-3.0, 3.0, (count, 6))
+    T = np.concatenate([true.predict(part) for part in np.array_split(q, max(count // 50_000, 1))])
+    T[:, :3, 3] += NOISE_M * rng.standard_normal((count, 3))
+    if kind == "pose":
+        for rows in np.array_split(np.arange(count), max(count // 50_000, 1)):
+            T[rows, :3, :3] = T[rows, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((len(rows), 3)))
+    return samples_of(ur10(), q, T, kind)
+
+
+def scipy_fit(model: Model, parameters: tuple[Parameter, ...], samples: Samples) -> Callable[[], Any]:
+    """The same least squares by SciPy, with derivatives by differences."""
+    scale = np.full(len(parameters), 1e-3)
+
+    def residual(x: Any) -> Any:
+        return linearise(model, parameters, x, samples, jacobian=False).residual
+
+    return lambda: least_squares(residual, np.zeros(len(parameters)), x_scale=scale, method="trf")
+
+
+def plainly(work: Callable[[], Fit]) -> Fit:
+    """The same fit by the plain equations, all samples at once."""
+    with mock.patch.object(fitting, "system_of", PlainSystem), mock.patch.object(fitting, "_FEW", 10**9):
+        return work()
+
+
+def require_same(ours: Fit, values: Any, what: str) -> None:
+    """Exits where two solutions differ by more than hundredths of their uncertainty."""
+    apart = float(np.abs((values - ours.values) / ours.std).max())
+    if apart > SAME:
+        raise SystemExit(f"{what}: another optimum, {apart:.2g} standard deviations away")
+
+
+def rows(scale: float, most: int) -> Iterator[Row]:
+    """The fits. scale: of this machine. most: samples."""
+    for kind in KINDS:
+        for count in (100, 1_000, 10_000, 100_000):
+            if count > most:
+                break
+            samples = many(count, kind)
+            start, parameters = located(samples)
+
+            def fit(m: Model = start, s: Samples = samples, p: Any = parameters, robust: bool = False) -> Fit:
+                # a new view of the samples, so that nothing is remembered of them
+                return identify(m, replace(s), p, robust=robust)
+
+            found = fit()
+            work = f"fit, {kind}, N = {count}"
+            robust = median_ms(lambda f=fit: f(robust=True), 5)
+            require_same(found, plainly(fit).values, f"{work}, plain")
+            ms, plain = pair_ms(fit, lambda f=fit: plainly(f), 7 if count < 100_000 else 3, 3)
+            said = [f"robust {robust:.1f} ms"]
+            for other, theirs in PUBLISHED.get((kind, count), {}).items():
+                said.append(f"{other} {theirs * scale / ms:.1f} x")
+            yield Row("calibration", work, ms, "plain equations", plain, "; ".join(said), count)
+            if count <= 1_000:
+                peer = scipy_fit(start, parameters, samples)
+                if kind == "point":  # poses weigh two units against each other, which SciPy is not told
+                    require_same(found, peer().x, f"{work}, SciPy")
+                yield Row("calibration", work, ms, "SciPy least_squares", spent_ms(peer), "numeric derivatives", count)
+            if kind == "point" and count == 100:
+                yield against_pybotics(found, samples, work, ms)
+            if count == 10_000:
+                J_ms = median_ms(lambda m=start, s=samples, p=parameters: linearise(m, p, np.zeros(len(p)), s), 5)
+                yield Row("calibration", f"Jacobian of all parameters, {kind}, N = {count}", J_ms, size=count)
+
+
+def against_pybotics(fit: Fit, samples: Samples, work: str, ms: float) -> Row:
+    """The same readings fitted by pybotics from the same start, in its own environment."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "samples.npz"
+        start = fit.start
+        np.savez(file, q=samples.q, position=samples.position, frame=start.T_frame_base[0], tool=start.T_tip_tool)
+        answer = ask("pybotics_fit", str(file), seconds=120.0)
+    if answer.found:
+        left = fit.model.predict(samples.q)[:, :3, 3] - samples.position
+        ours = 1e3 * float(np.sqrt(np.mean(left**2)))
+        # the same least squares, so no more may be left than rounding and our priors make
+        if abs(answer.found[0] / ours - 1.0) > SAME:
+            raise SystemExit(f"pybotics: {answer.found[0]:.6f} mm left, ours {ours:.6f} mm")
+    return Row("calibration", work, ms, "pybotics", answer.ms, answer.remark, samples.q.shape[0])
+
+
+def million(count: int = 1_000_000) -> Iterator[Row]:
+    """Growth to a million points, and what the fit takes in memory beside the samples."""
+    samples = many(count, "point")
+    start, parameters = located(samples)
+    ms = spent_ms(lambda: identify(start, replace(samples), parameters, robust=False))
+    tracemalloc.start()
+    identify(start, replace(samples), parameters, robust=False)
+    peak = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    remark = f"{peak:.0f} MB beside the samples, {1e6 * peak / count:.0f} bytes each"
+    yield Row("calibration", f"fit, point, N = {count}", ms, remark=remark, size=count)

@@ -1,0 +1,39 @@
+"""Others that live in an environment of their own, because their requirements do not go with ours.
+
+``make bench`` makes it from bench/requirements.txt. One that is not there is said in the table, and is no error.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON = ROOT / ".venv-bench" / "bin" / "python"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a peer took [ms], None where it could not be asked, and what is to be said of it. found: its solution."""
+
+    ms: float | None
+    remark: str = ""
+    found: tuple[float, ...] = ()
+
+
+def ask(script: str, *arguments: str, seconds: float = 300.0) -> Answer:
+    """What bench/peers/SCRIPT.py prints: {"ms": …, "remark": …, "found": […]}."""
+    if not PYTHON.exists():
+        return Answer(None, "not installed")
+    command = [str(PYTHON), str(ROOT / "bench" / "peers" / f"{script}.py"), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        return Answer(None, f"not done after {seconds:.0f} s")
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["failed"])[-1]
+        return Answer(None, "not installed" if "ModuleNotFoundError" in last else last[:60])
+    said = json.loads(done.stdout.strip().splitlines()[-1])
+    return Answer(said["ms"], said.get("remark", ""), tuple(said.get("found", ())))
