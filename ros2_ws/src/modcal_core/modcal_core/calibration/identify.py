@@ -143,7 +143,7 @@ def identify(
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
-            length = float(np.sqrt(max(step @ H @ step, 0.0))) if damping == 0.0 else np.inf
+            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) if damping == 0.0 else np.inf
             if length <= min(tolerance, _UNSEEN):
                 new = at
                 break
