@@ -17,6 +17,7 @@ from modcal_nodes.parameters import (
     RECORDER,
     SIMULATED_CELL,
     SIMULATED_FURNITURE,
+    VIEWER,
 )
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
@@ -29,6 +30,7 @@ KNOWN = {
     "acceleration_limits": ACCELERATION_LIMITS,
     "simulated_cell": SIMULATED_CELL,
     "simulated_furniture": SIMULATED_FURNITURE,
+    "viewer": VIEWER,
 }
 
 
@@ -55,6 +57,7 @@ LAUNCHED = {
     "correct": {"corrector"},
     "limits": {"acceleration_limits"},
     "articulate": {"articulation_estimator", "impedance_setpoint"},
+    "view": {"viewer"},
 }
 
 

@@ -17,7 +17,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{PACKAGE}/config", sorted(f for kind in ("yaml", "rviz", "json") for f in glob(f"config/*.{kind}"))),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         ("bin", ["bin/modcal"]),
     ],
@@ -33,6 +33,7 @@ setup(
             f"articulation_estimator = {PACKAGE}.articulation_estimator:main",
             f"impedance_setpoint = {PACKAGE}.impedance_setpoint:main",
             f"acceleration_limits = {PACKAGE}.acceleration_limits:main",
+            f"viewer = {PACKAGE}.viewer:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
         ],

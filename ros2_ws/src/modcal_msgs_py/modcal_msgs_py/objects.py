@@ -97,15 +97,15 @@ def fill_markers(message: Any, marker: Any, frame: str, stamp: float, model: Joi
         one.color.a = 1.0
     arrow.scale.x, arrow.scale.y, arrow.scale.z = 0.01, 0.02, 0.03  # shaft, head, length of the head
     line.scale.x = 0.005
-    arrow.points = [_point(arrow, at), _point(arrow, at + length * model.axis)]
-    line.points = [_point(line, p) for p in model.position(np.linspace(*reach, _PATH_POINTS))]
+    arrow.points = [as_point(arrow, at), as_point(arrow, at + length * model.axis)]
+    line.points = [as_point(line, p) for p in model.position(np.linspace(*reach, _PATH_POINTS))]
     if model.kind == "rigid":
         arrow.action = line.action = marker.DELETE
     message.markers = [arrow, line]
     return message
 
 
-def _point(marker: Any, p: Array) -> Any:
+def as_point(marker: Any, p: Array) -> Any:
     """A Point, of the type that a Marker's pose has."""
     point = type(marker.pose.position)()
     point.x, point.y, point.z = (float(v) for v in p)

@@ -253,6 +253,19 @@ ACCELERATION_LIMITS = {
     "rate_hz": Parameter(50.0, "Bounds are published at most this often [Hz].", 0.1, 250.0),
 }
 
+VIEWER = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: that of the calibration, else the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: that of the calibration, else behind most joints heard."),
+    "arrow_scale": Parameter(
+        100.0, "How much larger all that is off is drawn: 100 makes 1 mm ten centimetres.", 1.0, 1e5
+    ),
+    "full_colour_m": Parameter(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
+    "stations": Parameter(60, "How many of the last stations are shown.", 1, 1000),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
+    "rate_hz": Parameter(5.0, "How often the pictures are drawn anew [Hz].", 0.1, 30.0),
+}
+
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
     """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""

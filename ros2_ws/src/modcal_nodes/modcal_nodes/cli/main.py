@@ -32,6 +32,7 @@ VERBS = {
     "assemble": ("assemble", "assemble_command", "Make a robot of a list of modules."),
     "modules": ("assemble", "modules_command", "What physical modules are off by, learned over assemblies."),
     "synthesize": ("synthesize", "synthesize_command", "Find the assembly of modules that does a task."),
+    "watch": ("watch", "watch_command", "Show what the nodes of a cell say of themselves, as long as they run."),
     "articulate": ("articulate", "articulate_command", "Say how the handle in BAG moves, and write it as a URDF."),
 }
 

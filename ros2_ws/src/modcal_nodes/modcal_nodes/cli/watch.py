@@ -1,0 +1,174 @@
+"""``modcal watch``: what the nodes of a cell say of themselves, in a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import click
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.live import Live
+
+from modcal_core.errors import BadRecording
+from modcal_nodes.watching.heard import Heard
+from modcal_nodes.watching.listener import Listener
+from modcal_nodes.watching.table import Changes, table
+
+_PATIENCE = 8.0  # s without a word after which it says what to check
+_ENOUGH = 2.5  # s: every node speaks once a second, and what it latched comes with it
+_SPIN = 0.05  # s
+_FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
+
+
+@click.command("watch")
+@click.option("--once", is_flag=True, help="Print one snapshot and end.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for machines.")
+@click.option(
+    "--domain", type=click.IntRange(0, 232), default=0, envvar="ROS_DOMAIN_ID", help="Default: ROS_DOMAIN_ID."
+)
+@click.option("--namespace", default="", metavar="NAME", help="Only nodes below this namespace.")
+@click.option(
+    "--for",
+    "lasting",
+    type=click.FloatRange(0.1),
+    default=None,
+    metavar="SECONDS",
+    help="End after so long; with --once: listen so long.",
+)
+@click.option("--every", type=click.FloatRange(0.1, 60.0), default=1.0, show_default=True, help="Seconds of an update.")
+def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lasting: float | None, every: float) -> None:
+    """Show what the nodes of a cell say of themselves, as long as they run.
+
+    What every node hears and complains of, which model is trusted, how large its error is and was, what seems to have
+    changed, how old corrected poses are, what moves in the gripper's hand, what is recorded. Where the output is no
+    terminal, a line is written only when something gets better or worse. Ctrl-C ends it.
+    """
+    heard, console = Heard(namespace), Console()
+    with contextlib.suppress(KeyboardInterrupt), _stopped_politely(), _listening(heard, domain) as spin:
+        if not once:
+            _go_on(heard, spin, _output(as_json, console), lasting, every, (domain, namespace))
+            return
+        end = time.monotonic() + (lasting or _PATIENCE)
+        while time.monotonic() < end and (lasting or not heard.names):
+            spin(_FOLLOW)
+        if heard.names:
+            spin(0.0 if lasting else _ENOUGH)
+            snapshot = heard.snapshot(time.monotonic())
+            if as_json:
+                _print_json(snapshot)
+            else:
+                console.print(table(snapshot))
+    if once and not heard.names:
+        raise BadRecording(*_nothing(domain, namespace, lasting or _PATIENCE))
+
+
+def _go_on(
+    heard: Heard,
+    spin: Callable[[float], None],
+    output: contextlib.AbstractContextManager[Callable[[dict[str, Any]], None]],
+    lasting: float | None,
+    every: float,
+    where: tuple[int, str],
+) -> None:
+    """Show a snapshot every so often [s], until the time is over or somebody stops it. where: domain, namespace."""
+    begun = time.monotonic()
+    warned = False
+    with output as show:
+        while lasting is None or time.monotonic() - begun < lasting:
+            spin(every)
+            if heard.names:
+                show(heard.snapshot(time.monotonic()))
+            elif not warned and time.monotonic() - begun > _PATIENCE:
+                warned = True
+                click.echo("modcal: " + ": ".join(_nothing(*where, _PATIENCE)), err=True)
+
+
+def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str]:
+    """What to check when nobody speaks: offender, limit, remedy."""
+    where = f"/diagnostics of domain {domain}" + (f" below /{namespace.strip('/')}" if namespace else "")
+    return (
+        where,
+        f"no modcal node heard in {seconds:g} s",
+        "start one, or see that --domain, --namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are those of the cell",
+    )
+
+
+@contextlib.contextmanager
+def _listening(heard: Heard, domain: int) -> Iterator[Callable[[float], None]]:
+    """A node in this domain, and a function that lets it listen for so many seconds."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = Listener(heard, context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def spin(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        due = 0.0
+        while (left := end - time.monotonic()) > 0.0:
+            if time.monotonic() >= due:
+                due = time.monotonic() + _FOLLOW
+                node.follow()
+            executor.spin_once(timeout_sec=min(left, _SPIN))
+
+    try:
+        yield spin
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+@contextlib.contextmanager
+def _stopped_politely() -> Iterator[None]:
+    """SIGTERM ends it as Ctrl-C does, so that the terminal is given back as it was."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def _output(as_json: bool, console: Console) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """What to do with each snapshot: JSON, a table that changes in place, or, in a pipe, lines of what changes."""
+    if as_json:
+        yield _print_json
+    elif console.is_terminal:
+        last: list[dict[str, Any]] = []
+        with Live(console=console, screen=True, auto_refresh=False, vertical_overflow="crop") as live:
+
+            def show(snapshot: dict[str, Any]) -> None:
+                last[:] = [snapshot]
+                live.update(table(snapshot), refresh=True)
+
+            try:
+                yield show
+            finally:
+                live.stop()
+                if last:
+                    console.print(table(last[0]))  # what was seen last stays
+    else:
+        changes = Changes()
+
+        def log(snapshot: dict[str, Any]) -> None:
+            for line in changes.lines(snapshot):
+                click.echo(line)
+
+        yield log
+
+
+def _print_json(snapshot: dict[str, Any]) -> None:
+    click.echo(json.dumps({"time_s": round(time.time(), 3), **snapshot}, allow_nan=False))

@@ -1,0 +1,104 @@
+"""The pictures of the live view, each as a MarkerArray."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from visualization_msgs.msg import Marker, MarkerArray
+
+from modcal_core.correction.correction import Correction
+from modcal_core.correction.picture import Misses, enlarged_axes, joint_axes
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+from modcal_msgs_py.pictures import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_picture
+from modcal_nodes.viewing.stations import Judged
+
+CALIBRATED, NOMINAL, SCALE = "calibrated", "nominal", "scale"
+PRESENT, STATIONS = "present", "stations"
+RECORDED, FITTING, REJECTED, WAITING = "recorded", "fitting", "rejected", "waiting"
+
+_SHAFT, _AXIS, _AXIS_LENGTH = 0.006, 0.012, 0.25  # m
+_DOT, _TEXT = 0.02, 0.05  # m
+_GREY: Colour = (0.55, 0.58, 0.62, 0.8)
+_BLUE: Colour = (0.13, 0.44, 0.71, 1.0)
+_RED: Colour = (0.84, 0.15, 0.16, 1.0)
+_YELLOW: Colour = (0.98, 0.78, 0.18, 1.0)
+_PALE: Colour = (0.13, 0.44, 0.71, 0.25)
+_NOW: Colour = (0.98, 0.78, 0.18, 0.4)
+
+Shapes = Sequence[tuple[Array, Array]]
+
+
+def nothing(frame: str) -> MarkerArray:
+    """A picture of nothing, which takes away what was shown."""
+    return fill_picture(MarkerArray(), Marker, frame, [])
+
+
+def residual_picture(chain: Chain, judged: Judged | None, scale: float, full: float, change: str) -> MarkerArray:
+    """Arrows from where the models expect the tool to where it was seen, so much enlarged, and what they say in words.
+
+    full: size of the residuals that are drawn in red [m]. change: what seems to have changed since; may be empty.
+    """
+    if judged is None:
+        return nothing(chain.base)
+    parts = _residuals(CALIBRATED, judged.calibrated, scale, full, 1.0)
+    parts += _residuals(NOMINAL, judged.nominal, scale, full, 0.35)
+    lines = [f"1 mm is drawn as {scale:g} mm, {1e3 * full:g} mm and more in red"]
+    lines += [
+        f"{name}: RMS {1e3 * rms(m):.3f} mm, largest {1e3 * m.size.max():.3f} mm, {len(m)} stations"
+        for name, m in ((CALIBRATED, judged.calibrated), (NOMINAL, judged.nominal))
+        if len(m)
+    ]
+    above = chain.T_base_root[:3, 3] + np.array([0.0, 0.0, 1.1 * chain.reach()])
+    parts.append(caption(Marker, SCALE, above, "\n".join([*lines, change]).strip(), _TEXT))
+    return fill_picture(MarkerArray(), Marker, chain.base, parts)
+
+
+def rms(of: Misses) -> float:
+    """Root mean square of the misses [m]; 0 where there are none."""
+    return float(np.sqrt(np.mean(of.size**2))) if len(of) else 0.0
+
+
+def _residuals(space: str, of: Misses, scale: float, full: float, solid: float) -> list[Marker]:
+    colours = [colour_of(size / full, solid) for size in of.size]
+    return arrows(Marker, space, of.expected, scale * of.miss, colours, _SHAFT)
+
+
+def axes_picture(nominal: Chain, calibrated: Chain | None, q: Array, scale: float, lifetime: float) -> MarkerArray:
+    """Every joint's axis: the nominal ones thin, the calibrated ones thicker, standing off them so much enlarged."""
+    parts = []
+    where = {NOMINAL: (joint_axes(nominal, q), _GREY, 0.4 * _AXIS)}
+    if calibrated is not None:
+        where[CALIBRATED] = (enlarged_axes(nominal, calibrated, q, scale), _BLUE, _AXIS)
+    for space, ((points, directions), colour, thickness) in where.items():
+        parts += arrows(Marker, space, points, _AXIS_LENGTH * directions, [colour] * len(points), thickness)
+    return fill_picture(MarkerArray(), Marker, nominal.base, parts, lifetime)
+
+
+def uncertainty_picture(frame: str, at_stations: Shapes, present: Shapes, scale: float, lifetime: float) -> MarkerArray:
+    """Ellipsoids about the predicted tool, so much enlarged: at the last stations and where it is now."""
+    parts = ellipsoids(Marker, STATIONS, [(T, scale * half) for T, half in at_stations], _PALE)
+    parts += ellipsoids(Marker, PRESENT, [(T, scale * half) for T, half in present], _NOW)
+    return fill_picture(MarkerArray(), Marker, frame, parts, lifetime)
+
+
+def stations_picture(correction: Correction, judged: Judged | None) -> MarkerArray:
+    """Where the tool was: at the stations that the calibration was made from, and at the last ones by how they fit."""
+    model, chain = correction.model, correction.chain
+    parts = []
+    if len(correction.calibration.postures):
+        T = forward(chain, correction.calibration.postures) @ model.T_tip_tool
+        parts += dots(Marker, RECORDED, T[:, :3, 3], _GREY, 0.5 * _DOT)
+    if judged is not None:
+        at, rejected = judged.calibrated.expected, judged.calibrated.rejected
+        parts += dots(Marker, FITTING, at[~rejected], _BLUE, _DOT)
+        parts += dots(Marker, REJECTED, at[rejected], _RED, _DOT)
+    return fill_picture(MarkerArray(), Marker, chain.base, parts)
+
+
+def waiting_picture(chain: Chain, postures: Array) -> MarkerArray:
+    """Where the nominal arm had its tip at stations that no calibration judges yet, postures (N, n)."""
+    parts = dots(Marker, WAITING, forward(chain, postures)[:, :3, 3], _YELLOW, _DOT) if len(postures) else []
+    return fill_picture(MarkerArray(), Marker, chain.base, parts)

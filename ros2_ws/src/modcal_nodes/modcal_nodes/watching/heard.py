@@ -1,0 +1,123 @@
+"""What was heard of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+LEVELS = ("ok", "warn", "error", "silent")
+OURS = "modcal"  # the hardware id of every status of ours
+_SILENT = 5.0  # s without a word after which a node counts as silent
+_SHOWN = 5  # parameters of the running estimate
+_DELAYS = 200  # poses whose delay is remembered
+
+# What nodes publish beside /diagnostics, below their own name, and what a snapshot calls it
+NUMBERS = {"residual": "residual_m", "residual_before": "residual_before_m", "trusted": "trusted"}
+TEXTS = {"change": "change", "estimate_names": "names"}
+ESTIMATE, POSE = "estimate", "pose"
+
+
+@dataclass
+class _Part:
+    level: int
+    message: str
+    facts: dict[str, str]
+    at: float
+
+
+@dataclass
+class _Node:
+    parts: dict[str, _Part] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
+    delays: deque[float] = field(default_factory=lambda: deque(maxlen=_DELAYS))
+
+
+class Heard:
+    """Everything that was said by the nodes below a namespace. Times are those of one steady clock [s]."""
+
+    def __init__(self, namespace: str = "") -> None:
+        """namespace: only nodes below it are listened to; empty: all."""
+        self._below = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
+        self._nodes: dict[str, _Node] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Full names of the nodes that were heard."""
+        return tuple(sorted(self._nodes))
+
+    def status(self, name: str, hardware: str, level: int, message: str, facts: Mapping[str, str], at: float) -> None:
+        """Take one status of /diagnostics; those of others are passed over."""
+        node, _, part = name.partition(": ")
+        if hardware == OURS and part and node.startswith(self._below):
+            said = _Part(min(max(level, 0), 2), message, dict(facts), at)
+            self._nodes.setdefault(node, _Node()).parts[part] = said
+
+    def value(self, node: str, what: str, value: Any) -> None:
+        """Take what a node has published under its own name: of NUMBERS, TEXTS, or the numbers of its estimate."""
+        if node in self._nodes:
+            self._nodes[node].values[what] = value
+
+    def pose(self, node: str, delay: float, deviation: float) -> None:
+        """Take a corrected pose: how old it was when it came [s], and its largest standard deviation [m]."""
+        if node in self._nodes and math.isfinite(delay) and math.isfinite(deviation):
+            self._nodes[node].delays.append(delay)
+            self._nodes[node].values[POSE] = deviation
+
+    def snapshot(self, now: float) -> dict[str, Any]:
+        """All that is known, as data for JSON: no number in it is other than finite."""
+        nodes = [_node_data(name, node, now) for name, node in sorted(self._nodes.items())]
+        worst = max((LEVELS.index(n["level"]) for n in nodes), default=0)
+        return {"modcal_watch": 1, "level": LEVELS[worst], "nodes": nodes}
+
+
+def _node_data(name: str, node: _Node, now: float) -> dict[str, Any]:
+    age = now - max(part.at for part in node.parts.values())
+    level = LEVELS[max(part.level for part in node.parts.values())] if age < _SILENT else "silent"
+    parts = [
+        {"part": key, "level": LEVELS[part.level], "message": part.message, "facts": part.facts}
+        for key, part in node.parts.items()
+    ]
+    out: dict[str, Any] = {"name": name, "level": level, "heard_s_ago": round(max(age, 0.0), 2), "parts": parts}
+    values = node.values
+    for what in NUMBERS.values():
+        if what in values and math.isfinite(values[what]):
+            out[what] = values[what]
+    if "change" in values:
+        out["change"] = _change(values["change"])
+    if estimate := _estimate(values.get("names"), values.get(ESTIMATE)):
+        out["estimate"] = estimate
+    if node.delays:
+        out["delay_ms"] = {
+            "median": round(1e3 * float(np.median(node.delays)), 3),
+            "p99": round(1e3 * float(np.percentile(node.delays, 99)), 3),
+        }
+        out["position_std_m"] = values[POSE]
+    return out
+
+
+def _change(text: str) -> dict[str, Any] | None:
+    """What has changed since the model was trusted; None for nothing, and for what cannot be read."""
+    try:
+        data = json.loads(text, parse_constant=lambda _: None)
+    except ValueError:
+        return None
+    return data if isinstance(data, dict) and data else None
+
+
+def _estimate(names: str | None, numbers: Any) -> list[dict[str, Any]]:
+    """The parameters that stand off the trusted model by most of their standard deviations, those first."""
+    if names is None or numbers is None:
+        return []
+    known = names.split("\n")
+    if len(numbers) != 2 * len(known):  # the names of another model are on their way
+        return []
+    value, std = np.asarray(numbers, dtype=float).reshape(2, -1)
+    use = np.isfinite(value) & np.isfinite(std) & (std > 0.0)
+    order = np.argsort(-np.abs(np.where(use, value, 0.0)) / np.where(use, std, 1.0), kind="stable")
+    return [{"name": known[i], "value": float(value[i]), "std": float(std[i])} for i in order[:_SHOWN] if use[i]]
