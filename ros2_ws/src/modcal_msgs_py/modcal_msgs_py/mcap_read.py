@@ -21,7 +21,6 @@ from modcal_msgs_py.fields import fields_of
 from modcal_msgs_py.layout import Bytes, Fields, Layout
 from modcal_msgs_py.mcap_walk import Block, McapFile
 from modcal_msgs_py.messages import RecordingBuilder
-from modcal_msgs_py.topics import ADDED, role_of
 
 _LEFT_OUT = (
     "sensor_msgs/msg/Image",
@@ -108,19 +107,18 @@ class _Reader:
 
     def take(self, block: Block) -> None:
         """Decode a block, topic by topic."""
-        channels = block.heads["channel"]
+        channels = np.ascontiguousarray(block.heads["channel"])
         topics: dict[tuple[str, str], list[int]] = {}
         for channel in np.flatnonzero(np.bincount(channels)).tolist():
             topics.setdefault(self._file.known[channel], []).append(channel)
         for (topic, type_name), ids in topics.items():
-            which = np.flatnonzero(np.logical_or.reduce([channels == i for i in ids]))
+            which = np.flatnonzero(channels == ids[0] if len(ids) == 1 else np.isin(channels, ids))
             if not type_name.startswith(_LEFT_OUT):
                 self._topic(topic, type_name, block, which)
         self._file.count += len(channels)
 
     def _topic(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        own = role_of(topic, type_name) in ADDED  # a package's, which takes messages one by one
-        fields = fields_of(type_name, self._file.schemas) if self._use_layouts and not own else None
+        fields = fields_of(type_name, self._file.schemas) if self._use_layouts else None
         met = self._layouts.setdefault((topic, type_name), [])
         pieces = [] if fields is None else _sorted(block, which, fields, met)
         if not pieces:
@@ -140,7 +138,7 @@ class _Reader:
             return
         for i in which.tolist():
             try:
-                message = store.deserialize_cdr(block.content[block.starts[i] : block.stops[i]], type_name)
+                message = store.deserialize_cdr(bytes(block.content[block.starts[i] : block.stops[i]]), type_name)
             except Exception as error:  # the decoder raises whatever the bytes lead it to
                 raise BadRecording(
                     f"{self._file.path.name}: message {self._file.count + i + 1} on {topic}",
@@ -172,7 +170,7 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[La
     for i in range(len(met) + _MOST_LAYOUTS):
         if i == len(met):
             first = left[0]
-            made = Layout.of(fields, block.content[starts[first] : starts[first] + sizes[first]])
+            made = Layout.of(fields, bytes(block.content[starts[first] : starts[first] + sizes[first]]))
             if made is None:
                 break
             met.append(made)

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import lz4.frame
 import numpy as np
@@ -45,7 +45,10 @@ _INDEX = np.dtype([("received", "<u8"), ("offset", "<u8")])
 _LOOSE = 1 << 22  # bytes of messages outside of chunks that are taken at once
 _MESSAGE_HEAD = 22  # bytes before the CDR bytes that a record counts as its own
 _LOOSE_RECORDS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+_MOST_UNPACKED = 1 << 30  # bytes; a chunk that says it is larger is unpacked as it comes
 PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
+
+Content: TypeAlias = "bytes | bytearray"
 
 
 class RawMessage(NamedTuple):
@@ -68,7 +71,7 @@ class Block:
     published [ns]. starts, stops: (n,) where the CDR bytes of each stand in the content.
     """
 
-    content: bytes
+    content: Content
     heads: NDArray[np.void]
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
@@ -138,7 +141,7 @@ class McapFile:
                 yield from self._chunk(data[body : body + length], offsets, whole=True)
             elif opcode in _LOOSE_RECORDS:
                 at_next = _end_of_loose(data, at, size)
-                yield from self._records(data[at:at_next], np.empty(0, np.int64))
+                yield from self._records(data[at:at_next] + PADDING, np.empty(0, np.int64))
             elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
                 self.extras.append((opcode, data[at:at_next]))
             elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -154,24 +157,28 @@ class McapFile:
             (name_length,) = struct.unpack_from("<I", body, _CHUNK.size)
             start = _CHUNK.size + 4 + name_length + 8
             compression = body[_CHUNK.size + 4 : _CHUNK.size + 4 + name_length].decode()
-            content = _unpacked(compression, body[start:], unpacked_size)
+            content = _unpacked(compression, body[start:], unpacked_size, whole)
         except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, zstandard.ZstdError) as error:
             # of a chunk that is cut already, this says nothing new
             if whole:
                 self.cut = f"a chunk cannot be unpacked ({error})"
             return
-        if whole and (len(content) != unpacked_size or (crc and zlib.crc32(content) != crc)):
+        size = len(content) - len(PADDING)
+        if whole and (size != unpacked_size or (crc and zlib.crc32(memoryview(content)[:size]) != crc)):
             self.cut = "a chunk's checksum is wrong"
             return
         self.compression = self.compression or compression
         yield from self._records(content, offsets)
 
-    def _records(self, content: bytes, offsets: NDArray[np.int64]) -> Iterator[Block]:
-        """The messages in these bytes. offsets: where an index says that they are; it may be wrong, or say nothing."""
+    def _records(self, content: Content, offsets: NDArray[np.int64]) -> Iterator[Block]:
+        """The messages in these bytes, behind which there is PADDING.
+
+        offsets: where an index says that they are; it may be wrong, or say nothing.
+        """
         runs = _runs(content, offsets)
         found: list[NDArray[np.int64]] = []
         single: list[int] = []
-        at, size = 0, len(content)
+        at, size = 0, len(content) - len(PADDING)
         while at + _RECORD.size <= size:
             if at in runs:
                 run, at = runs[at]
@@ -190,7 +197,7 @@ class McapFile:
                 single.append(at)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 try:
-                    self._learn(opcode, content[body : body + length])
+                    self._learn(opcode, bytes(content[body : body + length]))
                 except (struct.error, UnicodeDecodeError, McapError, ValueError) as error:
                     self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
                     break
@@ -203,7 +210,7 @@ class McapFile:
         if known.any():
             heads, starts = heads[known], places[known] + _HEAD.itemsize
             stops = starts + heads["length"].astype(np.int64) - _MESSAGE_HEAD
-            yield Block(content + PADDING, heads, starts, stops)
+            yield Block(content, heads, starts, stops)
 
     def _learn(self, opcode: int, record: bytes) -> None:
         stream = ReadDataStream(BytesIO(record))
@@ -245,7 +252,7 @@ def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
     return at
 
 
-def _heads(content: bytes, places: NDArray[np.int64]) -> NDArray[np.void]:
+def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
     """The heads of the messages whose records stand at these places (n,)."""
     if not len(places):
         return np.empty(0, _HEAD)
@@ -253,7 +260,7 @@ def _heads(content: bytes, places: NDArray[np.int64]) -> NDArray[np.void]:
     return everywhere[places].view(_HEAD)
 
 
-def _runs(content: bytes, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], int]]:
+def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], int]]:
     """Messages that stand where an index says, one behind the other: by the first one's place, all, and their end.
 
     None at all, if any of them does not.
@@ -263,7 +270,11 @@ def _runs(content: bytes, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray
     heads = _heads(content, offsets)
     length = heads["length"].astype(np.int64)
     ends = offsets + _RECORD.size + length
-    if (heads["opcode"] != Opcode.MESSAGE).any() or (length < _MESSAGE_HEAD).any() or ends[-1] > len(content):
+    if (
+        (heads["opcode"] != Opcode.MESSAGE).any()
+        or (length < _MESSAGE_HEAD).any()
+        or ends[-1] > len(content) - len(PADDING)
+    ):
         return {}
     if (ends[:-1] > offsets[1:]).any():
         return {}
@@ -274,15 +285,31 @@ def _runs(content: bytes, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray
     }
 
 
-def _unpacked(compression: str, content: bytes, size: int) -> bytes:
-    """The content of a chunk; of one that is cut, as much as can be had."""
+def _unpacked(compression: str, content: bytes, size: int, whole: bool) -> Content:
+    """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had."""
     if compression == "":
-        return content
+        return content + PADDING
     if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(content)
+        if whole and size <= _MOST_UNPACKED:
+            return _unpacked_at_once(content, size)
+        return zstandard.ZstdDecompressor().decompressobj().decompress(content) + PADDING
     if compression == "lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size)
+        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size) + PADDING
     raise RuntimeError(f"unknown compression {compression}")
+
+
+def _unpacked_at_once(content: bytes, size: int) -> bytearray:
+    """The content of a whole chunk that says how large it is, written straight to where it stays.
+
+    What is longer than it says is returned longer, so that it is noticed.
+    """
+    out = bytearray(size + len(PADDING))
+    with zstandard.ZstdDecompressor().stream_reader(content) as stream, memoryview(out) as view:
+        at = 0
+        while at < size and (count := stream.readinto(view[at:size])):
+            at += count
+        beyond = stream.read(1) if at == size else b""
+    return out[:at] + beyond + PADDING if at < size or beyond else out
 
 
 def _other_format(start: bytes) -> str:
