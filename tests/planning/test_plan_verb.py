@@ -29,7 +29,8 @@ def test_stations_in_every_form(site_file: Path, tmp_path: Path, capfd: pytest.C
     told = " ".join(capfd.readouterr().out.split())
     assert "24 stations: expected" in told
     assert "drawn at random" in told
-    assert {p.name for p in out.iterdir()} == {"plan.yaml", "stations.csv", "trajectory.yaml", "stations.svg"}
+    written = {"plan.yaml", "stations.csv", "trajectory.yaml", "stations.svg", "report.html"}
+    assert {p.name for p in out.iterdir()} == written
     plan = yaml.safe_load((out / "plan.yaml").read_text())
     q = np.array([s["position"] for s in plan["stations"]])
     assert q.shape == (24, 6)

@@ -34,6 +34,7 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
     assert "these stations do not see it" in told
     assert {p.name for p in out.iterdir()} == {
         "sensitivity.json", "sensitivity.md", "single_point.csv", "by_pose.svg", "indices.svg", "gain.svg",
+        "report.html",
     }  # fmt: skip
     data = json.loads((out / "sensitivity.json").read_text())
     assert data["design"] == {"name": "l25", "postures": 25}

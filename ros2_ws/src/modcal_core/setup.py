@@ -11,7 +11,7 @@ setup(
     maintainer_email="maintainers@modcal.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["py.typed", "*.css", "*.html", "*.j2", "*.yaml"]},
+    package_data={"": ["py.typed", "*.css", "*.html", "*.j2", "*.js", "*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

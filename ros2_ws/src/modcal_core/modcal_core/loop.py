@@ -29,7 +29,7 @@ from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
-from modcal_core.report.report import Report
+from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -87,23 +87,31 @@ def calibrate(
     scored = held_out.select(~wrong[sets.held_out])
     shipped = ship(samples, chain, choice, cell, inertias, final)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
+    left = {
+        "nominal": errors(nominal.model, scored),
+        "geometric": errors(geometric.model, scored),
+        "final": errors(final.model, scored),
+    }
+    added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
+    steps = (Step("geometry", left["geometric"]), *added)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=int(wrong.sum()),
-        errors={
-            "nominal": errors(nominal.model, scored),
-            "geometric": errors(geometric.model, scored),
-            "final": errors(final.model, scored),
-        },
+        errors=left,
         noise_floor=noise_floor(samples),
-        effects=findings(diagnosis, geometric, shipped.calibrated, samples, wrong, scored),
+        effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         left_out=choice.left_out,
         notes=instrument_notes(final),
+        steps=steps,
+        evidence=diagnosis.maps,
+        model=final.model,
+        missed=errors(final.model, samples).position_norm,
+        wrong=wrong,
     )
     return Result(report, shipped, final)
 
@@ -169,8 +177,11 @@ def evaluate(
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
         spread = spread_of(models["final"], samples)
     held_out = samples.select(sets.held_out)
-    scored = held_out.select(~outlying(models["final"], spread, held_out))
+    out = outlying(models["final"], spread, held_out)
+    scored = held_out.select(~out)
     missed = {stage: errors(model, scored) for stage, model in models.items()}
+    wrong = np.zeros(len(samples), bool)
+    wrong[sets.held_out[out]] = True
     return Report(
         samples=samples,
         sets=sets,
@@ -183,6 +194,13 @@ def evaluate(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
         ),
+        steps=(
+            Step("geometry", missed["geometric"]),
+            *([Step("all effects", missed["final"])] if calibration.calibrated.effects else []),
+        ),
+        model=models["final"],
+        missed=errors(models["final"], samples).position_norm,
+        wrong=wrong,
     )
 
 

@@ -22,12 +22,14 @@ def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str)
     """Names and texts of everything the calibration of a serial arm leaves behind."""
     calibrated = result.calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
-    return {
-        **report_files(report),
-        "calibration.yaml": to_yaml(to_data(result.calibration)),
-        "calibrated.urdf": corrected,
-        "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
-    }
+    return _with_report(
+        report,
+        {
+            "calibration.yaml": to_yaml(to_data(result.calibration)),
+            "calibrated.urdf": corrected,
+            "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
+        },
+    )
 
 
 def delta_files(result: Result, report: Report) -> dict[str, str]:
@@ -37,13 +39,21 @@ def delta_files(result: Result, report: Report) -> dict[str, str]:
     T = result.calibration.calibrated.T_tip_tool
     tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
     with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
-    return {
-        **report_files(report),
-        "calibration.yaml": to_yaml(to_data(result.calibration)),
-        "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool)),
-    }
+    return _with_report(
+        report,
+        {
+            "calibration.yaml": to_yaml(to_data(result.calibration)),
+            "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool)),
+        },
+    )
 
 
 def report_files(report: Report) -> dict[str, str]:
     """Names and texts of a report."""
-    return {"report.json": to_json(to_json_data(report)), "report.html": to_html(report)}
+    return _with_report(report, {})
+
+
+def _with_report(report: Report, others: dict[str, str]) -> dict[str, str]:
+    """A report, whose page names the other files as well, before those."""
+    data = to_json(to_json_data(report))
+    return {"report.json": data, "report.html": to_html(report, ["report.json", *others]), **others}

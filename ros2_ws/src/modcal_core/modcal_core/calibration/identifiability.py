@@ -12,20 +12,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.identify import Fit
+from modcal_core.geometry.so3 import Array
 
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
+_WEAK = 0.2  # of the prior's deviation, above which a combination that is seen counts as hardly seen
+_MOST_WEAK = 5
 
 
 @dataclass(frozen=True)
 class Identifiability:
     """parameters: how many were fitted. rank: how many combinations the data shows. condition: ratio of the largest to
     the smallest singular value of the observed part, columns scaled to unit length. unobservable: the rest, by name.
+    spread: of every combination its deviation by the data alone, in deviations of the prior, the best known first.
+    weak: those that are observed, but hardly: their names and spreads, the weakest first.
     """
 
     parameters: int
     rank: int
     condition: float
     unobservable: tuple[str, ...]
+    spread: tuple[float, ...] = ()
+    weak: tuple[tuple[str, float], ...] = ()
 
 
 def identifiability(fit: Fit) -> Identifiability:
@@ -34,11 +41,18 @@ def identifiability(fit: Fit) -> Identifiability:
     value, vector = np.linalg.eigh(fit.information * np.outer(prior, prior))
     seen = value >= 1.0
     rank = int(seen.sum())
-    names = []
-    for v in vector[:, ~seen].T:
-        parts = [(abs(x), p.name) for x, p in zip(v, fit.parameters, strict=True) if abs(x) >= _NAMED]
-        names.append(" with ".join(name for _, name in sorted(parts, reverse=True)))
+    names = [_name(v, fit) for v in vector[:, ~seen].T]
+    spread = 1.0 / np.sqrt(np.maximum(value, 1e-300))
+    hardly = [k for k in np.flatnonzero(seen) if spread[k] > _WEAK][:_MOST_WEAK]
+    weak = tuple((_name(vector[:, k], fit), float(spread[k])) for k in hardly)
     size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
     scaled = np.linalg.eigvalsh(fit.information / np.outer(size, size))[len(prior) - rank :]
     condition = float(np.sqrt(scaled[-1] / max(scaled[0], 1e-300))) if rank else float("inf")
-    return Identifiability(len(prior), rank, condition, tuple(dict.fromkeys(names)))
+    known = tuple(float(x) for x in spread[::-1])
+    return Identifiability(len(prior), rank, condition, tuple(dict.fromkeys(names)), known, weak)
+
+
+def _name(direction: Array, fit: Fit) -> str:
+    """The parameters that a direction (P,) mostly consists of."""
+    parts = [(abs(x), p.name) for x, p in zip(direction, fit.parameters, strict=True) if abs(x) >= _NAMED]
+    return " with ".join(name for _, name in sorted(parts, reverse=True))

@@ -19,7 +19,8 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
-from modcal_core.diagnosis.evidence import FLIPS, Scanner
+from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
+from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.measurements.samples import Samples
@@ -52,12 +53,14 @@ class Cause:
 @dataclass(frozen=True)
 class Diagnosis:
     """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
-    significant still but could not be turned into an effect that predicts, None where the rest is noise.
+    significant still but could not be turned into an effect that predicts, None where the rest is noise. maps: what
+    the first scan saw and what the last one did.
     """
 
     fit: Fit
     causes: tuple[Cause, ...]
     left: Choice | None
+    maps: tuple[EvidenceMap, ...] = ()
 
 
 def diagnose(
@@ -82,9 +85,11 @@ def diagnose(
     )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
+    scans: list[Evidence] = []
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
         evidence = scanner.evidence(search.fit, rng, FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2)
+        scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:
             left = None
             break
@@ -106,7 +111,8 @@ def diagnose(
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
     effects = final.model.effects
-    return Diagnosis(final, tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True)), left)
+    causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True))
+    return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
 @dataclass

@@ -12,49 +12,12 @@ from modcal_core.articulation.joints import KINDS
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.report.figures import svg
+from modcal_core.report.figures import label
+from modcal_core.report.page import Chart, chart, render
+from modcal_core.report.palette import LIGHT, OF_AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>{{ data.source }}</title>
-<style>
-  body { font: 16px/1.5 system-ui, sans-serif; color: #1c2330; }
-  body { max-width: 60rem; margin: 2.5rem auto; padding: 0 1.2rem; }
-  h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2.2rem; }
-  .verdict { font-size: 1.15rem; padding: .4rem 1rem; background: #f5f8fd; }
-  .verdict { border-left: 4px solid {{ "#3a7d44" if data.enough else "#d9a441" }}; }
-  table { border-collapse: collapse; } td { padding: .3rem .9rem .3rem 0; border-bottom: 1px solid #dde3ec; }
-  td.n { text-align: right; font-variant-numeric: tabular-nums; }
-  .soft { color: #667085; } svg { max-width: 100%; height: auto; }
-</style>
-</head>
-<body>
-<h1>{{ data.source }}</h1>
-<p class="verdict">{{ data.verdict }}</p>
-<p class="soft">{{ data.samples }} {{ data.measurement }}s in frame {{ data.frame or "without a name" }},
-{{ data.rejected }} of them gross outliers.
-{% if not data.rotations_followed %}The rotations that were seen are not the handle's: the grasp turned.{% endif %}</p>
-<h2>What it may be</h2>
-<table>
-{% for kind, p in data.probabilities.items() %}
-<tr><td>{{ kind }}</td><td class="n">{{ "%.1f %%"|format(100 * p) }}</td></tr>
-{% endfor %}
-</table>
-<h2>The joint</h2>
-<table>
-{% for name, text in joint %}<tr><td>{{ name }}</td><td>{{ text }}</td></tr>
-{% endfor %}
-</table>
-<h2>Path and what is left</h2>
-{{ figure|safe }}
-</body>
-</html>
-"""
 
 
 @dataclass(frozen=True)
@@ -125,11 +88,16 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
 
 def to_html(found: Articulation) -> str:
     """The page as HTML text."""
-    from jinja2 import Environment
-
     data = to_json_data(found)
-    page = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(_PAGE)
-    return page.render(data=data, joint=_rows(data), figure=_figure(found))
+    return render(
+        "articulation.html.j2",
+        title=found.source,
+        verdict=data["verdict"],
+        settled=data["enough"],
+        data=data,
+        joint=_rows(data),
+        picture=_picture(found, data),
+    )
 
 
 def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
@@ -156,27 +124,29 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     )
     rows.append(("left over", f"{data['residual_mm']['rms']:.2f} mm RMS, {data['residual_mm']['p95']:.2f} mm at 95 %"))
     if data["residual_deg"] is not None:
-        rows.append(("", f"{data['residual_deg']['rms']:.2f} deg RMS"))
+        rows.append(("left over, turned", f"{data['residual_deg']['rms']:.2f} deg RMS"))
     return rows
 
 
-def _figure(found: Articulation) -> str:
+def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
     """The path in its own plane, and what is left along it."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(7.0, 3.0), layout="constrained")
     side, along = figure.subplots(1, 2)
     _draw_path(side, found)
     fit = found.choice.fit
     left, _ = _left(found)
     scale, unit = (180.0 / np.pi, "deg") if fit.model.turns else (1e2, "cm")
     shown = np.linalg.norm(left, axis=1) < 0.05
-    for k, colour in enumerate(("#d1495b", "#3a7d44", "#1f6feb")):
-        along.plot(scale * fit.configurations[shown], 1e3 * left[shown, k], ".", ms=2.0, color=colour, label="xyz"[k])
-    along.set_xlabel(f"configuration, {unit}")
-    along.set_ylabel("left over, mm")
+    for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
+        x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
+        along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=colour, label="xyz"[k])
+    label(along, f"configuration, {unit}", "left over, mm")
     along.legend(frameon=False, fontsize=8, ncols=3)
-    return svg(figure)
+    alt = f"The path of a {data['kind']} joint and what it leaves over: {data['residual_mm']['rms']:.2f} mm RMS."
+    words = "Left: what was seen, in the plane of the path, and the joint's own path. Right: what is left along it."
+    return chart(figure, "path", alt, words)
 
 
 def _draw_path(axes: Axes, found: Articulation) -> None:
@@ -186,13 +156,13 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
     flat = (p - middle) @ plane
-    axes.plot(*(1e2 * flat[good]).T, ".", ms=2.0, color="#b0b7c3", label="seen")
+    axes.plot(*(1e2 * flat[good]).T, ".", ms=2.0, color=LIGHT["before"], label="seen")
     a = fit.configurations[good]
     path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
-    axes.plot(*(1e2 * path).T, color="#1f6feb", lw=1.2, label=fit.model.kind)
+    axes.plot(*(1e2 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
     if fit.model.turns and fit.model.radius < 2.0:
         centre = (fit.model.point - middle) @ plane
-        axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color="#1f6feb")
+        axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color=LIGHT["after"])
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("cm")
+    label(axes, "cm", "cm")
     axes.legend(frameon=False, fontsize=8)

@@ -1,101 +1,134 @@
-"""Pictures of a report, as SVG text. Matplotlib is imported only when one is drawn."""
+"""Pictures of a calibration: errors before and after, residuals against what may drive them, shapes, stations.
+
+Matplotlib is imported only when one is drawn. Charts are small and many rather than large and few, so that a page can
+lay them side by side or, on a phone, one below the other.
+"""
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modcal_core.calibration.effects import AXIS
-from modcal_core.report.findings import Finding, curve
+from modcal_core.report.page import Chart, chart
+from modcal_core.report.palette import LIGHT
 from modcal_core.report.report import Report
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST_POINTS = 1200  # more make the page heavy and show no more
-_CURVE_POINTS = 2000
-_COLOURS = {"nominal": "#b0b7c3", "final": "#1f6feb"}
+MOST_POINTS = 1200  # more make the page heavy and show no more
+_SETS = (("train", "o", "soft"), ("explain", "s", "good"), ("held_out", "^", "after"))
+_MOST_REJECTED = 300
 
 
-def error_histogram(report: Report) -> str:
-    """How often the tool misses by how much on the held-out set, before and after."""
+def small(width: float, height: float, left: float = 0.55, bottom: float = 0.42) -> tuple[Figure, Axes]:
+    """A figure [inches] with one pair of axes, labels in small print; left, bottom: room for those."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 2.8), layout="constrained")
-    axes = figure.subplots()
-    norms = {stage: 1e3 * report.errors[stage].position_norm for stage in _COLOURS}
-    bins = np.linspace(0.0, max(float(np.percentile(n, 99.5)) for n in norms.values()) or 1.0, 50)
-    for stage, colour in _COLOURS.items():
-        label = f"{stage}: {np.sqrt(np.mean(norms[stage] ** 2)):.3f} mm RMS"
-        axes.hist(norms[stage], bins.tolist(), color=colour, alpha=0.8, label=label)
-    axes.set_xlabel("position error of held-out samples, mm")
-    axes.set_ylabel("samples")
-    axes.legend(loc="upper right", frameon=False)
-    return svg(figure)
+    figure = Figure(figsize=(width, height))
+    axes = figure.add_axes((left / width, bottom / height, 1.0 - (left + 0.08) / width, 1.0 - (bottom + 0.12) / height))
+    axes.tick_params(labelsize=7.5)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.locator_params(nbins=4)
+    return figure, axes
 
 
-def error_by_joint(report: Report) -> str:
-    """What is left, against each joint's position: a pattern here is an effect that the model lacks."""
-    from matplotlib.figure import Figure
-
-    shown = np.linspace(0, len(report.scored) - 1, min(len(report.scored), _MOST_POINTS)).astype(int)
-    samples, left = report.scored.select(shown), report.errors["final"].position[shown]
-    n = len(samples.names)
-    columns = min(n, 4)
-    rows = -(-n // columns)
-    figure = Figure(figsize=(2.6 * columns, 1.9 * rows), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
-    for j, name in enumerate(samples.names):
-        for k, colour in enumerate(("#d1495b", "#3a7d44", "#1f6feb")):
-            axes[j].plot(samples.q[:, j], 1e3 * left[:, k], ".", ms=1.5, color=colour, label="xyz"[k])
-        axes[j].set_title(name, fontsize=9)
-        axes[j].tick_params(labelsize=7)
-    for spare in axes[n:]:
-        spare.set_visible(False)
-    axes[0].legend(loc="upper right", frameon=False, fontsize=7, markerscale=4, ncols=3)
-    figure.supylabel("left over, mm", fontsize=9)
-    figure.supxlabel("joint position, rad or m", fontsize=9)
-    return svg(figure)
+def label(axes: Axes, x: str, y: str) -> None:
+    """Names of both axes."""
+    axes.set_xlabel(x, fontsize=8)
+    axes.set_ylabel(y, fontsize=8)
 
 
-def effect_shapes(report: Report) -> str | None:
-    """Each effect that follows one joint's position, over the range that was seen, with two standard deviations."""
-    from matplotlib.figure import Figure
+def thinned(count: int, most: int) -> np.ndarray:
+    """At most so many of this many rows, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
-    shown = [f for f in report.effects if f.direction == AXIS and _follows_one_joint(f)]
-    if not shown:
+
+def error_histogram(report: Report) -> Chart | None:
+    """How often the tool misses by how much on the held-out set, before and after, on a logarithmic axis."""
+    norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("nominal", "final")}
+    if not len(norms["final"]):
         return None
-    figure = Figure(figsize=(8.0, 1.9 * len(shown)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(len(shown), 1))
-    for ax, finding in zip(axes, shown, strict=True):
-        q = report.samples.q[:, report.samples.names.index(finding.driver.partition(":")[2])]
-        x, size, std = curve(finding.effects, float(q.min()), float(q.max()), _CURVE_POINTS)
-        ax.fill_between(x, 1e3 * (size - 2.0 * std), 1e3 * (size + 2.0 * std), color=_COLOURS["nominal"], lw=0)
-        ax.plot(x, 1e3 * size, color=_COLOURS["final"], lw=0.9)
-        ax.set_title(f"{finding.place}: {finding.family.replace('_', ' ')}", fontsize=9)
-        ax.set_ylabel("mrad", fontsize=8)
-        ax.tick_params(labelsize=7)
-    axes[-1].set_xlabel("joint position, rad", fontsize=9)
-    return svg(figure)
-
-
-def _follows_one_joint(finding: Finding) -> bool:
-    return (
-        bool(finding.effects)
-        and all(e.driver == finding.driver for e in finding.effects)
-        and (finding.driver.startswith("position:"))
+    figure, axes = small(4.6, 2.3)
+    smallest = max(min(float(np.percentile(n, 1)) for n in norms.values()), 1e-5)
+    largest = max(float(n.max()) for n in norms.values())
+    bins = np.geomspace(0.8 * smallest, max(1.2 * largest, 2.0 * smallest), 40)
+    said = []
+    for stage, colour, hatch in (("nominal", "before", "////"), ("final", "after", "")):
+        rms = float(np.sqrt(np.mean(norms[stage] ** 2)))
+        said.append(f"{stage}: {rms:.3f} mm RMS")
+        counted = np.clip(norms[stage], bins[0], None)
+        tone, plain = LIGHT[colour], not hatch
+        axes.hist(
+            counted,
+            bins.tolist(),
+            label=said[-1],
+            fill=plain,
+            hatch=hatch,
+            facecolor=tone,
+            edgecolor=tone,
+            linewidth=0.8,
+        )
+    axes.set_xscale("log")
+    axes.minorticks_off()  # they take as long to draw as all the rest
+    axes.xaxis.set_major_formatter("{x:g}")
+    label(axes, "position error of held-out samples, mm", "samples")
+    axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2)
+    alt = f"Histogram of held-out position errors. {'; '.join(said)}."
+    words = (
+        "Each bar counts held-out samples that miss by so much: hatched with the nominal model, solid with the final."
     )
+    return chart(figure, "histogram", alt, words)
 
 
-def svg(figure: Figure) -> str:
-    """The figure as SVG text, the same bytes for the same figure."""
-    import matplotlib
+def spread_chart(report: Report) -> Chart | None:
+    """How well each combination of parameters is known by the data alone."""
+    seen = report.identifiability
+    if seen is None or not seen.spread:
+        return None
+    figure, axes = small(4.6, 2.0)
+    spread = np.clip(np.array(seen.spread), 1e-9, 1e3)
+    count = np.arange(1, len(spread) + 1)
+    known = np.arange(len(spread)) < seen.rank
+    axes.semilogy(count[known], spread[known], "o", ms=3.0, color=LIGHT["after"])
+    axes.semilogy(count[~known], spread[~known], "x", ms=5.0, color=LIGHT["bad"])
+    axes.minorticks_off()
+    axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")
+    label(axes, "combination of parameters, the best known first", "deviation ÷ expected")
+    alt = f"{seen.rank} of {seen.parameters} combinations of parameters are shown by the data."
+    words = (
+        "What the data leaves open of each combination, as a share of what was expected before measuring. "
+        "Crosses, above the dashed line: not shown by these stations, held near nominal."
+    )
+    return chart(figure, "spread", alt, words)
 
-    # fixed ids and no date: the same report gives the same bytes
-    with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+
+def timeline(report: Report) -> Chart | None:
+    """The stations in the order of their time, what each was used for, and those that were left out."""
+    samples = report.samples
+    if not len(report.missed) or not len(samples):
+        return None
+    figure, axes = small(7.4, 2.3)
+    wrong = report.wrong if len(report.wrong) == len(samples) else np.zeros(len(samples), bool)
+    miss, time = 1e3 * np.maximum(report.missed, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
+    sizes = report.set_sizes()
+    for name, marker, colour in _SETS:
+        rows = getattr(report.sets, name)
+        rows = rows[~wrong[rows]]
+        rows = rows[thinned(len(rows), MOST_POINTS // 3)]
+        said = f"{name.replace('_', '-')} ({sizes[name]})"
+        if len(rows):
+            axes.semilogy(time[rows], miss[rows], marker, ms=3.0, color=LIGHT[colour], mfc="none", label=said)
+    out = report.rejected_rows()[:_MOST_REJECTED]
+    if len(out):
+        axes.semilogy(time[out], miss[out], "X", ms=6.0, color=LIGHT["bad"], label=f"left out ({report.rejected})")
+    axes.minorticks_off()
+    axes.yaxis.set_major_formatter("{x:g}")
+    label(axes, "time since the first sample, min", "error of the final model, mm")
+    axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=4)
+    over = f"{samples.stations} stations over {time.max():.1f} minutes"
+    alt = f"Error of the final model at {over}; {report.rejected} samples were left out."
+    words = "Circles fitted the model, squares chose the effects, triangles scored it; filled crosses were left out."
+    return chart(figure, "timeline", alt, words)

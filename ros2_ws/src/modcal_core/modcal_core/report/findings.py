@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.parameters import DIRECTIONS
-from modcal_core.calibration.score import errors, outlying
+from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.diagnosis.loop import Diagnosis
 from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
 from modcal_core.geometry.so3 import Array
@@ -51,16 +52,17 @@ class Finding:
 
 
 def findings(
-    diagnosis: Diagnosis, geometric: Fit, shipped: Model, samples: Samples, wrong: np.ndarray, scored: Samples
+    diagnosis: Diagnosis, shipped: Model, samples: Samples, wrong: np.ndarray, missed: Sequence[Errors]
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
     shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
+    missed: errors on held-out by geometry alone, then with each effect added.
     """
     entries: dict[tuple[str, str, str, str], Finding] = {}
-    before = _rms(geometric, scored)
-    for cause, effect in zip(diagnosis.causes, shipped.effects, strict=True):
-        after = _rms(cause.fit, scored)
+    before = _rms(missed[0])
+    for cause, effect, left in zip(diagnosis.causes, shipped.effects, missed[1:], strict=True):
+        after = _rms(left)
         known = entries.get(effect.key)
         effects = (*known.effects, effect) if known else (effect,)
         entries[effect.key] = Finding(
@@ -103,13 +105,13 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     if not wrong.any():
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
-    with_them, without = _rms(fit, samples), _rms(fit, samples.select(np.flatnonzero(~wrong)))
+    with_them, without = (_rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
     by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
     return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without),)
 
 
-def _rms(fit: Fit, samples: Samples) -> float:
-    return float(np.sqrt(np.mean(errors(fit.model, samples).position_norm ** 2))) if len(samples) else float("nan")
+def _rms(missed: Errors) -> float:
+    return float(np.sqrt(np.mean(missed.position_norm**2))) if len(missed.position) else float("nan")
 
 
 def _parameters(effects: tuple[Effect, ...]) -> dict[str, Quantity]:
@@ -198,7 +200,7 @@ def _compliance(effect: Effect) -> dict[str, Quantity]:
 def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
     """Amplitudes by direction; of several functions in one direction their root sum of squares."""
     per = "/s" if effect.shape.kind == "ramp" else "/K" if effect.driver.startswith("temperature") else ""
-    names = {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
+    names = component_names(effect)
     count = max(len(effect.amplitudes) // len(names), 1)
     out: dict[str, Quantity] = {}
     for i, name in enumerate(names):
@@ -210,14 +212,25 @@ def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
     return out
 
 
-def curve(effects: tuple[Effect, ...], low: float, high: float, points: int) -> tuple[Array, Array, Array]:
-    """What effects of one driver do together over a range of it: driver, size and its deviation, (points,) each."""
+def component_names(effect: Effect) -> tuple[str, ...]:
+    """The directions that an effect moves in by itself, each with amplitudes of its own."""
+    return {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
+
+
+def curve(
+    effects: tuple[Effect, ...], low: float, high: float, points: int, component: int = 0
+) -> tuple[Array, Array, Array]:
+    """What effects of one driver do together over a range of it: driver, size and its deviation, (points,) each.
+
+    component: which of their directions, as in :func:`component_names`.
+    """
     x = np.linspace(low, high, points)
     size, variance = np.zeros(points), np.zeros(points)
     for effect in effects:
         basis = effect.shape.basis(x)
-        size += effect.amplitudes @ basis
-        variance += (effect.std[: len(basis)] ** 2) @ basis**2
+        part = slice(component * len(basis), (component + 1) * len(basis))
+        size += effect.amplitudes[part] @ basis
+        variance += (effect.std[part] ** 2) @ basis**2
     return x, size, np.sqrt(variance)
 
 

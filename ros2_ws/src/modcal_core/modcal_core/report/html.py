@@ -1,94 +1,153 @@
-"""The report as one page that needs nothing else: no scripts, no files beside it, no network."""
+"""The report as one page that needs nothing else: no files beside it, no network."""
 
 from __future__ import annotations
 
-from modcal_core.report.figures import effect_shapes, error_by_joint, error_histogram
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.report.effect_shapes import effect_shapes
+from modcal_core.report.figures import error_histogram, spread_chart, timeline
+from modcal_core.report.page import as_script_data, render
 from modcal_core.report.report import STAGES, Report, to_json_data
+from modcal_core.report.residuals import comparisons
+from modcal_core.report.scene import scene, still
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ data.title }}: calibration report</title>
-<style>
-  :root { color-scheme: light; --ink: #1c2430; --soft: #5b6675; --line: #dde2e9; --good: #1f6feb; }
-  body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); max-width: 60rem; margin: 2.5rem auto; padding: 0 1.2rem; }
-  h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2.2rem; }
-  .verdict { font-size: 1.15rem; border-left: 4px solid var(--good); padding: .4rem 1rem; background: #f5f8fd; }
-  table { border-collapse: collapse; } th, td { padding: .3rem .9rem .3rem 0; border-bottom: 1px solid var(--line); text-align: left; }
-  td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-  .soft { color: var(--soft); } svg { max-width: 100%; height: auto; } .wide { overflow-x: auto; }
-</style>
-</head>
-<body>
-<h1>{{ data.title }}</h1>
-<p class="verdict">{{ data.verdict }}</p>
-<h2>Error on held-out {{ data.split.unit }}s</h2>
-<table>
-<tr><th>model</th><th class="n">mean, mm</th><th class="n">RMS, mm (95 % interval)</th><th class="n">95 %, mm</th><th class="n">max, mm</th>
-{% if data.error_deg.nominal %}<th class="n">RMS, deg</th>{% endif %}</tr>
-{% for stage in stages if data.error_mm[stage] %}
-<tr><td>{{ stage }}</td>{% for k in ("mean", "rms", "p95", "max") %}
-<td class="n">{{ "%.3f"|format(data.error_mm[stage][k]) }}{% if k == "rms" and data.error_mm[stage].rms_ci95 %}
-&nbsp;<span class="soft">({{ "%.3f … %.3f"|format(*data.error_mm[stage].rms_ci95) }})</span>{% endif %}</td>{% endfor %}
-{% if data.error_deg[stage] %}<td class="n">{{ "%.4f"|format(data.error_deg[stage].rms) }}</td>{% endif %}</tr>
-{% endfor %}
-</table>
-<p class="soft">Noise floor: {{ "%.3f mm"|format(data.noise_floor_mm) if data.noise_floor_mm is not none else "not shown by this recording" }}.
-{{ data.recording.stations }} stations ({{ data.recording.measurement }}), {{ data.recording.rejected }} rejected;
-{{ data.split.train }} to fit, {{ data.split.explain }} to choose effects, {{ data.split.held_out }} to score.</p>
-{{ histogram|safe }}
-{% if by_joint %}<h2>What is left, joint by joint</h2>
-<p class="soft">A pattern in one of these is an effect that the model lacks.</p><div class="wide">{{ by_joint|safe }}</div>{% endif %}
-{% if data.effects %}
-<h2>What the model lacked</h2>
-{% for sentence in data.story %}<p>{{ sentence }}</p>
-{% endfor %}
-<div class="wide"><table>
-<tr><th>effect</th><th>place</th><th>direction</th><th>driver</th><th>sizes</th><th class="n">p</th><th class="n">RMS before, mm</th>
-<th class="n">after, mm</th><th>or</th></tr>
-{% for e in data.effects %}
-<tr><td>{{ e.family }}</td><td>{{ e.place }}</td><td>{{ e.direction }}</td><td>{{ e.driver }}</td>
-<td>{% for name, q in e.parameters.items() %}{{ name }} {{ "%.4g"|format(q.value) }} ± {{ "%.1g"|format(q.std) }} {{ q.unit if q.unit != "1" }}<br>{% endfor %}</td>
-<td class="n">{{ "%.1g"|format(e.p_value) }}</td><td class="n">{{ "%.3f"|format(e.rms_mm_before) }}</td>
-<td class="n">{{ "%.3f"|format(e.rms_mm_after) }}</td><td>{{ e.same_as|join("; ") }}</td></tr>
-{% endfor %}
-</table></div>
-{% if shapes %}<p class="soft">Shapes over the joints' positions, with two standard deviations.</p><div class="wide">{{ shapes|safe }}</div>{% endif %}
-{% endif %}
-{% if data.identifiability %}
-<h2>What the data could tell</h2>
-<p>{{ data.identifiability.parameters }} parameters, rank {{ data.identifiability.rank }}{% if data.identifiability.condition %},
-condition {{ "%.0f"|format(data.identifiability.condition) }}{% endif %}.
-{% if data.identifiability.unobservable %}Not shown by these stations, held near nominal:{% endif %}</p>
-{% if data.identifiability.unobservable %}<ul>{% for name in data.identifiability.unobservable %}<li>{{ name }}</li>{% endfor %}</ul>{% endif %}
-{% endif %}
-{% if data.parameters %}
-<h2>Parameters</h2>
-<div class="wide"><table>
-<tr><th>name</th><th class="n">value</th><th class="n">std</th><th>unit</th></tr>
-{% for p in data.parameters %}
-<tr><td>{{ p.name }}</td><td class="n">{{ "%.4f"|format(1e3 * p.value) }}</td><td class="n">{{ "%.4f"|format(1e3 * p.std) }}</td>
-<td>{{ {"m": "mm", "rad": "mrad", "1": "‰"}.get(p.unit, p.unit) }}</td></tr>
-{% endfor %}
-</table></div>
-{% endif %}
-{% if data.notes %}<h2>Notes</h2><ul>{% for note in data.notes %}<li>{{ note }}</li>{% endfor %}</ul>{% endif %}
-</body>
-</html>
-"""
+_MOST_COLUMNS = 28  # drivers of a map
+_MOST_LISTED = 30  # stations that were left out
 
 
-def to_html(report: Report) -> str:
-    """The report as HTML text."""
-    from jinja2 import Environment
+@dataclass(frozen=True)
+class File:
+    """One file beside the report. holds: what it is for. commands: how to use it, run in the report's folder."""
 
-    page = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(_PAGE)
-    return page.render(
-        data=to_json_data(report),
-        stages=STAGES,
+    name: str
+    holds: str
+    commands: tuple[str, ...] = ()
+
+
+FILES = (
+    File(
+        "calibration.yaml",
+        "Everything needed to predict: nominal and calibrated arm, effects, base frames, tool, covariance.",
+        (
+            "modcal evaluate calibration.yaml OTHER_BAG --out check",
+            'ros2 launch modcal_nodes correct.launch.py calibration:="$PWD"',
+        ),
+    ),
+    File(
+        "calibrated.urdf",
+        "The robot description with corrected origins, every other byte as it was: geometry, no effects.",
+        ("ros2 run robot_state_publisher robot_state_publisher calibrated.urdf",),
+    ),
+    File("kinematics.yaml", "The same numbers in the form of the maker, or by joint name.", ()),
+    File(
+        "calibrated_delta.yaml",
+        "The Delta's constants and the tool that was found.",
+        ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
+    ),
+    File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),
+)
+
+
+def to_html(report: Report, files: Iterable[str] = ()) -> str:
+    """The report as HTML text. files: names of what is written beside it."""
+    data = to_json_data(report)
+    drawn = scene(report)
+    beside = set(files)
+    return render(
+        "report.html.j2",
+        title=f"{report.title}: calibration report",
+        verdict=report.verdict,
+        settled=data["unexplained"] is None and data["error_mm"]["final"] is not None,
+        data=data,
+        tiles=_tiles(data),
+        stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
-        by_joint=error_by_joint(report),
+        scene=None if drawn is None else as_script_data(drawn.to_data()),
+        scene_stages=[] if drawn is None else [name for name, _ in drawn.stages],
+        postures=0 if drawn is None else len(drawn.paths),
+        partly=drawn is not None and drawn.partly,
+        still=None if drawn is None else still(drawn),
+        comparisons=comparisons(report),
         shapes=effect_shapes(report),
+        maps=_maps(report.evidence),
+        spread=spread_chart(report),
+        timeline=timeline(report),
+        rejected=_rejected(report),
+        files=[file for file in FILES if file.name in beside],
+        rivals=any(f["same_as"] for f in data["effects"]),
     )
+
+
+def _tiles(data: dict[str, Any]) -> list[tuple[str, str]]:
+    """The few numbers that are wanted first."""
+    out = []
+    before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
+    if before and after:
+        out += [("nominal model, RMS", f"{before['rms']:.3f} mm"), ("final model, RMS", f"{after['rms']:.3f} mm")]
+        out.append(("times better", f"{before['rms'] / max(after['rms'], 1e-9):.3g}"))
+    floor = data["noise_floor_mm"]
+    out.append(("noise of the measurement", "not shown" if floor is None else f"{floor:.3f} mm"))
+    recording = data["recording"]
+    out += [("stations", str(recording["stations"])), ("samples left out", str(recording["rejected"]))]
+    return out
+
+
+def _maps(evidence: tuple[EvidenceMap, ...]) -> list[dict[str, Any]]:
+    """Tables of the first and the last scan, with the same columns: the drivers that explain most in either."""
+    if not evidence:
+        return []
+    best: dict[str, float] = {}
+    for seen in evidence:
+        for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
+            best[driver] = max(share, best.get(driver, 0.0))
+    kept = set(sorted(best, key=lambda d: -best[d])[:_MOST_COLUMNS])
+    titles = ("Before any effect was added", "After the last one") if len(evidence) > 1 else ("The scan",)
+    out = []
+    for title, seen in zip(titles, evidence, strict=True):
+        columns = [j for j, driver in enumerate(seen.drivers) if driver in kept]
+        rows = [
+            {"place": place, "direction": direction, "cells": [_cell(seen.share[i, j]) for j in columns]}
+            for i, (place, direction) in enumerate(seen.rows)
+        ]
+        drivers = [seen.drivers[j].replace(":", " of ") for j in columns]
+        strongest = seen.strongest(1)
+        out.append(
+            {
+                "title": title,
+                "drivers": drivers,
+                "rows": rows,
+                "p_value": seen.p_value,
+                "best": strongest[0] if strongest else None,
+                "dropped": len(seen.drivers) - len(columns),
+            }
+        )
+    return out
+
+
+def _cell(share: float) -> tuple[str, str] | None:
+    """How full a cell is, and what it says; None where nothing was looked for."""
+    return None if np.isnan(share) else (f"{min(max(share, 0.0), 1.0):.2f}", f"{100.0 * share:.0f}")
+
+
+def _rejected(report: Report) -> dict[str, Any] | None:
+    """The stations that were left out, the farthest first, and against what that is far."""
+    rows = report.rejected_rows()
+    if not len(rows):
+        return None
+    usual = 1e3 * float(np.median(report.missed[~report.wrong])) if (~report.wrong).any() else 0.0
+    start = float(report.samples.stamps.min())
+    listed = [
+        (
+            int(report.samples.station[row]),
+            float(report.samples.stamps[row]) - start,
+            1e3 * float(report.missed[row]),
+            1e3 * float(report.missed[row]) / max(usual, 1e-9),
+        )
+        for row in rows[:_MOST_LISTED]
+    ]
+    return {"usual": usual, "listed": listed, "more": len(rows) - len(listed)}

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.plan import Plan
-from modcal_core.report.figures import svg
+from modcal_core.report.page import chart, plain_page, svg
+from modcal_core.report.palette import LIGHT
 from modcal_core.robots.table_rows import plain
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FILES = [
+    ("plan.yaml", "the stations and what is expected of them, for programs"),
+    ("stations.csv", "joint positions, one station a row"),
+    ("trajectory.yaml", "the way through them as a JointTrajectory"),
+]
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -122,6 +131,21 @@ def _duration(seconds: float) -> dict[str, int]:
 
 
 def figure(plan: Plan) -> str:
+    """The picture of the stations as a file of its own, SVG."""
+    return svg(_drawn(plan))
+
+
+def to_html(plan: Plan, title: str) -> str:
+    """The plan as a page: sentences, picture, files."""
+    first, *others = sentences(plan)
+    alt = f"{len(plan.q)} stations among the postures that could be chosen, from above and from the side."
+    caption = "Dots could be chosen; the line leads through the stations in their order."
+    return plain_page(
+        f"{title}: stations to measure", first, others, [chart(_drawn(plan), "stations", alt, caption)], _FILES
+    )
+
+
+def _drawn(plan: Plan) -> Figure:
     """Where the target stands at the stations, from above and from the side, among all that could be chosen."""
     from matplotlib.figure import Figure
 
@@ -130,13 +154,13 @@ def figure(plan: Plan) -> str:
     could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (ground.q, plan.q))
     drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
     for axes, (i, j) in zip(drawn.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
-        axes.plot(could[:, i], could[:, j], ".", ms=1.5, color="#b0b7c3", label="could be chosen")
-        axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color="#1f6feb", label="stations, in order")
-        axes.plot(0.0, 0.0, "s", ms=6.0, color="#1c2330", label="base")
+        axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"], label="could be chosen")
+        axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color=LIGHT["after"], label="stations, in order")
+        axes.plot(0.0, 0.0, "s", ms=6.0, color=LIGHT["ink"], label="base")
         if tracker is not None:
-            axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color="#d1495b", label="tracker")
+            axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color=LIGHT["bad"], label="tracker")
         axes.set_xlabel(f"{'xyz'[i]}, m")
         axes.set_ylabel(f"{'xyz'[j]}, m")
         axes.set_aspect("equal", adjustable="datalim")
     axes.legend(frameon=False, fontsize=7)
-    return svg(drawn)
+    return drawn

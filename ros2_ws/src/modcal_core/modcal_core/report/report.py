@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors, ErrorSize, Floor
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import Choice
+from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
 
@@ -18,6 +21,21 @@ FORMAT = 1
 _DRAWS = 400
 STAGES = ("nominal", "geometric", "final")
 _REPEATS_WITHIN_MM = 0.1  # what an arm in order misses a posture by when it comes again (ISO 9283 RP of common arms)
+_STRONGEST = 10  # candidates of a scan that report.json names
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is left after one more thing was added to the model. added: its name. errors: of the scored samples."""
+
+    added: str
+    errors: Errors
+
+    @property
+    def rms_mm(self) -> float:
+        """RMS of the position errors [mm]; 0 where nothing was scored."""
+        size = self.errors.size_mm()
+        return 0.0 if size is None else size.rms
 
 
 @dataclass(frozen=True)
@@ -29,6 +47,10 @@ class Report:
     the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise.
     parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
     sentence each, for a person.
+
+    steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
+    for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
+    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,).
     """
 
     samples: Samples
@@ -44,6 +66,11 @@ class Report:
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     title: str = "recording"
+    steps: tuple[Step, ...] = ()
+    evidence: tuple[EvidenceMap, ...] = ()
+    model: Model | None = None
+    missed: Array = field(default_factory=lambda: np.empty(0))
+    wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
 
     @property
     def measurement(self) -> str:
@@ -78,6 +105,11 @@ class Report:
         draws = np.random.default_rng(0).integers(len(count), size=(_DRAWS, len(count)))
         rms = np.sqrt(square[draws].sum(axis=1) / count[draws].sum(axis=1))
         return float(np.percentile(rms, 2.5)), float(np.percentile(rms, 97.5))
+
+    def rejected_rows(self) -> np.ndarray:
+        """Rows of the samples that were left out, the farthest first."""
+        rows = np.flatnonzero(self.wrong)
+        return rows[np.argsort(-self.missed[rows], kind="stable")]
 
     @property
     def unexplained_mm(self) -> float | None:
@@ -162,6 +194,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
         "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
         "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor.rms,
+        "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
         "effects": [_effect(finding) for finding in report.effects],
         "unexplained": None if rest is None else _unexplained(rest, report.left),
         "identifiability": None
@@ -172,7 +205,26 @@ def to_json_data(report: Report) -> dict[str, Any]:
             "condition": seen.condition if np.isfinite(seen.condition) else None,
             "unobservable": list(seen.unobservable),
             "left_out": list(report.left_out),
+            "weak": [{"direction": name, "std_over_prior": share} for name, share in seen.weak],
         },
+        "evidence": [
+            {
+                "p_value": seen_then.p_value,
+                "strongest": [
+                    {"place": place, "direction": direction, "driver": driver, "share": share}
+                    for place, direction, driver, share in seen_then.strongest(_STRONGEST)
+                ],
+            }
+            for seen_then in report.evidence
+        ],
+        "rejected": [
+            {
+                "station": int(report.samples.station[row]),
+                "stamp": float(report.samples.stamps[row]),
+                "miss_mm": 1e3 * float(report.missed[row]),
+            }
+            for row in report.rejected_rows()
+        ],
         "parameters": [
             {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in report.parameters
         ],

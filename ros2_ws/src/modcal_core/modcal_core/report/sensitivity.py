@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.gain import NAMED
 from modcal_core.planning.study import Study
-from modcal_core.report.figures import svg
+from modcal_core.report.page import chart, plain_page, svg
+from modcal_core.report.palette import LIGHT
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FILES = [
+    ("sensitivity.json", "all numbers, for programs"),
+    ("sensitivity.md", "every parameter in a table"),
+    ("single_point.csv", "single-point indices, one row a posture"),
+]
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _NAMED = 3  # of the strongest parameters, in a sentence
 
@@ -132,7 +141,30 @@ def single_csv(study: Study) -> str:
     return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
 
 
-def by_pose_figure(study: Study) -> str:
+def pictures(study: Study) -> dict[str, str]:
+    """Names and texts of the SVG files."""
+    return {f"{name}.svg": svg(drawn) for name, (drawn, _) in _figures(study).items()}
+
+
+def to_html(study: Study, title: str) -> str:
+    """The study as a page: sentences and pictures."""
+    first, *others = sentences(study)
+    charts = [chart(drawn, name, words, words) for name, (drawn, words) in _figures(study).items()]
+    return plain_page(f"{title}: sensitivity", first, others, charts, _FILES)
+
+
+def _figures(study: Study) -> dict[str, tuple[Figure, str]]:
+    return {
+        "gain": (_gain(study), "RMS error that is left when the strongest parameters are known, one after the other."),
+        "indices": (
+            _indices(study),
+            "Multi-point and Sobol indices of every parameter, with two standard errors.",
+        ),
+        "by_pose": (_by_pose(study), "Relative single-point indices, parameters down and postures across."),
+    }
+
+
+def _by_pose(study: Study) -> Figure:
     """Relative single-point indices as a map, parameters down and postures across."""
     from matplotlib.figure import Figure
 
@@ -144,10 +176,10 @@ def by_pose_figure(study: Study) -> str:
     axes.set_xlabel(f"posture of {study.design}")
     bar = figure.colorbar(image, ax=axes, shrink=0.6)
     bar.set_label(f"RSFDPE, {study.indices.names[study.indices.base]} is 1", fontsize=8)
-    return svg(figure)
+    return figure
 
 
-def indices_figure(study: Study) -> str:
+def _indices(study: Study) -> Figure:
     """Multi-point indices beside the Sobol indices, one bar a parameter, with twice the standard error."""
     from matplotlib.figure import Figure
 
@@ -155,10 +187,10 @@ def indices_figure(study: Study) -> str:
     figure = Figure(figsize=(8.0, 1.2 + 0.17 * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     low, high = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
-    left.barh(y, study.indices.relative_multi, color="#1f6feb", height=0.7)
-    left.hlines(y, low, high, color="#1c2330", lw=0.8)
+    left.barh(y, study.indices.relative_multi, color=LIGHT["after"], height=0.7)
+    left.hlines(y, low, high, color=LIGHT["ink"], lw=0.8)
     left.set_xlabel("RSFCDPE (line: over the postures)", fontsize=8)
-    for output, colour, shift in (("vector", "#1f6feb", -0.2), ("distance", "#d9a441", 0.2)):
+    for output, colour, shift in (("vector", LIGHT["after"], -0.2), ("distance", LIGHT["warn"], 0.2)):
         indices = study.variance[output]
         bars: Array = 2.0 * indices.std_total
         right.barh(y + shift, indices.total, 0.38, color=colour, xerr=bars, error_kw={"lw": 0.6}, label=output)
@@ -166,10 +198,10 @@ def indices_figure(study: Study) -> str:
     right.legend(frameon=False, fontsize=7)
     left.set_yticks(y, names, fontsize=6)
     left.invert_yaxis()
-    return svg(figure)
+    return figure
 
 
-def gain_figure(study: Study) -> str:
+def _gain(study: Study) -> Figure:
     """The RMS error that is left when the strongest parameters are known, one after the other."""
     from matplotlib.figure import Figure
 
@@ -177,10 +209,10 @@ def gain_figure(study: Study) -> str:
     left = 1e3 * study.joint.before.rms * np.sqrt(np.maximum(1.0 - np.r_[0.0, np.cumsum(share)], 0.0))
     figure = Figure(figsize=(6.0, 2.8), layout="constrained")
     axes = figure.subplots()
-    axes.plot(left, ".-", color="#1f6feb", ms=4)
-    axes.axhline(1e3 * study.joint.after.rms, color="#3a7d44", lw=1.0, label="left by the measured stations")
+    axes.plot(left, ".-", color=LIGHT["after"], ms=4)
+    axes.axhline(1e3 * study.joint.after.rms, color=LIGHT["good"], lw=1.0, label="left by the measured stations")
     axes.set_xlabel(f"parameters known, the strongest first (a share above {NAMED:.0%}: {int((share >= NAMED).sum())})")
     axes.set_ylabel("RMS error, mm")
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, fontsize=8)
-    return svg(figure)
+    return figure

@@ -14,7 +14,7 @@ from modcal_core.planning.criteria import ACCURACY, CRITERIA
 from modcal_core.planning.ground import CANDIDATES
 from modcal_core.planning.plan import Plan, Wish, plan
 from modcal_core.planning.site import Site, site_from_data
-from modcal_core.report.planning import figure, sentences, to_csv, to_plan_data, to_trajectory_data
+from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, read_robot
@@ -98,17 +98,18 @@ def plan_command(
     )  # fmt: skip
     found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
     out = out or Path(f"{robot.stem}_plan")
-    write_folder(out, _files(found, speed, dwell))
+    write_folder(out, _files(found, speed, dwell, robot.stem))
     console = Console(emoji=False)
     for line in sentences(found):
         console.print(line, highlight=False)
     click.echo(f"Stations: {out / 'plan.yaml'}")
 
 
-def _files(found: Plan, speed: float, dwell: float) -> dict[str, Any]:
+def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:
     return {
         "plan.yaml": to_yaml(to_plan_data(found)),
         "stations.csv": to_csv(found),
         "trajectory.yaml": to_yaml(to_trajectory_data(found, speed, dwell)),
         "stations.svg": figure(found),
+        "report.html": to_html(found, title),
     }

@@ -15,15 +15,7 @@ from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
 from modcal_core.planning.designs import DESIGNS, design
 from modcal_core.planning.study import Measured, Study, study
-from modcal_core.report.sensitivity import (
-    by_pose_figure,
-    gain_figure,
-    indices_figure,
-    sentences,
-    single_csv,
-    to_json_data,
-    to_text,
-)
+from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_html, to_json_data, to_text
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
@@ -99,9 +91,8 @@ def sensitivity_command(
         "sensitivity.json": to_json(to_json_data(result)),
         "sensitivity.md": to_text(result),
         "single_point.csv": single_csv(result),
-        "by_pose.svg": by_pose_figure(result),
-        "indices.svg": indices_figure(result),
-        "gain.svg": gain_figure(result),
+        **pictures(result),
+        "report.html": to_html(result, robot.stem),
     }
     write_folder(out, files)
     console = Console(emoji=False)

@@ -1,0 +1,60 @@
+"""What a scan saw, drawn together: for each place, direction and driver the candidate that explains most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.effects import LENGTH, SHIFT
+from modcal_core.diagnosis.evidence import Evidence
+from modcal_core.geometry.so3 import Array
+
+_SHIFTS = ("x", "y", "z", LENGTH, SHIFT)  # one row of a map: five would say nearly the same
+
+
+@dataclass(frozen=True)
+class EvidenceMap:
+    """rows: (place, direction), those that shift a place taken together. drivers: of the columns. share: of the squared
+    residual that the best candidate explains, (R, C), NaN where none was looked for. p_value: that noise alone would
+    have as good a best.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    drivers: tuple[str, ...]
+    share: Array
+    p_value: float
+
+    def strongest(self, most: int) -> list[tuple[str, str, str, float]]:
+        """Place, direction, driver and share of the cells that explain most, the best first."""
+        flat = np.nan_to_num(self.share, nan=-1.0).ravel()
+        best = [int(k) for k in np.argsort(-flat, kind="stable")[:most] if flat[k] >= 0.0]
+        cells = [divmod(k, len(self.drivers)) for k in best]
+        return [(*self.rows[i], self.drivers[j], float(self.share[i, j])) for i, j in cells]
+
+
+def evidence_map(evidence: Evidence, joints: Sequence[str]) -> EvidenceMap:
+    """The map of a scan. joints: in the order of the chain, which rows and columns follow, base first, tool last."""
+    best: dict[tuple[str, str], dict[str, float]] = {}
+    named: dict[tuple[str, str, str], tuple[tuple[str, str], str]] = {}
+    for effect, share in zip(evidence.effects, evidence.explained.tolist(), strict=True):
+        raw = (effect.place, effect.direction, effect.driver)
+        if raw not in named:  # thousands of candidates share a few hundred of these
+            manner = SHIFT if effect.direction in _SHIFTS else effect.direction
+            named[raw] = ((effect.place, manner), effect.public_driver)
+        row, driver = named[raw]
+        cells = best.setdefault(row, {})
+        cells[driver] = max(share, cells.get(driver, 0.0))
+    drivers = tuple(dict.fromkeys(driver for _, driver in named.values()))
+    place = {name: k for k, name in enumerate(("base", *joints, "tool", "tracker"))}
+    drivers = tuple(sorted(drivers, key=lambda d: (*_kind(d), place.get(d.partition(":")[2], 0), d)))
+    rows = tuple(sorted(best, key=lambda row: place.get(row[0], len(place))))
+    share = np.array([[best[row].get(driver, np.nan) for driver in drivers] for row in rows])
+    return EvidenceMap(rows, drivers, share.reshape(len(rows), len(drivers)), evidence.p_value)
+
+
+def _kind(driver: str) -> tuple[int, str]:
+    """What a driver is sorted by: those that stand for themselves, such as time, come last."""
+    kind, colon, _ = driver.partition(":")
+    return (0 if kind == "position" else 1 if colon else 2), kind

@@ -1,0 +1,90 @@
+"""Pages that need nothing else: one file, its style and scripts inside, nothing fetched; and pictures for them."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from modcal_core.report.palette import DARK, LIGHT, TINT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PX = 1.34  # on the page, per point of a figure: its 8 point labels are then as large as small text
+_NARROWEST = 300.0  # px; a wider chart is shrunk no further than 0.65 of its size, and can be moved sideways instead
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A picture of a page. drawn: SVG in the page's colours. caption: under it. name: unique on the page."""
+
+    name: str
+    drawn: str
+    caption: str
+
+
+def chart(figure: Figure, name: str, alt: str, caption: str) -> Chart:
+    """The figure for a page. alt: what it shows, for those who do not see it. caption: how to read it."""
+    return Chart(name, _inline(svg(figure), name, alt), caption)
+
+
+def svg(figure: Figure) -> str:
+    """The figure as SVG text, the same bytes for the same figure."""
+    import matplotlib
+
+    # fixed ids and no date: the same report gives the same bytes
+    with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]
+
+
+def render(template: str, **values: Any) -> str:
+    """The page that a template of this package makes of these values."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("modcal_core.report", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    return environment.get_template(template).render(light=LIGHT, dark=DARK, tint=TINT, **values)
+
+
+def plain_page(title: str, verdict: str, lines: list[str], charts: list[Chart], files: list[tuple[str, str]]) -> str:
+    """A page of sentences and pictures. files: names and what each holds."""
+    return render("plain.html.j2", title=title, verdict=verdict, lines=lines, charts=charts, files=files)
+
+
+def as_script_data(data: Any) -> str:
+    """JSON that can stand inside a script element."""
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _inline(drawn: str, name: str, alt: str) -> str:
+    """The SVG with colours that follow the page, ids that no other picture has, and words for those who do not see."""
+    width, height = (float(x) for x in re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawn)[0])
+    body = drawn[drawn.index(">") + 1 :]
+    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL).replace("xlink:href", "href")
+    used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', body))
+    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in used else "", body)
+    body = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", body)
+    body = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", body)
+    for colour, light in LIGHT.items():
+        body = body.replace(light, f"var(--{colour})")
+    body = body.replace("#000000", "var(--ink)")
+    body = re.sub(r">\s+<", "><", body)
+    natural = _PX * width
+    least = min(natural, max(_NARROWEST, 0.65 * natural))
+    return (
+        f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(alt, quote=True)}" '
+        f'style="max-width:{natural:.0f}px;min-width:{least:.0f}px">{body}'
+    )

@@ -1,0 +1,121 @@
+"""The robot in three dimensions with what each held-out sample misses by: data for the page, and a still picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.effects import motion
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.score import Errors
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.figures import label, thinned
+from modcal_core.report.page import Chart, chart
+from modcal_core.report.palette import LIGHT
+from modcal_core.report.report import Report
+from modcal_core.robots.delta import ARMS, Delta
+from modcal_core.robots.mechanism import tool_frames
+
+MOST_ARROWS = 300
+_MOST_POSTURES = 60
+_MOST_STAGES = 7
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All in the arm's base [m]. points: where the tool is, (N, 3). stages: name and misses (N, 3). paths: of the arm
+    at the points ``shown``, polylines (k, 3). names: of the points. partly: some readings see along one line only.
+    """
+
+    points: Array
+    stages: tuple[tuple[str, Array], ...]
+    paths: tuple[tuple[Array, ...], ...]
+    shown: np.ndarray
+    names: tuple[str, ...]
+    partly: bool
+
+    def to_data(self) -> dict[str, Any]:
+        """What the page's script draws: metres, and millimetres of the misses."""
+        return {
+            "points": np.round(self.points, 4).tolist(),
+            "stages": [{"name": name, "arrows": np.round(1e3 * miss, 4).tolist()} for name, miss in self.stages],
+            "arms": [[np.round(path, 3).tolist() for path in arm] for arm in self.paths],
+            "shown": self.shown.tolist(),
+            "names": list(self.names),
+        }
+
+
+def scene(report: Report) -> Scene | None:
+    """The scene of a report's held-out samples; None where no model or no sample is at hand."""
+    model, scored = report.model, report.scored
+    if model is None or not len(scored):
+        return None
+    rows = thinned(len(scored), MOST_ARROWS)
+    samples = scored.select(rows)
+    indirect = indirect_rows(samples)
+    named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
+    named = [*named[: _MOST_STAGES - 1], *named[-1:]] if len(named) > _MOST_STAGES else named
+    stages = tuple((name, _in_base(model, samples, e, rows, indirect)) for name, e in named)
+    places = _arms(model, samples)
+    shown = thinned(len(samples), _MOST_POSTURES)
+    paths = tuple(tuple(path[k] for path in places) for k in shown)
+    names = tuple(f"station {int(s)}" for s in samples.station)
+    return Scene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()))
+
+
+def _in_base(model: Model, samples: Samples, errors: Errors, rows: np.ndarray, indirect: np.ndarray) -> Array:
+    """Misses (N, 3) as the base sees them; those of readings that are no positions come from the first joint."""
+    R_frame_base = model.T_frame_base[samples.frame][:, :3, :3]
+    miss = errors.position[rows]
+    of_root = miss @ model.chain.T_base_root[:3, :3].T
+    return np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))
+
+
+def _arms(model: Model, samples: Samples) -> list[Array]:
+    """The polylines of the robot, (N, k, 3) each, in its base; the last ends at the tool."""
+    twists = motion(model.effects, model.circumstances(samples))[0] if model.effects else {}
+    f = tool_frames(model.chain, model.T_tip_tool, samples.q, twists)
+    T = model.chain.T_base_root
+    p = np.moveaxis(f.p, -1, 0) @ T[:3, :3].T + T[:3, 3]  # (N, places, 3)
+    base = np.zeros((len(samples), 1, 3))
+    if not isinstance(model.chain, Delta):
+        return [np.concatenate([base, p], axis=1)]
+    tip = p[:, -2:-1] if model.chain.has_shaft else p[:, -1:]
+    elbows = [p[:, i] + (f.loops[i].lever.T @ T[:3, :3].T) for i in range(1, 1 + ARMS)]
+    arms = [np.concatenate([base, p[:, i : i + 1], elbows[i - 1][:, None], tip], axis=1) for i in range(1, 1 + ARMS)]
+    return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
+
+
+def still(drawn: Scene) -> Chart:
+    """The same from the side and from above, for paper and where no script runs."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.4, 3.6), layout="constrained")
+    before, after = 1e3 * drawn.stages[0][1], 1e3 * drawn.stages[-1][1]
+    reach = float(np.ptp(drawn.points, axis=0).max()) or 1.0
+    usual = float(np.percentile(np.linalg.norm(before, axis=1), 95)) or 1.0
+    scale = float(f"{0.15e3 * reach / usual:.1g}")
+    arm = drawn.paths[len(drawn.paths) // 2]
+    for axes, (i, j), seen in zip(
+        figure.subplots(1, 2), ((0, 1), (0, 2)), ("from above", "from the side"), strict=True
+    ):
+        for path in arm:
+            axes.plot(path[:, i], path[:, j], "-o", color=LIGHT["ink"], lw=2.0, ms=3.5)
+        for miss, colour, wide in ((before, "before", 0.8), (after, "after", 1.4)):
+            to = drawn.points + 1e-3 * scale * miss
+            ends = np.stack([drawn.points, to, np.full_like(to, np.nan)], axis=1).reshape(-1, 3)
+            axes.plot(ends[:, i], ends[:, j], color=LIGHT[colour], lw=wide)
+        axes.plot(drawn.points[:, i], drawn.points[:, j], ".", ms=2.0, color=LIGHT["soft"])
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.tick_params(labelsize=7.5)
+        label(axes, f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
+    alt = f"The arm and the misses of {len(drawn.points)} held-out samples, from above and from the side."
+    words = (
+        f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
+        "thick blue ones with the final."
+    )
+    return chart(figure, "still", alt, words)

@@ -1,0 +1,29 @@
+"use strict";
+document.documentElement.classList.add("js");
+(() => {
+  const root = document.documentElement, select = document.getElementById("theme");
+  // a page from disk may not be allowed to remember
+  const kept = (value) => { try { return value === undefined ? localStorage.getItem("theme") : localStorage.setItem("theme", value); } catch { return null; } };
+  const show = (value) => {
+    if (value === "system") delete root.dataset.theme; else root.dataset.theme = value;
+    document.dispatchEvent(new Event("recolour"));
+  };
+  select.value = ["light", "dark"].includes(kept()) ? kept() : "system";
+  show(select.value);
+  select.addEventListener("change", () => { kept(select.value); show(select.value); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => document.dispatchEvent(new Event("recolour")));
+
+  for (const button of document.querySelectorAll("button[data-copy]")) {
+    button.addEventListener("click", async () => {
+      const code = button.parentElement.querySelector("code");
+      try { await navigator.clipboard.writeText(code.textContent); button.textContent = "Copied"; }
+      catch { getSelection().selectAllChildren(code); button.textContent = "Selected"; }
+      setTimeout(() => { button.textContent = "Copy"; }, 2000);
+    });
+  }
+
+  const closed = () => document.querySelectorAll("details:not([open])");
+  let opened = [];
+  addEventListener("beforeprint", () => { opened = [...closed()]; opened.forEach((d) => { d.open = true; }); });
+  addEventListener("afterprint", () => opened.forEach((d) => { d.open = false; }));
+})();

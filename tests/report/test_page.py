@@ -1,0 +1,233 @@
+"""What every page of a report is made of: sections, pictures with words, one file, colours that can be read."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
+
+from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.report.html import FILES, to_html
+from modcal_core.report.page import as_script_data
+from modcal_core.report.palette import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN
+from modcal_core.report.report import to_json_data
+from modcal_core.report.scene import scene
+
+Element = tuple[str, dict[str, str]]
+
+
+class Elements(HTMLParser):
+    """Every start tag of a page, and the texts of its style."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.all: list[Element] = []
+        self.open: list[str] = []
+        self.unclosed: list[str] = []
+        self.feed(page)
+        self.unclosed += self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.all.append((tag, {name: value or "" for name, value in attrs}))
+        if tag not in ("meta", "input", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.all.append((tag, {name: value or "" for name, value in attrs}))
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.unclosed.append(tag)
+
+    def of(self, tag: str) -> list[dict[str, str]]:
+        return [attributes for name, attributes in self.all if name == tag]
+
+
+@cache
+def page(name: str) -> str:
+    return to_html(REPORTS[name](), [file.name for file in FILES])
+
+
+@cache
+def elements(name: str) -> Elements:
+    return Elements(page(name))
+
+
+ALL = pytest.mark.parametrize("name", REPORTS)
+
+
+@ALL
+def test_it_is_one_file_that_fetches_nothing(name: str) -> None:
+    for tag, attributes in elements(name).all:
+        assert "src" not in attributes, tag
+        assert tag not in ("link", "iframe", "object", "base", "embed")
+        for key in ("href", "action", "data", "poster"):
+            assert attributes.get(key, "#").startswith("#"), (tag, attributes)
+    assert "://" not in page(name)
+    assert not re.search(r"@import|url\((?!#)", page(name))
+    assert "default-src 'none'" in page(name)
+    assert len(page(name).encode()) < 2_500_000
+
+
+@ALL
+def test_it_is_well_formed_and_ids_are_unique(name: str) -> None:
+    found = elements(name)
+    assert not found.unclosed
+    ids = [attributes["id"] for _, attributes in found.all if "id" in attributes]
+    assert len(ids) == len(set(ids)) > 10
+    for _, attributes in found.all:
+        for key in ("href", "aria-labelledby", "aria-describedby"):
+            for target in attributes.get(key, "").replace("#", "").split():
+                assert target in ids
+    used = set(re.findall(r"url\(#([^)]+)\)", page(name)))
+    assert used <= set(ids)
+
+
+@ALL
+def test_every_picture_has_words(name: str) -> None:
+    found = elements(name)
+    pictures = [a for a in (*found.of("svg"), *found.of("canvas"))]
+    assert len(pictures) >= 9
+    assert all(a["role"] == "img" and len(a["aria-label"]) > 20 for a in pictures)
+    assert len(found.of("figcaption")) == len(found.of("figure")) == len(pictures)
+    assert all("scope" in a for a in found.of("th"))
+
+
+@ALL
+def test_sections_that_a_report_has(name: str) -> None:
+    data = to_json_data(REPORTS[name]())
+    assert data["verdict"].split(" mm RMS")[0] in page(name)
+    for stage in ("nominal", "final"):
+        assert f"{data['error_mm'][stage]['rms']:.3f}" in page(name)
+    ids = {attributes.get("id") for attributes in elements(name).of("section")}
+    assert {"error", "robot", "residuals", "told", "parameters", "stations", "files"} <= ids
+    assert ("effects" in ids) == bool(data["effects"])
+    assert ("evidence" in ids) == (name in ("warm", "delta"))
+
+
+def test_residuals_are_shown_against_joints_time_and_temperature_for_every_step() -> None:
+    report = warm_cell()
+    assert len(report.steps) >= 2
+    names = [a["aria-label"] for a in elements("warm").of("svg")]
+    for against in (*report.samples.names, "time", "temperature:cell"):
+        shown = [n for n in names if f"against {against}" in n]
+        assert len(shown) == len(report.steps) + 1, against
+
+
+def test_stations_that_were_left_out_are_named_with_their_errors() -> None:
+    report = warm_cell()
+    listed = to_json_data(report)["rejected"]
+    assert {row["station"] for row in listed} == set(WRONG)
+    # 5 mm along each axis were put in
+    assert [row["miss_mm"] for row in listed] == pytest.approx([5.0 * np.sqrt(3.0)] * 3, rel=0.05)
+    table = page("warm")[page("warm").index("Stations that were left out") :]
+    rows = re.findall(r'<tr><th scope="row">(\d+)</th>', table)
+    assert {int(r) for r in rows[: len(WRONG)]} == set(WRONG)
+
+
+def test_the_map_before_and_after() -> None:
+    """What was planted explains most at first; when it is in the model, nothing explains much any more."""
+    first, last = warm_cell().evidence
+    place, direction, driver, share = first.strongest(1)[0]
+    assert (place, direction, driver) == ("elbow_joint", "axis", "position:elbow_joint")
+    cell = last.share[last.rows.index((place, direction)), last.drivers.index(driver)]
+    assert share > 0.3
+    assert cell < 0.2 * share
+    assert first.p_value < 1e-6 < last.p_value
+    assert [d for d in first.drivers if d.startswith("position:")] == [
+        f"position:{n}" for n in warm_cell().samples.names
+    ]
+
+
+def test_arrows_are_the_errors_seen_from_the_base() -> None:
+    """A rotation keeps lengths, and the tool stands where the model says."""
+    for report in (warm_cell(), delta(), points()):
+        drawn = scene(report)
+        assert drawn is not None
+        assert len(drawn.points) == len(report.scored)
+        for (_, miss), stage in zip((drawn.stages[0], drawn.stages[-1]), ("nominal", "final"), strict=True):
+            norms = np.linalg.norm(miss, axis=1)
+            assert norms == pytest.approx(report.errors[stage].position_norm, rel=1e-3, abs=2e-6)
+        assert report.model is not None
+        T = report.model.predict_samples(report.scored)
+        T_frame_base = report.model.T_frame_base[report.scored.frame]
+        in_frame = np.einsum("nij,nj->ni", T_frame_base[:, :3, :3], drawn.points) + T_frame_base[:, :3, 3]
+        assert in_frame == pytest.approx(T[:, :3, 3], abs=1e-9)
+
+
+def test_arrows_of_a_theodolite_stand_across_its_line_of_sight() -> None:
+    report = REPORTS["bearings"]()
+    drawn, model = scene(report), report.model
+    assert drawn is not None
+    assert model is not None
+    assert drawn.partly
+    assert indirect_rows(report.scored).all()
+    for frame in range(2):
+        rows = report.scored.frame == frame
+        eye = -model.T_frame_base[frame, :3, :3].T @ model.T_frame_base[frame, :3, 3]
+        sight = drawn.points[rows] - eye
+        miss = drawn.stages[0][1][rows]
+        along = np.sum(sight * miss, axis=1) / np.linalg.norm(sight, axis=1) / np.linalg.norm(miss, axis=1)
+        assert np.abs(along).max() < 0.02
+
+
+def test_a_delta_has_three_arms_that_meet() -> None:
+    drawn = scene(delta())
+    assert drawn is not None
+    for arm in drawn.paths:
+        ends = np.array([path[-1] for path in arm[:3]])
+        assert len(arm) == 4
+        assert np.ptp(ends, axis=0).max() == 0.0
+    # rods are as long as the drawing says, but for the calibration's millimetres
+    rods = [np.linalg.norm(path[3] - path[2]) for arm in drawn.paths for path in arm[:3]]
+    assert np.ptp(rods) < 5e-3
+
+
+def test_names_from_outside_cannot_break_the_page() -> None:
+    assert "warm &lt;cell&gt; &amp; more" in page("warm")
+    assert "</script" not in as_script_data({"name": "</script><b>"})
+
+
+def luminance(colour: tuple[float, ...]) -> float:
+    """Relative luminance of an sRGB colour in 0 … 255 (WCAG 2.2)."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255.0 for v in colour)]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def contrast(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+    high, low = sorted((luminance(a), luminance(b)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_text_stands_out_in_light_and_dark() -> None:
+    themes = re.findall(r"color-scheme: (light|dark); ((?:--\w+: #\w{6}; )+)", page("points"))
+    assert [name for name, _ in themes] == ["light", "dark", "dark"]
+    for name, stated in themes:
+        rgb = {
+            key: tuple(float(int(value[k : k + 2], 16)) for k in (0, 2, 4))
+            for key, value in re.findall(r"--(\w+): #(\w{6})", stated)
+        }
+        for text in (INK, SOFT, AFTER, GOOD, WARN, BAD):
+            for ground in (PAPER, PANEL):
+                assert contrast(rgb[text], rgb[ground]) >= 4.5, (name, text, ground)
+        assert contrast(rgb["before"], rgb[PAPER]) >= 3.0, name
+        full = tuple(0.01 * TINT * a + (1.0 - 0.01 * TINT) * b for a, b in zip(rgb[AFTER], rgb[PAPER], strict=True))
+        assert contrast(rgb[INK], full) >= 4.5, name
+        assert contrast(full, rgb[PAPER]) > 1.5, name
+
+
+def test_pictures_follow_the_colours_of_the_page() -> None:
+    drawn = "".join(re.findall(r"<svg.*?</svg>", page("warm"), re.DOTALL))
+    assert "var(--after)" in drawn
+    assert not re.findall(r"#[0-9a-fA-F]{6}", drawn)
+
+
+def test_the_share_of_stations_is_what_was_recorded() -> None:
+    sizes = warm_cell().set_sizes()
+    assert sum(sizes.values()) == COUNT
+    for name, count in sizes.items():
+        assert f"{name.replace('_', '-')} ({count})" in page("warm")
