@@ -16,6 +16,7 @@ from nodes.cell import LATCHED, PlayedCell, Said, call
 from nodes.corrected_arm import AWAY, CHAIN, Arm, calibration, text
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.test_calibrator import PANDA, stations
+from nodes.test_simulated_cell import Settings
 from nodes.test_watch import watched
 from nodes.viewed import Pictures
 from sensor_msgs.msg import JointState
@@ -105,6 +106,42 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
         assert not seen.faults
         assert calibrator.stop() == 0
         assert viewer.stop() == 0
+
+
+def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
+    """Cell, calibrator and viewer as a user has them: the arrows are noise, and from the bump on as long as it is."""
+    bump, noise = [5e-4, -6e-4, 3e-4], 2e-5
+    domain = fresh_domain()
+    simulated = {"publish_clock": "true", "time_factor": 3.0, "stations": 60, "repeat": "true", "dwell_s": 0.9}
+    cell = {"urdf": URDF, "seed": 5, "noise_m": noise, "joint_rate_hz": 60.0, "tracker_rate_hz": 30.0, "travel_s": 0.3}
+    processes = (
+        Process("calibrator", domain, tmp_path, use_sim_time="true", effects=False, first_solve=24, after_change=0),
+        Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, stale_s=10.0),
+        Process("simulated_cell", domain, tmp_path, start_delay_s=2.0, **simulated, **cell),
+    )
+    with running(*processes), listener(domain) as (node, wait):
+        said, seen, put = Said(node), Pictures(node), Settings(node, wait)
+
+        def sizes() -> Array:
+            return np.linalg.norm(seen.arrows("residuals", "calibrated")[1], axis=1) / SCALE
+
+        # two dozen stations of which half are held out leave parameters unsure by as much as the noise of one reading
+        wait(lambda: len(sizes()) >= 24, 180.0)
+        assert np.sqrt(np.mean(sizes() ** 2)) < math.sqrt(3.0) * noise
+        nominal = np.linalg.norm(seen.arrows("residuals", "nominal")[1], axis=1) / SCALE
+        assert np.sqrt(np.mean(nominal**2)) > 5e-4
+        wait(lambda: len(seen.of("axes", "calibrated")) == CHAIN.n and seen.of("uncertainty", "present"), 30.0)
+
+        assert not put("tool_bump_m", bump)
+        count = len(sizes())
+        wait(lambda: len(sizes()) >= count + 2, 60.0)  # a stand in which it happened is over
+        assert call(node, wait, "viewer/reset").success
+        wait(lambda: not len(sizes()), 20.0)
+        wait(lambda: len(sizes()) >= 6, 60.0)
+        assert sizes() == pytest.approx(np.linalg.norm(bump), abs=5.0 * noise)
+        wait(lambda: seen.dots("rejected") == len(sizes()), 20.0)  # two topics, one after the other
+        wait(lambda: said.level(VIEW) == 0, 20.0)
+        assert not seen.faults
 
 
 def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
