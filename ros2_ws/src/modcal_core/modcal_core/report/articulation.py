@@ -143,7 +143,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
         along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=colour, label="xyz"[k])
     label(along, f"configuration, {unit}", "left over, mm")
-    along.legend(frameon=False, fontsize=8, ncols=3)
+    along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
     alt = f"The path of a {data['kind']} joint and what it leaves over: {data['residual_mm']['rms']:.2f} mm RMS."
     words = "Left: what was seen, in the plane of the path, and the joint's own path. Right: what is left along it."
     return chart(figure, "path", alt, words)
@@ -165,4 +165,4 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
         axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color=LIGHT["after"])
     axes.set_aspect("equal", adjustable="datalim")
     label(axes, "cm", "cm")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(loc="upper right", frameon=False, fontsize=8)

@@ -162,5 +162,5 @@ def _drawn(plan: Plan) -> Figure:
         axes.set_xlabel(f"{'xyz'[i]}, m")
         axes.set_ylabel(f"{'xyz'[j]}, m")
         axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(frameon=False, fontsize=7)
+    axes.legend(loc="upper right", frameon=False, fontsize=7)
     return drawn

@@ -195,7 +195,7 @@ def _indices(study: Study) -> Figure:
         bars: Array = 2.0 * indices.std_total
         right.barh(y + shift, indices.total, 0.38, color=colour, xerr=bars, error_kw={"lw": 0.6}, label=output)
     right.set_xlabel("S_T of the error", fontsize=8)
-    right.legend(frameon=False, fontsize=7)
+    right.legend(loc="upper right", frameon=False, fontsize=7)
     left.set_yticks(y, names, fontsize=6)
     left.invert_yaxis()
     return figure
@@ -214,5 +214,5 @@ def _gain(study: Study) -> Figure:
     axes.set_xlabel(f"parameters known, the strongest first (a share above {NAMED:.0%}: {int((share >= NAMED).sum())})")
     axes.set_ylabel("RMS error, mm")
     axes.set_ylim(bottom=0.0)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(loc="upper right", frameon=False, fontsize=8)
     return figure
