@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop \
-	soak doors articulation control-tick synthesis modular planning limits delta lock clean
+	soak long-bag doors articulation control-tick synthesis modular planning limits delta lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -56,6 +56,9 @@ undeclared: setup-test build  ## planted faults on three arms: are they named? B
 
 closed-loop: setup-test build  ## 50 poses commanded through the corrector in the simulated cell: how near the tool comes
 	@$(PY) bench/closed_loop.py
+
+long-bag: setup-test build  ## an hour at 1 kHz from the bag to the report: processor, memory, messages a second
+	@$(PY) bench/long_bag.py $(BENCH_ARGS)
 
 soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
 	@$(PY) bench/soak.py $(SOAK_ARGS)
