@@ -6,7 +6,7 @@ not, or whose type is not plain numbers and texts, are decoded one by one. Both 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -45,9 +45,12 @@ def read_bag(path: Path, layouts: bool = True) -> Recording:
     return whole.recording
 
 
-def read_pieces(path: Path, most: int | None = PIECE, layouts: bool = True) -> Iterator[Piece]:
+def read_pieces(
+    path: Path, most: int | None = PIECE, layouts: bool = True, heard: Callable[[float], None] = lambda _: None
+) -> Iterator[Piece]:
     """The same recording in pieces of so many joint states, so that it may be longer than memory holds.
 
+    heard: is told the share of the files that has been read.
     Where the clock of the joint states was set back, a piece goes on until the end.
     """
     builder = RecordingBuilder(str(path))
@@ -55,12 +58,13 @@ def read_pieces(path: Path, most: int | None = PIECE, layouts: bool = True) -> I
     files, notes = bag_files(path)
     warnings += notes
     total, since = 0, -np.inf
-    for name in files:
+    for i, name in enumerate(files):
         file = McapFile(name)
         try:
             reader = _Reader(file, builder, layouts)
             for block in file.blocks():
                 reader.take(block)
+                heard((i + file.share) / len(files))
                 if most is not None and builder.joint_states >= most:
                     recording = builder.recording()
                     if (border := _border(recording)) is not None:

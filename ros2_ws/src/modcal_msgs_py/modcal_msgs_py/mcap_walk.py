@@ -83,6 +83,7 @@ class McapFile:
 
     cdr_only: leave out what is not encoded as ROS 2 encodes. extras: whole attachments and metadata records (bytes
     with opcode and length), as they were met. compression: of the first chunk. known: topic and type by channel.
+    share: of the file that has been walked.
     """
 
     path: Path
@@ -96,6 +97,7 @@ class McapFile:
     count: int = 0
     cut: str | None = None
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
+    share: float = 0.0
 
     def messages(self) -> Iterator[RawMessage]:
         """Every whole message, in the order of the file. Raises BadRecording for a file that is not MCAP."""
@@ -122,6 +124,7 @@ class McapFile:
     def _walk(self, data: mmap.mmap, size: int) -> Iterator[Block]:
         at = len(MAGIC)
         while at < size:
+            self.share = at / size
             if size - at < _RECORD.size:
                 self.cut = f"{size - at} bytes at the end are no record"
                 return

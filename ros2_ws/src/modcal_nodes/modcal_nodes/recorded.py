@@ -20,6 +20,7 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_tree import document
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
+from modcal_nodes.cli.saying import Watch, silent
 from modcal_nodes.inputs import read_cell
 from modcal_nodes.results import calibration_files, delta_files
 from modcal_nodes.wishes import Wishes
@@ -40,15 +41,19 @@ class Calibrated:
     began: float
 
 
-def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = ()) -> Calibrated:
-    """The calibration of the arm in a bag, and in more bags of its cell. Raises ModcalError for unusable ones."""
+def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch: Watch = silent) -> Calibrated:
+    """The calibration of the arm in a bag, and in more bags of its cell. Raises ModcalError for unusable ones.
+
+    watch: hears of the stages.
+    """
     cell = read_cell(wishes.cell_file, wishes.fixed)
-    recording, pieces = begun(bag)
+    recording, pieces = begun(bag, watch)
     chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
     for other in more:
-        added = prepare_pieces(read_pieces(other), chain, clock_limit=wishes.clock_limit)
+        added = prepare_pieces(read(other, watch), chain, clock_limit=wishes.clock_limit)
         prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
+    watch("fitting the geometry")
     result = calibrate(
         prepared.samples,
         chain,
@@ -56,8 +61,10 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = ()) -> Cal
         cell,
         wishes.block,
         read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
+        progress=lambda effect: watch(f"trying {effect}"),
         look_for_effects=not wishes.geometry_only,
     )
+    watch("writing the report")
     report = named(result.report, recording, prepared)
     if isinstance(chain, Chain) and text is not None:
         files, robot = calibration_files(result, report, chain, text), str(document(text).get("name") or "robot")
@@ -68,11 +75,16 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = ()) -> Cal
     return Calibrated(report, result.calibration, prepared.samples, files, robot, began)
 
 
-def begun(bag: Path) -> tuple[Recording, Iterator[Piece]]:
+def begun(bag: Path, watch: Watch = silent) -> tuple[Recording, Iterator[Piece]]:
     """The beginning of a bag, which says whose it is, and all of it in pieces."""
-    pieces = read_pieces(bag)
+    pieces = read(bag, watch)
     first = next(pieces)
     return first.recording, chained([first], pieces)
+
+
+def read(bag: Path, watch: Watch) -> Iterator[Piece]:
+    """All of a bag in pieces, the watch being told how far it has been read."""
+    return read_pieces(bag, heard=lambda share: watch(f"reading {bag.name}", share))
 
 
 def named(report: Report, recording: Recording, prepared: Prepared) -> Report:

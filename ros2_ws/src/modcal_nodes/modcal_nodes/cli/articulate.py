@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import click
@@ -19,6 +20,7 @@ from modcal_core.report.articulation import Articulation, to_html, to_json_data
 from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.files import to_json, write_folder
 from modcal_nodes.inputs import read_calibration
 
@@ -45,6 +47,7 @@ class _Read:
 @click.option("--points", is_flag=True, help="Make nothing of rotations.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the samples that first guesses are made from.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@speaking
 def articulate_command(
     bag: Path,
     topic: str | None,
@@ -55,6 +58,7 @@ def articulate_command(
     points: bool,
     seed: int,
     out: Path | None,
+    voice: Voice,
 ) -> None:
     """Say how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
 
@@ -68,7 +72,9 @@ def articulate_command(
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))
     values = read.values[rows]
     track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
-    choice = choose(track, np.random.default_rng(seed))
+    with voice.working() as watch:
+        watch("weighing the kinds of joint")
+        choice = choose(track, np.random.default_rng(seed))
     found = Articulation(bag.name, read.frame, track, choice)
     data = to_json_data(found)
     model, reach = choice.fit.model, data["configuration"]
@@ -80,8 +86,7 @@ def articulate_command(
         "report.html": to_html(found),
     }
     write_folder(out, files)
-    click.echo(data["verdict"])
-    click.echo(f"Report: {out / 'report.html'}")
+    voice.result(data, partial(say, [data["verdict"]]), f"Report: {out / 'report.html'}")
 
 
 def _text_track(path: Path) -> Array:

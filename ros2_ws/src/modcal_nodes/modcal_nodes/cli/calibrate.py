@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.errors import ModcalError
 from modcal_core.loop import evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare_pieces
+from modcal_core.report.report import Report, to_json_data
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
+from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration, read_cell
@@ -73,13 +75,14 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )  # fmt: skip
 @calibration_options
 @_OUT
-def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, **wishes: Any) -> None:
+@speaking
+def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice: Voice, **wishes: Any) -> None:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
-    done = calibrate_bag(bag, Wishes(**wishes), more)
+    with voice.working() as watch:
+        done = calibrate_bag(bag, Wishes(**wishes), more, watch)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, done.files)
-    show_report(done.report, Console(emoji=False))
-    click.echo(f"Report: {out / 'report.html'}")
+    _say(done.report, out, voice)
 
 
 @click.command("evaluate")
@@ -92,6 +95,7 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, **wis
 @_SEED
 @_CLOCK
 @_OUT
+@speaking
 def evaluate_command(
     calibration: Path,
     bag: Path,
@@ -102,19 +106,25 @@ def evaluate_command(
     seed: int,
     clock_limit: float,
     out: Path | None,
+    voice: Voice,
 ) -> None:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     frozen = read_calibration(calibration)
-    recording, pieces = begun(bag)
-    prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
-    rng = np.random.default_rng(seed)
-    report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
-    report = named(report, recording, prepared)
-    report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
+    with voice.working() as watch:
+        recording, pieces = begun(bag, watch)
+        prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
+        watch("scoring")
+        rng = np.random.default_rng(seed)
+        report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
+        report = named(report, recording, prepared)
+        report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
-    show_report(report, Console(emoji=False))
-    click.echo(f"Report: {out / 'report.html'}")
+    _say(report, out, voice)
+
+
+def _say(report: Report, out: Path, voice: Voice) -> None:
+    voice.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
 
 
 def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:

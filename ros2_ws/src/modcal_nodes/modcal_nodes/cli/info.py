@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
@@ -12,6 +15,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import delta_of
+from modcal_nodes.cli.saying import Voice, speaking
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -22,10 +26,12 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
 @click.option("--base", default=None, metavar="LINK")
 @click.option("--tip", default=None, metavar="LINK")
-def info_command(bag: Path, urdf: Path | None, delta: Path | None, base: str | None, tip: str | None) -> None:
+@speaking
+def info_command(
+    bag: Path, urdf: Path | None, delta: Path | None, base: str | None, tip: str | None, voice: Voice
+) -> None:
     """Say what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_bag(bag)
-    console = Console(emoji=False)
     findings: tuple[str, ...] = ()
     try:
         chain, _ = delta_of(recording, delta, urdf, base, tip)
@@ -34,6 +40,18 @@ def info_command(bag: Path, urdf: Path | None, delta: Path | None, base: str | N
             raise
         chain, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, chain)
+    data = {
+        "bag": str(bag),
+        "duration_s": recording.duration,
+        "topics": [asdict(track) for track in seen.tracks],
+        "robot": None if chain is None else {"base": chain.base, "tip": chain.tip, "joints": list(chain.names)},
+        "uses": list(seen.uses),
+        "findings": [*findings, *seen.findings],
+    }
+    voice.result(data, partial(_show, data))
+
+
+def _show(data: dict[str, Any], console: Console) -> None:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name, side in (
         ("topic", "left"),
@@ -43,13 +61,14 @@ def info_command(bag: Path, urdf: Path | None, delta: Path | None, base: str | N
         ("largest gap", "right"),
     ):
         table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
-    for track in seen.tracks:
-        table.add_row(track.topic, track.what, str(track.count), f"{track.rate:.4g}", f"{track.largest_gap:.3g} s")
+    for track in data["topics"]:
+        rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
+        table.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
     console.print(table)
-    console.print(f"{recording.duration:.1f} s")
-    if chain is not None:
-        console.print(f"robot: {chain.base} → {chain.tip}, {chain.n} joints", highlight=False)
-    for use in seen.uses:
+    console.print(f"{data['duration_s']:.1f} s")
+    if robot := data["robot"]:
+        console.print(f"robot: {robot['base']} → {robot['tip']}, {len(robot['joints'])} joints", highlight=False)
+    for use in data["uses"]:
         console.print(f"can be used for {use}", style="green", highlight=False)
-    for finding in (*findings, *seen.findings):
+    for finding in data["findings"]:
         console.print(finding, style="yellow", highlight=False)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
 from modcal_core.errors import BadTable
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
@@ -18,6 +18,7 @@ from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_p
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, read_robot
+from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.cli.stations import read_stations
 from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
@@ -59,6 +60,7 @@ _DECIDING = 16  # stations, where none are asked for
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
+@speaking
 def plan_command(
     robot: Path | None,
     base: str | None,
@@ -78,6 +80,7 @@ def plan_command(
     report: Path | None,
     seed: int,
     out: Path | None,
+    voice: Voice,
 ) -> None:
     """Choose the stations from which ROBOT (a URDF, or a YAML table) is best calibrated, or that decide a doubt."""
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
@@ -96,13 +99,13 @@ def plan_command(
         stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
         candidates, known,
     )  # fmt: skip
-    found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
-    out = out or Path(f"{robot.stem}_plan")
-    write_folder(out, _files(found, speed, dwell, robot.stem))
-    console = Console(emoji=False)
-    for line in sentences(found):
-        console.print(line, highlight=False)
-    click.echo(f"Stations: {out / 'plan.yaml'}")
+    with voice.working() as watch:
+        watch("choosing stations")
+        found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
+        out = out or Path(f"{robot.stem}_plan")
+        watch("writing the plan")
+        write_folder(out, _files(found, speed, dwell, robot.stem))
+    voice.result(to_plan_data(found), partial(say, sentences(found)), f"Stations: {out / 'plan.yaml'}")
 
 
 def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:

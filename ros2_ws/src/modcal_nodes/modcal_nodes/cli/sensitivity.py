@@ -20,6 +20,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
+from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.cli.stations import read_stations
 from modcal_nodes.files import read_yaml, to_json, write_folder
 
@@ -55,6 +56,7 @@ _SHOWN = 12  # parameters in the terminal
 @click.option("--noise-mrad", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Of poses, per axis.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@speaking
 def sensitivity_command(
     robot: Path,
     base: str | None,
@@ -75,6 +77,7 @@ def sensitivity_command(
     noise_mrad: float,
     seed: int,
     out: Path | None,
+    voice: Voice,
 ) -> None:
     """Say which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     chain = read_robot(robot, base, tip)
@@ -85,21 +88,26 @@ def sensitivity_command(
     q = design(chain, kind, rng, levels, postures)
     measured = Measured(read_stations(stations, chain) if stations else q, reading, 1e-3 * noise_mm, 1e-3 * noise_mrad)
     factor = base_factor or next(f.name for f in closed.factors if f.is_length)
-    result = study(closed, q, kind, sizes, factor, measured, rng, bins)
     out = out or Path(f"{robot.stem}_sensitivity")
-    files = {
-        "sensitivity.json": to_json(to_json_data(result)),
-        "sensitivity.md": to_text(result),
-        "single_point.csv": single_csv(result),
-        **pictures(result),
-        "report.html": to_html(result, robot.stem),
-    }
-    write_folder(out, files)
-    console = Console(emoji=False)
+    with voice.working() as watch:
+        watch("moving each parameter")
+        result = study(closed, q, kind, sizes, factor, measured, rng, bins)
+        watch("writing the report")
+        data = to_json_data(result)
+        files = {
+            "sensitivity.json": to_json(data),
+            "sensitivity.md": to_text(result),
+            "single_point.csv": single_csv(result),
+            **pictures(result),
+            "report.html": to_html(result, robot.stem),
+        }
+        write_folder(out, files)
+    voice.result(data, lambda console: _show(result, console), f"Table: {out / 'sensitivity.md'}")
+
+
+def _show(result: Study, console: Console) -> None:
     console.print(_table(result))
-    for line in sentences(result):
-        console.print(line, highlight=False)
-    click.echo(f"Table: {out / 'sensitivity.md'}")
+    say(sentences(result), console)
 
 
 def _closed_chain(chain: Chain, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:

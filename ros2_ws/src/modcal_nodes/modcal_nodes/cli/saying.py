@@ -1,0 +1,112 @@
+"""How verbs speak: results on stdout, or as JSON with ``--json``; what they are doing on stderr.
+
+Progress is shown where stderr is a terminal, and wiped when it is over; ``-v`` writes a line for each stage instead,
+with the seconds that it took.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import click
+from rich.console import Console
+
+
+def say(lines: Iterable[str], console: Console) -> None:
+    """Print these lines."""
+    for line in lines:
+        console.print(line, highlight=False)
+
+
+class Watch(Protocol):
+    """Hears what is being done, and, where that is known, the share of it that is done."""
+
+    def __call__(self, stage: str, share: float | None = None) -> None:
+        """Take notice."""
+
+
+def silent(stage: str, share: float | None = None) -> None:
+    """A watch that says nothing."""
+
+
+class Voice:
+    """How one call of a verb speaks."""
+
+    def __init__(self, as_json: bool = False, verbose: bool = False) -> None:
+        self._as_json, self._verbose = as_json, verbose
+        self._out = Console(emoji=False)
+
+    def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
+        """Say the result: as JSON data, or by showing it, and then where it is."""
+        if self._as_json:
+            from modcal_nodes.files import to_json
+
+            click.echo(to_json(data), nl=False)
+            return
+        show(self._out)
+        if where:
+            click.echo(where)
+
+    @contextmanager
+    def working(self) -> Iterator[Watch]:
+        """A watch to hand to long work. An interruption goes through."""
+        error = Console(stderr=True, emoji=False)
+        if self._verbose:
+            yield from _lines()
+        elif error.is_terminal and not self._as_json:
+            yield from _bar(error)
+        else:
+            yield silent
+
+
+def _lines() -> Iterator[Watch]:
+    """A line for each stage, when it ends."""
+    now, since = "", time.monotonic()
+
+    def end() -> None:
+        if now:
+            click.echo(f"{now}: {time.monotonic() - since:.1f} s", err=True)
+
+    def watch(stage: str, share: float | None = None) -> None:
+        nonlocal now, since
+        if stage != now:
+            end()
+            now, since = stage, time.monotonic()
+
+    yield watch
+    end()
+
+
+def _bar(console: Console) -> Iterator[Watch]:
+    """One line that changes: what is being done, how much of it, and how long that will take."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console, transient=True) as progress:
+        bar, now = progress.add_task("", total=None), ""
+
+        def watch(stage: str, share: float | None = None) -> None:
+            nonlocal now
+            if stage != now:
+                progress.reset(bar, description=stage, total=None if share is None else 1.0)
+                now = stage
+            if share is not None:
+                progress.update(bar, total=1.0, completed=share)
+
+        yield watch
+
+
+def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with ``--json`` and ``-v``; it is handed the voice that they ask for."""
+
+    @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+    @click.option("-v", "--verbose", is_flag=True, help="Say on stderr what was done, and how long it took.")
+    @functools.wraps(command)
+    def spoken(*arguments: Any, as_json: bool, verbose: bool, **options: Any) -> Any:
+        return command(*arguments, voice=Voice(as_json, verbose), **options)
+
+    return spoken
