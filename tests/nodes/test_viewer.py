@@ -91,6 +91,9 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
         assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 1.5 * math.sqrt(6.0) * NOISE_M
         assert np.abs(np.linalg.norm(arrows, axis=1) / SCALE - np.linalg.norm(bump[:3, 3])).max() < 6.0 * NOISE_M
         wait(lambda: "tool" in seen.text(), 30.0)  # the calibrator's word on what has changed
+        for topic in ("joint_states", "tracker/pose"):  # its last word, now that it has heard everything
+            heard = f"messages of /{topic}"
+            wait(lambda heard=heard: said.value("/calibrator: hearing", heard) == str(48 + SHOWN), 30.0)
 
         snapshot = watched(domain, tmp_path, "--once", "--json", "--for", "6")
         told = {n["name"]: n for n in snapshot["nodes"]}
@@ -113,7 +116,7 @@ def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
     bump, noise = [5e-4, -6e-4, 3e-4], 2e-5
     domain = fresh_domain()
     simulated = {"publish_clock": "true", "time_factor": 3.0, "stations": 60, "repeat": "true", "dwell_s": 0.9}
-    cell = {"urdf": URDF, "seed": 5, "noise_m": noise, "joint_rate_hz": 60.0, "tracker_rate_hz": 30.0, "travel_s": 0.3}
+    cell = {"urdf": URDF, "seed": 5, "noise_m": noise, "joint_rate_hz": 40.0, "tracker_rate_hz": 20.0, "travel_s": 0.3}
     processes = (
         Process("calibrator", domain, tmp_path, use_sim_time="true", effects=False, first_solve=24, after_change=0),
         Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, stale_s=10.0),
@@ -133,11 +136,10 @@ def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
         wait(lambda: len(seen.of("axes", "calibrated")) == CHAIN.n and seen.of("uncertainty", "present"), 30.0)
 
         assert not put("tool_bump_m", bump)
-        count = len(sizes())
-        wait(lambda: len(sizes()) >= count + 2, 60.0)  # a stand in which it happened is over
-        assert call(node, wait, "viewer/reset").success
-        wait(lambda: not len(sizes()), 20.0)
-        wait(lambda: len(sizes()) >= 6, 60.0)
+        for fresh in (2, 6):  # of the first two, one may be of a stand in which it happened
+            assert call(node, wait, "viewer/reset").success
+            wait(lambda: not len(sizes()), 20.0)
+            wait(lambda fresh=fresh: len(sizes()) >= fresh, 60.0)
         assert sizes() == pytest.approx(np.linalg.norm(bump), abs=5.0 * noise)
         wait(lambda: seen.dots("rejected") == len(sizes()), 20.0)  # two topics, one after the other
         wait(lambda: said.level(VIEW) == 0, 20.0)

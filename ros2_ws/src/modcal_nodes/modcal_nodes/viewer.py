@@ -13,13 +13,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.commander import Robot
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.picture import tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_msgs_py.commands import JointsHeard
@@ -33,7 +34,6 @@ from modcal_nodes.parameters import VIEWER, declare, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import LATCHED, SENSOR, run
 from modcal_nodes.viewing import drawing
-from modcal_nodes.viewing.drawing import Shapes
 from modcal_nodes.viewing.stations import Judged, Stations
 
 _REST = 0.003  # s
@@ -57,7 +57,8 @@ class Viewer(Node):
         self._signals = SignalsHeard()
         self._stations = Stations(chosen["stations"])
         self._judged: Judged | None = None
-        self._around_stations: Shapes = ()
+        self._shapes: dict[float, tuple[Array, Array]] = {}  # ellipsoids at the last stations, by their stamps
+        self._around_stations: list[Marker] = []
         self._look_at(chosen["base"], chosen["tip"])
         self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
 
@@ -92,7 +93,8 @@ class Viewer(Node):
         self._joints: JointsHeard | None = None
         self._approach = Approach()
         self._stations.clear()
-        self._judged, self._around_stations = None, ()
+        self._judged = None
+        self._shapes.clear()
         self._asked, self._dirty = (base, tip), True
         self._recognise()
 
@@ -121,6 +123,7 @@ class Viewer(Node):
     def _meet(self) -> None:
         """Put calibration and robot together, if both are there and belong together; else show the nominal arm only."""
         self._robot, self._dirty = None, True
+        self._shapes.clear()
         base, tip = self._chosen["base"], self._chosen["tip"]
         if self._calibration is not None and self._urdf:
             try:
@@ -191,7 +194,7 @@ class Viewer(Node):
     def _draw_stations(self) -> None:
         """Publish residuals and stations, of the calibration in use."""
         chain, robot, chosen = self._arm.chain, self._robot, self._chosen
-        self._judged, self._around_stations, self._missing = None, (), ""
+        self._judged, self._around_stations, self._missing = None, [], ""
         self._frame = chain.base if chain else self._frame
         if chain is None:
             pictures = drawing.nothing(self._frame), drawing.nothing(self._frame)
@@ -201,8 +204,9 @@ class Viewer(Node):
             correction = robot.correction
             try:
                 self._judged = self._stations.judged(correction, self._signals.tracks(correction.needs))
-                moments = self._judged.moments if self._judged else ()
-                self._around_stations = [tool_ellipsoid(correction, at) for at in moments]
+                before, moments = self._shapes, self._judged.moments if self._judged else ()
+                self._shapes = {m.stamp: before.get(m.stamp) or tool_ellipsoid(correction, m) for m in moments}
+                self._around_stations = drawing.around_stations(list(self._shapes.values()), chosen["arrow_scale"])
             except ModcalError as error:
                 self._missing = str(error)
             scale, full = chosen["arrow_scale"], chosen["full_colour_m"]

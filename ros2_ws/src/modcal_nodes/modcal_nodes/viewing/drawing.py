@@ -77,11 +77,17 @@ def axes_picture(nominal: Chain, calibrated: Chain | None, q: Array, scale: floa
     return fill_picture(MarkerArray(), Marker, nominal.base, parts, lifetime)
 
 
-def uncertainty_picture(frame: str, at_stations: Shapes, present: Shapes, scale: float, lifetime: float) -> MarkerArray:
-    """Ellipsoids about the predicted tool, so much enlarged: at the last stations and where it is now."""
-    parts = ellipsoids(Marker, STATIONS, [(T, scale * half) for T, half in at_stations], _PALE)
-    parts += ellipsoids(Marker, PRESENT, [(T, scale * half) for T, half in present], _NOW)
-    return fill_picture(MarkerArray(), Marker, frame, parts, lifetime)
+def around_stations(shapes: Shapes, scale: float) -> list[Marker]:
+    """Ellipsoids about the predicted tool at the last stations, so much enlarged, to be shown again and again."""
+    return ellipsoids(Marker, STATIONS, [(T, scale * half) for T, half in shapes], _PALE)
+
+
+def uncertainty_picture(
+    frame: str, at_stations: list[Marker], present: Shapes, scale: float, lifetime: float
+) -> MarkerArray:
+    """Those ellipsoids, and the ones where the tool is now."""
+    parts = ellipsoids(Marker, PRESENT, [(T, scale * half) for T, half in present], _NOW)
+    return fill_picture(MarkerArray(), Marker, frame, [*at_stations, *parts], lifetime)
 
 
 def stations_picture(correction: Correction, judged: Judged | None) -> MarkerArray:

@@ -14,6 +14,7 @@ _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red", "silent": "bold
 _FACTS = (
     "state", "solving", "largest sign", "samples rejected", "compute of an update, p99", "from stamp to update, p99",
     "candidate", "kind", "trusted", "probability", "ahead_m", "off_m", "poses", "commands", "refused", "phase",
+    "force", "tick", "model", "lag",
     "messages", "bytes waiting", "free", "minutes until", "lost", "stations", "residual", "published", "effects",
 )  # fmt: skip
 _NOT = ("messages of", "messages refused", "publishers of", "bytes of", "rate of", "lost of")
