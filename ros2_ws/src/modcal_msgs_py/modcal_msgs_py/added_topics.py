@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from typing import Any, TypeAlias
 
 from modcal_core.errors import BadTable
+from modcal_core.measurements.packages import added
 
 GROUP = "modcal.topics"
 
@@ -67,12 +67,11 @@ class AddedTopic:
 def added_topics() -> dict[str, AddedTopic]:
     """The topics of installed packages, by name. Raises BadTable for what is none, or that two packages claim."""
     out: dict[str, AddedTopic] = {}
-    for point in entry_points(group=GROUP):
-        offender, added = f"entry point {point.name} of {GROUP}", point.load()
-        if not isinstance(added, AddedTopic):
-            raise BadTable(offender, f"names a {type(added).__name__}", "name an AddedTopic")
-        topic = added.topic.strip("/")
+    for offender, named in added(GROUP):
+        if not isinstance(named, AddedTopic):
+            raise BadTable(offender, f"names a {type(named).__name__}", "name an AddedTopic")
+        topic = named.topic.strip("/")
         if topic in out:
             raise BadTable(offender, f"topic {topic} is taken", "choose another")
-        out[topic] = added
+        out[topic] = named
     return out

@@ -21,6 +21,7 @@ from modcal_msgs_py.fields import fields_of
 from modcal_msgs_py.layout import Bytes, Fields, Layout
 from modcal_msgs_py.mcap_walk import Block, McapFile
 from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.topics import ADDED, role_of
 
 _LEFT_OUT = (
     "sensor_msgs/msg/Image",
@@ -122,7 +123,8 @@ class _Reader:
         self._file.count += len(channels)
 
     def _topic(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        fields = fields_of(type_name, self._file.schemas) if self._use_layouts else None
+        own = role_of(topic, type_name) in ADDED  # a package's, which takes messages one by one
+        fields = fields_of(type_name, self._file.schemas) if self._use_layouts and not own else None
         met = self._layouts.setdefault((topic, type_name), [])
         pieces = [] if fields is None else _sorted(block, which, fields, met)
         if not pieces:

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.packages import added
 
 if TYPE_CHECKING:
     from modcal_core.calibration.circumstances import Circumstances
@@ -84,8 +84,7 @@ def added_effects() -> dict[str, AddedEffect]:
     """The effects of installed packages, by family. Raises BadTable for what is none, or takes another's name."""
     out: dict[str, AddedEffect] = {}
     shapes, drivers = set(SHAPES), set(DRIVERS)
-    for point in entry_points(group=GROUP):
-        offender, effect = f"entry point {point.name} of {GROUP}", point.load()
+    for offender, effect in added(GROUP):
         if not isinstance(effect, AddedEffect):
             raise BadTable(offender, f"names a {type(effect).__name__}", "name an AddedEffect")
         if effect.family in FAMILIES or effect.family in out:
@@ -101,8 +100,8 @@ def added_effects() -> dict[str, AddedEffect]:
 
 def candidates(at: Circumstances) -> Iterator[Effect]:
     """All candidates of packages. Raises BadTable for one that belongs to another family, or cannot be evaluated."""
-    for family, added in added_effects().items():
-        for effect in added.candidates(at):
+    for family, own in added_effects().items():
+        for effect in own.candidates(at):
             if effect.family != family:
                 raise BadTable(f"effect {family}", f"yields one of family {effect.family}", "yield its own only")
             require_known(effect)
@@ -111,10 +110,10 @@ def candidates(at: Circumstances) -> Iterator[Effect]:
 
 def require_known(effect: Effect) -> None:
     """Raises BadTable for an effect whose shape or driver nobody here knows: it would be left out in silence."""
-    known = (*SHAPES, *(name for added in _own() for name in added.shapes))
+    known = (*SHAPES, *(name for own in _own() for name in own.shapes))
     if effect.shape.kind not in known:
         raise _unknown(effect, f"shape {effect.shape.kind}")
-    known = (*DRIVERS, *(name for added in _own() for name in added.drivers))
+    known = (*DRIVERS, *(name for own in _own() for name in own.drivers))
     for driver in effect.driver.split(","):
         if driver.partition(":")[0] not in known:
             raise _unknown(effect, f"driver {driver}")

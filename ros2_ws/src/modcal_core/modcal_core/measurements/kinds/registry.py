@@ -6,10 +6,8 @@ A package adds a kind with an entry point of the group ``modcal.measurement_kind
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from modcal_core.measurements.kinds.kind import MESSAGES, Kind
 from modcal_core.measurements.kinds.positions import Point, Pose
 from modcal_core.measurements.kinds.ray import Ray
 from modcal_core.measurements.kinds.touch import Touch
+from modcal_core.measurements.packages import added
 from modcal_core.measurements.samples import KIND_NAMES, Samples
 
 GROUP = "modcal.measurement_kinds"
@@ -32,40 +31,17 @@ _OWN: tuple[Kind, ...] = (Pose(), Point(), Distance(), Bearing(), Touch(), Ray()
 def kinds() -> dict[str, Kind]:
     """Every kind by its name. Raises BadTable for one of a package that is no kind, or that takes another's name."""
     out = {kind.name: kind for kind in _OWN}
-    if not _announced():
-        return out
-    from importlib.metadata import entry_points  # takes as long as NumPy, and few installations need it
-
-    for point in entry_points(group=GROUP):
-        kind = point.load()
+    for where, kind in added(GROUP):
         if not isinstance(kind, Kind):
-            raise BadTable(f"entry point {point.name} of {GROUP}", f"names a {type(kind).__name__}", "name a Kind")
+            raise BadTable(where, f"names a {type(kind).__name__}", "name a Kind")
         if kind.name in out or kind.topic in {k.topic for k in out.values()}:
-            raise BadTable(f"entry point {point.name} of {GROUP}", "its name or topic is taken", "choose others")
+            raise BadTable(where, "its name or topic is taken", "choose others")
         if len(kind.name) > _LONGEST:
-            raise BadTable(
-                f"entry point {point.name} of {GROUP}", f"name of {len(kind.name)} letters", f"use at most {_LONGEST}"
-            )
+            raise BadTable(where, f"name of {len(kind.name)} letters", f"use at most {_LONGEST}")
         if kind.message not in MESSAGES:
-            raise BadTable(
-                f"entry point {point.name} of {GROUP}", f"message {kind.message}", f"use {', '.join(MESSAGES)}"
-            )
+            raise BadTable(where, f"message {kind.message}", f"use {', '.join(MESSAGES)}")
         out[kind.name] = kind
     return out
-
-
-def _announced() -> bool:
-    """Whether any package on the path has an entry point of our group, by the files that installers write."""
-    wanted = GROUP.encode()
-    for folder in map(Path, dict.fromkeys(sys.path)):
-        for pattern in ("*.dist-info/entry_points.txt", "*.egg-info/entry_points.txt"):
-            for file in folder.glob(pattern):
-                try:
-                    if wanted in file.read_bytes():
-                        return True
-                except OSError:
-                    continue
-    return False
 
 
 def is_direct(names: Iterable[str]) -> bool:

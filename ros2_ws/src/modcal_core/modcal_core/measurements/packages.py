@@ -1,0 +1,35 @@
+"""What installed packages add, by entry points.
+
+``importlib.metadata`` takes as long to import as NumPy, and few installations have such a package; so the files that
+installers write are looked through first, for any group of ours.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_OURS = b"[modcal."
+
+
+def added(group: str) -> Iterator[tuple[str, Any]]:
+    """(how to call it in a message to people, what it names) of each entry point of a group."""
+    if not _any_announced():
+        return
+    from importlib.metadata import entry_points
+
+    for point in entry_points(group=group):
+        yield f"entry point {point.name} of {group}", point.load()
+
+
+@cache
+def _any_announced() -> bool:
+    """Whether any package on the path has entry points of ours."""
+    for folder in map(Path, dict.fromkeys(sys.path)):
+        for pattern in ("*.dist-info/entry_points.txt", "*.egg-info/entry_points.txt"):
+            if any(_OURS in file.read_bytes() for file in folder.glob(pattern)):
+                return True
+    return False
