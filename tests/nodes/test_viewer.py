@@ -115,8 +115,9 @@ def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
     """Cell, calibrator and viewer as a user has them: the arrows are noise, and from the bump on as long as it is."""
     bump, noise = [5e-4, -6e-4, 3e-4], 2e-5
     domain = fresh_domain()
-    simulated = {"publish_clock": "true", "time_factor": 3.0, "stations": 60, "repeat": "true", "dwell_s": 0.9}
+    simulated = {"publish_clock": "true", "time_factor": 3.0, "stations": 60, "repeat": "true", "dwell_s": 0.8}
     cell = {"urdf": URDF, "seed": 5, "noise_m": noise, "joint_rate_hz": 40.0, "tracker_rate_hz": 20.0, "travel_s": 0.3}
+    cell |= {"clock_rate_hz": 40.0}  # each tick wakes every node
     processes = (
         Process("calibrator", domain, tmp_path, use_sim_time="true", effects=False, first_solve=24, after_change=0),
         Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, stale_s=10.0),

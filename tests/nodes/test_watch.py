@@ -58,6 +58,14 @@ def test_what_nodes_say_is_shown(tmp_path: Path) -> None:
             assert part["level"] == ("ok", "warn", "error")[said.level(name)]
         assert {part["part"] for part in found["parts"]} == {"hearing", "calibration", "correction", "commands"}
 
+        # whoever reads may go when it has enough
+        piped = f"set -o pipefail; {COMMAND} watch --json --every 0.2 | head -1"
+        done = subprocess.run(
+            ["bash", "-c", piped], env=environment(domain), capture_output=True, text=True, timeout=SLOWER * 60.0
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        assert json.loads(done.stdout)["modcal_watch"] == 1
+
         # in a pipe only what gets better or worse is written, and a node that ends is silent
         log = subprocess.Popen(
             [COMMAND, "watch"], env=environment(domain), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

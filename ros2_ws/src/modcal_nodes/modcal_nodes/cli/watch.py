@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -52,7 +54,7 @@ def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lastin
     terminal, a line is written only when something gets better or worse. Ctrl-C ends it.
     """
     heard, console = Heard(namespace), Console()
-    with contextlib.suppress(KeyboardInterrupt), _stopped_politely(), _listening(heard, domain) as spin:
+    with contextlib.suppress(KeyboardInterrupt), _left_alone(), _stopped_politely(), _listening(heard, domain) as spin:
         if not once:
             _go_on(heard, spin, _output(as_json, console), lasting, every, (domain, namespace))
             return
@@ -125,6 +127,15 @@ def _listening(heard: Heard, domain: int) -> Iterator[Callable[[float], None]]:
         executor.shutdown(timeout_sec=1.0)
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+@contextlib.contextmanager
+def _left_alone() -> Iterator[None]:
+    """Whoever reads the other end of the pipe may go when it has enough (``| head -1``)."""
+    try:
+        yield
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is flushed at exit goes nowhere
 
 
 @contextlib.contextmanager
