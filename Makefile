@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop \
-	soak long-bag doors articulation control-tick synthesis modular planning limits delta lock clean
+	soak long-bag doors articulation control-tick synthesis modular planning limits delta docs reference lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -87,10 +87,17 @@ limits: setup-test build  ## a pick and place within torque limits and within co
 delta: setup-test build  ## a Delta by simulated annealing and by least squares, side by side; BENCH_ARGS="--robots 1"
 	@$(PY) bench/delta.py $(BENCH_ARGS)
 
+docs: setup-test reference  ## the documentation as a site that needs no network: site/index.html
+	@$(PY) -m mkdocs --quiet build --clean
+	@echo "Documentation: site/index.html"
+
+reference: build  ## write docs/reference from the code
+	@$(PY) scripts/reference
+
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
 	@rm -rf $(VENV) .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
-	@rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@rm -rf site .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

@@ -18,9 +18,3 @@ def test_every_test_that_is_named_exists(document: str, least: int) -> None:
         source = ROOT / "tests" / file
         assert source.is_file(), file
         assert re.search(rf"^def {name}\(", source.read_text(), re.MULTILINE), f"{file}::{name}"
-
-
-def test_links_between_documents_lead_somewhere() -> None:
-    for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]:
-        for target in re.findall(r"\]\((?!http)([^)#]+)", document.read_text()):
-            assert (document.parent / target).exists(), f"{document.name}: {target}"

@@ -1,0 +1,69 @@
+"""Hooks of mkdocs: the README is the first page, links that leave docs/ become plain names, code is coloured twice.
+
+What lies outside docs/ (sources, examples) is not part of the site: of such a link the name of the file is left.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from pygments.formatters.html import HtmlFormatter
+
+ROOT = Path(__file__).resolve().parent.parent
+# Where a page goes that mkdocs.yml does not name, by its folder.
+SECTIONS = {"howto": "How to", "reference": "Reference", "": "Explanations"}
+LINK = re.compile(r"(?<!!)\[([^]]+)\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)")
+LIGHT, DARK = "default", "github-dark"
+# the theme's light blue is too pale to be read on white
+LINKS = """[data-bs-theme=light] { --bs-link-color-rgb: 11, 92, 148; --bs-link-hover-color-rgb: 7, 62, 100; }
+[data-bs-theme=light] .bs-sidebar .nav-link { color: rgb(11, 92, 148); }
+"""
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """The configuration, every page of docs/ being somewhere in its navigation."""
+    named = set(re.findall(r"[\w/]+\.md", repr(config.nav)))
+    folder = Path(config.docs_dir)
+    for file in sorted(folder.rglob("*.md")):
+        page = file.relative_to(folder)
+        if page.as_posix() not in named:
+            title = SECTIONS.get(page.parts[0] if len(page.parts) > 1 else "", SECTIONS[""])
+            (section,) = [part[title] for part in config.nav or [] if title in part]
+            section.append(page.as_posix())
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """The files, with the README as index.md and colours for code."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    files.append(File.generated(config, "index.md", content=re.sub(r"(\]\(|src=\")docs/", r"\1", readme)))
+    rules = [
+        rule
+        for scheme, style in (("light", LIGHT), ("dark", DARK))
+        for rule in HtmlFormatter(style=style).get_style_defs(f"[data-bs-theme={scheme}] .codehilite").splitlines()
+        if rule.startswith("[data-bs-theme") and ".linenos" not in rule
+    ]
+    files.append(File.generated(config, "site.css", content=LINKS + "\n".join(rules) + "\n"))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """The page's text without links to what the site does not hold."""
+    home = page.file.src_uri == "index.md"
+    here = ROOT if home else (Path(config.docs_dir) / page.file.src_uri).parent
+
+    def plain(link: re.Match[str]) -> str:
+        target = (here / link[2]).resolve()
+        outside = target.is_relative_to(ROOT) and not target.is_relative_to(config.docs_dir)
+        if not outside or not target.exists() or (home and files.get_file_from_path(link[2]) is not None):
+            return link[0]
+        name = f"`{target.relative_to(ROOT)}`"
+        if "`" in link[1]:
+            return link[1]
+        return name if link[1] == name.strip("`") else f"{link[1]} ({name})"
+
+    return LINK.sub(plain, markdown)

@@ -1,0 +1,49 @@
+"""Writes the pages of docs/reference from the code: ``python scripts/reference``, as ``make reference`` does.
+
+With ``--check`` it writes nothing, and fails when a page is not what the code says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import graph
+import settings
+import verbs
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES: dict[str, Callable[[], str]] = {"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page}
+HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
+SOURCES = {
+    "cli.md": "modcal_nodes/cli",
+    "parameters.md": "modcal_nodes/parameters.py",
+    "topics.md": "the running nodes",
+}
+
+
+def main() -> int:
+    """Exit code: 0, or 1 with the names of the pages that are out of date."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="compare only")
+    parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "reference", help="where the pages are")
+    chosen = parser.parse_args()
+    stale = []
+    for name, page in PAGES.items():
+        file, text = chosen.folder / name, HEADER.format(SOURCES[name]) + page()
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            stale.append(name)
+            if not chosen.check:
+                chosen.folder.mkdir(parents=True, exist_ok=True)
+                file.write_text(text, encoding="utf-8")
+    if stale and chosen.check:
+        print(f"out of date: {', '.join(stale)}: run make reference", file=sys.stderr)
+        return 1
+    print(f"written: {', '.join(stale)}" if stale else f"{', '.join(PAGES)}: as the code says")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""Every link of every page leads somewhere: in the sources, as GitHub shows them, and in the site that mkdocs makes."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from lxml import html
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "examples").rglob("README.md")),
+    *sorted((ROOT / "bench").rglob("README.md")),
+]
+# elements that fetch what they name while a page is shown
+FETCHING = {"src", "srcset", "data", "poster"}
+
+
+def prose(source: Path) -> str:
+    """The text without blocks of code, where brackets are no links and number signs no headings."""
+    return re.sub(r"^```.*?^```|^(?: {4}|\t).*?$", "", source.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+@cache
+def anchors(source: Path) -> frozenset[str]:
+    """What a link may name behind #: the headings, in small letters, spaces as hyphens, other signs dropped."""
+    found: list[str] = []
+    for heading in re.findall(r"^#+ +(.+?) *#*$", prose(source), re.MULTILINE):
+        shown = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").lower()
+        slug = re.sub(r"[^\w\- ]", "", shown).replace(" ", "-")
+        again = found.count(slug)
+        found += [slug] if not again else [slug, f"{slug}-{again}"]
+    return frozenset(found)
+
+
+def broken(source: Path) -> list[str]:
+    """Links of a source that lead to no file or to no heading."""
+    said = []
+    text = prose(source)
+    links = re.findall(r"\]\((\S+?)(?: \"[^\"]*\")?\)", text) + re.findall(r"(?:src|href)=\"([^\"]+)\"", text)
+    for link in links:
+        parts = urlsplit(link)
+        if parts.scheme:
+            continue
+        target = (source.parent / unquote(parts.path)).resolve() if parts.path else source
+        if not target.exists() or not target.is_relative_to(ROOT):
+            said.append(f"{link}: no such file")
+        elif parts.fragment and (target.suffix != ".md" or parts.fragment not in anchors(target)):
+            said.append(f"{link}: no such heading")
+    return said
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.relative_to(ROOT)))
+def test_links_of_the_sources_lead_somewhere(source: Path) -> None:
+    assert not broken(source)
+
+
+def test_a_broken_link_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    (tmp_path / "other.md").write_text("# A heading (`with` code)\n\n## Twice\n\n## Twice\n")
+    page = tmp_path / "page.md"
+    page.write_text(
+        "[a](other.md#a-heading-with-code) [b](other.md#twice-1) [c](https://no.example)\n\n    [d](code)\n"
+    )
+    assert not broken(page)
+    page.write_text("[a](gone.md) [b](other.md#gone) [c](#gone) ![d](gone.svg) [e](../other.md)\n")
+    assert [line.partition(":")[0] for line in broken(page)] == [
+        "gone.md", "other.md#gone", "#gone", "gone.svg", "../other.md",
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as `make docs` does; what mkdocs warns of is an error (strict)."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_the_site_has_every_page(site: Path) -> None:
+    pages = {p.relative_to(ROOT / "docs").with_suffix(".html").as_posix() for p in (ROOT / "docs").rglob("*.md")}
+    home = html.parse(site / "index.html").getroot()
+    menu = {link.get("href") for link in home.iterfind(".//div[@id='navbar-collapse']//a[@href]")}
+    assert pages
+    assert pages <= menu
+    assert "residual" in home.text_content()
+
+
+def test_links_of_the_site_lead_somewhere_and_nothing_is_fetched(site: Path) -> None:
+    trees = {page.resolve(): html.parse(page).getroot() for page in site.rglob("*.html")}
+    ids = {page: {e.get("id") for e in tree.iter() if e.get("id")} for page, tree in trees.items()}
+    said, followed = [], 0
+    for page, tree in trees.items():
+        for element, attribute, link, _ in tree.iterlinks():
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                if attribute in FETCHING or element.tag in ("link", "script", "style"):
+                    said.append(f"{page.name}: {link} would be fetched")
+                continue
+            # the page of errors is served at any address, so its links begin at the site's root
+            base = site if link.startswith("/") else page.parent
+            target = (base / unquote(parts.path).lstrip("/")).resolve() if parts.path else page
+            target = target / "index.html" if target.is_dir() else target
+            followed += 1
+            if not target.is_file():
+                said.append(f"{page.name}: {link}: no such file")
+            elif parts.fragment and target in ids and parts.fragment not in ids[target]:
+                said.append(f"{page.name}: {link}: no such place")
+    assert followed > 500
+    assert not said
+
+
+def test_the_site_has_two_colour_schemes_and_styles_fetch_nothing(site: Path) -> None:
+    page = (site / "tutorial.html").read_text()
+    assert 'data-bs-theme="auto"' in page
+    assert "theme-menu" in page
+    colours = (site / "site.css").read_text()
+    assert "[data-bs-theme=light] .codehilite" in colours
+    assert "[data-bs-theme=dark] .codehilite" in colours
+    for style in site.rglob("*.css"):
+        urls = re.findall(r"url\(['\"]?([^'\")]+)|@import\s+['\"]([^'\"]+)", style.read_text())
+        assert not [u for pair in urls for u in pair if u.startswith(("http", "//"))], style.name
