@@ -15,7 +15,9 @@ INTRODUCTION = """# The command line
 `modcal --help` lists the verbs, and `modcal VERB --help` says of one what stands here. Every verb ends with exit code 0
 when it is done; 2 when the input cannot be used, with one line on stderr that says what offends, the limit and the
 remedy, and nothing written (`modcal fleet` excepted, which writes what could be done); 130 when it was interrupted; 1
-when modcal itself is at fault, with a traceback."""
+when modcal itself is at fault, with a traceback.
+
+What `modcal calibrate` and `modcal evaluate` write: [fields of report.json](../report.md#fields-of-reportjson)."""
 
 
 def page() -> str:
