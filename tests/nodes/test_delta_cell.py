@@ -69,7 +69,8 @@ def test_it_goes_where_it_is_sent_and_nowhere_else(tmp_path: Path) -> None:
         assert cell.stop() == 0
     true = make_delta_world(delta, np.random.default_rng(SEED), 5e-4, 1e-3).tool_in_base(goal)
     at = truths[-1].pose.position
-    assert np.abs(np.array([at.x, at.y, at.z]) - true[:3, 3]).max() < 1e-9
+    # the rods are closed to 1e-12 m; what that comes to at the tool depends on the way that led there
+    assert np.abs(np.array([at.x, at.y, at.z]) - true[:3, 3]).max() < 1e-8
 
 
 @pytest.mark.parametrize(
