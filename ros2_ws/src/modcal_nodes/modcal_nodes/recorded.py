@@ -20,8 +20,8 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_tree import document
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
-from modcal_nodes.cli.saying import Watch, silent
 from modcal_nodes.inputs import read_cell
+from modcal_nodes.progress import Watch, silent
 from modcal_nodes.results import calibration_files, delta_files
 from modcal_nodes.wishes import Wishes
 

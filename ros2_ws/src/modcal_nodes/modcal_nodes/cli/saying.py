@@ -10,27 +10,18 @@ import functools
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 import click
 from rich.console import Console
+
+from modcal_nodes.progress import Watch, silent
 
 
 def say(lines: Iterable[str], console: Console) -> None:
     """Print these lines."""
     for line in lines:
         console.print(line, highlight=False)
-
-
-class Watch(Protocol):
-    """Hears what is being done, and, where that is known, the share of it that is done."""
-
-    def __call__(self, stage: str, share: float | None = None) -> None:
-        """Take notice."""
-
-
-def silent(stage: str, share: float | None = None) -> None:
-    """A watch that says nothing."""
 
 
 class Voice:

@@ -7,24 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 import yaml
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.parameters import SIMULATED_CELL, Parameter
-from modcal_nodes.simulation.pace import Grid
-from modcal_nodes.simulation.plant import TRACKER_PHASE, Plant
-from modcal_nodes.simulation.spoken import TRACKER
-from modcal_nodes.simulation.switches import SWITCHES
+from modcal_nodes.simulation.plant import Plant
+from modcal_nodes.simulation.recording import recorded
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _OF_THE_NODE = ("urdf", "delta", "start_delay_s", "repeat", "publish_clock", "clock_rate_hz", "time_factor")
 _STATIONS = 60
-_TEMPERATURE_RATE = 1.0  # Hz
 
 
 @click.command("simulate")
@@ -55,57 +48,6 @@ def simulate_command(robot: Path, out: Path, given: tuple[str, ...], later: tupl
     write_recording(recording, out)
     counts = f"{len(recording.joints[0].stamps)} joint states, {len(recording.readings[0].stamps)} readings"
     click.echo(f"{out}: {chosen['stations']} stations in {plant.end:.0f} s, {counts}")
-
-
-def recorded(plant: Plant, chosen: dict[str, Any], changes: list[tuple[float, str, Any]]) -> Recording:
-    """Everything the cell says until its last posture. changes: (seconds, switch, value), in order.
-
-    Raises BadTable for a change that cannot be.
-    """
-    fast, slow = chosen["joint_rate_hz"], chosen["tracker_rate_hz"]
-    grids = (Grid(fast), Grid(slow, TRACKER_PHASE * slow / fast), Grid(_TEMPERATURE_RATE))
-    joints: list[tuple[float, Array]] = []
-    readings: list[tuple[float, Array]] = []
-    felt: dict[str, list[tuple[float, float]]] = {}
-    for until, change in [*((when, (when, name, value)) for when, name, value in changes), (math.inf, None)]:
-        stop = min(until, plant.end)
-        for t in grids[0].take(stop):
-            q, v, effort = plant.joints(t)
-            joints.append((t, np.r_[q, v, np.full_like(q, np.nan) if effort is None else effort]))
-        for t in grids[1].take(stop):
-            readings.append((t, plant.read(plant.tool(t))))
-        for t in grids[2].take(stop):
-            if (warm := plant.temperature(t)) is not None:
-                felt.setdefault(warm[0], []).append((t, warm[1]))
-        if change is not None:
-            _switch(plant, *change)
-    first = chosen["clock_start_s"]
-    t, columns = first + np.array([x for x, _ in joints]), np.array([c for _, c in joints])
-    position, velocity, effort = np.split(columns, 3, axis=1)
-    s = first + np.array([x for x, _ in readings])
-    poses = se3.to_pose(np.array([T for _, T in readings]))
-    points = chosen["measurement"] == POINT
-    return Recording(
-        (JointTrack(plant.chain.names, t, position, velocity, effort, t),),
-        (ReadingTrack(POINT if points else POSE, TRACKER, s, poses[:, :3] if points else poses, s),),
-        tuple(
-            SignalTrack(f"temperature:{link}", first + np.array(rows)[:, 0], np.array(rows)[:, 1:])
-            for link, rows in felt.items()
-        ),
-        plant.text or None,
-    )
-
-
-def _switch(plant: Plant, when: float, name: str, value: Any) -> None:
-    if name not in SWITCHES:
-        raise BadTable(f"--at {when:g} {name}", "cannot change in time", f"use one of {', '.join(SWITCHES)}, or -p")
-    if when >= plant.end:
-        raise BadTable(
-            f"--at {when:g} {name}", f"the last posture is reached at {plant.end:.0f} s", "change it earlier"
-        )
-    if (reason := plant.switches.refusal({name: value})) is not None:
-        raise BadTable(f"--at {when:g} {name}", reason, "set another value")
-    plant.switches.set(name, value, when)
 
 
 def _parameter(text: str) -> tuple[str, Any]:
