@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from articulation.furniture_tracks import recorded
 from articulation.objects import ideal, noisy, real
 
 from modcal_core.articulation.choice import choose
@@ -86,12 +87,7 @@ def tracks(shared_data: Path) -> dict[str, tuple[Kind, Track]]:
     folder = shared_data / "articulation"
     if not folder.is_dir():
         pytest.skip("no tracks of real furniture beside this checkout")
-    out: dict[str, tuple[Kind, Track]] = {}
-    for file in sorted(folder.glob("position/*/*.log")) + sorted(folder.glob("pose/*.log")):
-        slides = "drawer" in file.parent.name or file.stem in ("M2U00394", "M2U00395")
-        kind: Kind = "prismatic" if slides else "revolute"
-        out[f"{file.parent.name}/{file.stem}"] = kind, Track.of_poses(np.loadtxt(file))
-    return out
+    return recorded(folder)
 
 
 @pytest.mark.slow

@@ -7,6 +7,9 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace as Message
 
+import numpy as np
+
+from modcal_core.articulation.added import AddedModel, Guarded
 from modcal_core.calibration.added import AddedEffect
 from modcal_msgs_py.added_topics import AddedTopic, Joints
 
@@ -19,8 +22,8 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_examples_run() -> None:
-    effect, topic = ({}, {})  # type: tuple[dict[str, object], dict[str, object]]
-    for program, names in zip(blocks("python"), (effect, topic), strict=True):
+    effect, topic, moving = ({}, {}, {})  # type: tuple[dict[str, object], dict[str, object], dict[str, object]]
+    for program, names in zip(blocks("python"), (effect, topic, moving), strict=True):
         exec(compile(program, "docs/extending.md", "exec"), names)
     assert isinstance(effect["EFFECT"], AddedEffect)
     added = topic["TOPIC"]
@@ -28,6 +31,11 @@ def test_the_examples_run() -> None:
     (said,) = added.take(Message(data=[0.1] * 6))
     assert isinstance(said, Joints)
     assert said.name[5] == "joint_6"
+    model = moving["MODEL"]
+    assert isinstance(model, AddedModel)
+    own = Guarded(model, "docs")
+    _, T = own.path(own.prior[0], 9)
+    assert np.allclose(np.hypot(T[:, 0, 3], T[:, 1, 3]), 0.25)  # in the middle of the bar it is a circle
 
 
 def test_the_entry_points_are_those_of_the_example() -> None:

@@ -82,6 +82,26 @@ print(json.dumps(dict(
     final=result.report.errors["final"].position_norm.mean())))
 """
 
+DOOR = """
+import json
+from pathlib import Path
+import numpy as np
+from scipy.spatial.transform import Rotation
+from articulation.folding import folding
+from articulation.objects import ideal, noisy
+from modcal_nodes.cli.main import run
+
+folder = Path({folder!r})
+rng = np.random.default_rng(1)
+p, R = folding(rng, 0.45, 0.15)
+hinge = noisy(ideal("revolute", np.linspace(0.0, 1.2, 60), rng, 0.4), rng, 1e-3, 5e-3)
+for name, (x, rotations) in dict(hinge=(hinge.positions, hinge.rotations), door=(p, R)).items():
+    np.savetxt(folder / (name + ".txt"), np.c_[x, Rotation.from_matrix(rotations).as_quat()])
+    assert run(["articulate", str(folder / (name + ".txt")), "--out", str(folder / "out")]) == 0
+    print("files", sorted(f.name for f in (folder / "out").iterdir()))
+    print("json", (folder / "out" / "articulation.json").read_text().replace("\\n", ""))
+"""
+
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Run:
@@ -156,3 +176,24 @@ def test_a_kind_of_a_package_is_fitted(installed: Run) -> None:
     assert std < 3e-4
     assert said["zero"] == pytest.approx([0.035], abs=3.0 * std)
     assert said["final"] < 1.2e-4
+
+
+def test_a_way_to_move_of_a_package_is_told(installed: Run, tmp_path: Path) -> None:
+    said = installed(DOOR.format(folder=str(tmp_path)))
+    hinge, door = (json.loads(line[5:]) for line in said.splitlines() if line.startswith("json "))
+    files = [line for line in said.splitlines() if line.startswith("files ")]
+    assert hinge["kind"] == "revolute"
+    assert hinge["probabilities"]["folding_door"] < 0.05
+    assert "object.urdf" in files[0]
+    assert (door["kind"], door["enough"]) == ("folding_door", True)
+    assert door["probabilities"]["folding_door"] > 0.95
+    handle = door["joint"]["parameters"]["handle_m"]
+    assert abs(handle["value"] - 0.15) < 3.0 * handle["std"]
+    assert handle["unit"] == "m"
+    assert door["joint"]["axis"] is None
+    assert door["configuration"]["unit"] == "rad"
+    assert door["residual_mm"]["rms"] < 3.0
+    # what it is no URDF can say, and the hinge's, which lay there, would be wrong
+    assert "object.urdf" not in files[1]
+    assert "No object.urdf: a URDF has no joint that moves like a folding_door" in " ".join(said.split())
+    assert "folding_door" in (tmp_path / "out" / "report.html").read_text()

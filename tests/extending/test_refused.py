@@ -42,9 +42,9 @@ GOOD = {
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def said(folder: Path, group: str, program: str, **changes: str) -> str:
+def said(folder: Path, group: str, program: str, package: str = "", **changes: str) -> str:
     """What a program says with such a package beside it."""
-    (folder / "bend.py").write_text(PACKAGE.format(**{**GOOD, **changes}))
+    (folder / "bend.py").write_text(package or PACKAGE.format(**{**GOOD, **changes}))
     info = folder / "bend-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bend\nVersion: 1.0\n")
@@ -109,3 +109,39 @@ RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
     if made == "7":
         take = 'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [7])'
     assert "topic /vendor: its package made " in said(tmp_path, "modcal.topics", program, added=take)
+
+
+MODEL = """
+import numpy as np
+from modcal_core.articulation.added import AddedModel, Parameter
+
+class Model(AddedModel):
+    name, parameters, lower, upper = "bend", (Parameter("size", 1.0, 0.1),), 0.0, 1.0
+    def pose(self, values, a):
+        return None
+
+model = Model()
+{change}
+ADDED = model
+"""
+CHOSEN = """
+import numpy as np
+from modcal_core.articulation.choice import choose
+from modcal_core.articulation.track import Track
+choose(Track(np.linspace([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], 30)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ("", "articulation model bend of package bend, pose at size = 1: has shape (), not (48, 4, 4)"),
+        ("model.name = 'screw'", "entry point bend of modcal.articulation: kind screw is taken: choose another name"),
+        ("model.share = 0.9", "entry point bend of modcal.articulation: its share is 0.9, not between 0 and 0.5"),
+        ("model = 3", "entry point bend of modcal.articulation: names a int: name an instance of an AddedModel"),
+        ("model.upper = 0.0", "entry point bend of modcal.articulation: its configurations lie between 0 and 0"),
+        ("import nothing_there", "entry point bend of modcal.articulation: package bend raises ModuleNotFoundError"),
+    ],
+)
+def test_a_way_to_move_that_cannot_be(tmp_path: Path, change: str, line: str) -> None:
+    assert line in said(tmp_path, "modcal.articulation", CHOSEN, package=MODEL.format(change=change))

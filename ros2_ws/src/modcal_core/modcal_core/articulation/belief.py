@@ -46,7 +46,6 @@ class Belief:
         self.rounds = 0
         self._rows: dict[tuple[Kind, int], Row] = {}
         self._left: list[tuple[Kind, int, _Stage]] = []
-        self._guess: Motion | None = None
         self._fresh: Row | None = None
         self._scene: Scene | None = None
         self._play, self._column = FEW[1], 0
@@ -60,20 +59,22 @@ class Belief:
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
     def think(self, nodes: Nodes) -> bool:
-        """A slot of the round, or a step on the nodes of now, or both; whether another kind is believed now."""
-        other = False
+        """A slot of the round, or a step on the nodes of now, or both; whether another kind is believed now.
+
+        What a round has found is concluded where the next one begins.
+        """
         self._turn += 1
-        live = self._turn % 2 == 0 and nodes.k >= FEWEST
-        if live and nodes.oriented and self.motion is not None:  # both together would take too long
-            self._improve(self.motion, nodes)
-            return False
-        if live and len(self._left) != 1 and self.motion is not None:  # the last slot chooses a motion anyway
-            self._improve(self.motion, nodes)
+        if self._turn % 2 == 0 and nodes.k >= FEWEST and self.motion is not None:
+            if nodes.oriented:  # both together would take too long
+                self._improve(self.motion, nodes)
+                return False
+            if self._left:  # else a motion is chosen anyway
+                self._improve(self.motion, nodes)
         if self._left and self._scene is not None:
             self._slot(*self._left.pop(), self._scene)
-            if not self._left:
-                other = self._conclude(self._scene)
-        elif nodes.k >= FEWEST:
+            return False
+        other = self._scene is not None and self._conclude(self._scene)
+        if nodes.k >= FEWEST:
             self._begin(nodes)
         return other
 
@@ -99,7 +100,6 @@ class Belief:
         slots: list[tuple[Kind, int, _Stage]] = [(kind, i, "fresh")]
         slots += [(kind, k, "again") for kind in KINDS[1:] for k in FEW]
         self._left = slots[::-1]
-        self._guess = self._guessed(kind, i, self._scene)
 
     def _slot(self, kind: Kind, i: int, stage: _Stage, scene: Scene) -> None:
         """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
@@ -112,7 +112,7 @@ class Belief:
         elif stage == "again" and known is not None:
             self._rows[kind, i] = glance(scene, known, play, self.rounds)
         else:
-            guess = self._guess if stage == "fresh" else self._guessed(kind, i, scene)
+            guess = self._guessed(kind, i, scene)
             if guess is None:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.evidence import Row, row, still, weigh
+from modcal_core.articulation.added import added_models
+from modcal_core.articulation.added_evidence import AddedTerms
+from modcal_core.articulation.added_fit import AddedFit, fit_added
+from modcal_core.articulation.evidence import Row, Terms, row, still, weigh
 from modcal_core.articulation.fit import Fit, fit
 from modcal_core.articulation.joints import KINDS, Kind
+from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
 from modcal_core.articulation.track import FEWEST, Track
@@ -21,10 +27,12 @@ SURE = 0.95  # probability from which a kind is said
 
 @dataclass(frozen=True)
 class Choice:
-    """probabilities: of every kind, 1 together. fit: of the most probable kind. enough: whether to rely on the kind.
+    """probabilities: of every kind, 1 together. fit: of the most probable of the four kinds of the house. enough:
+    whether to rely on the kind.
 
     why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
     when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
+    added: fits of the models that packages add, by name. kind: the most probable of all, which may be one of these.
     """
 
     probabilities: dict[Kind, float]
@@ -34,48 +42,71 @@ class Choice:
     fits: dict[Kind, Fit]
     follows: bool
     play: float
+    added: dict[str, AddedFit] = field(default_factory=dict)
+    best: AddedFit | None = None
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> str:
         """The most probable kind."""
-        return self.fit.model.kind
+        return self.leading.model.kind
+
+    @property
+    def leading(self) -> Fit | AddedFit:
+        """The fit of the most probable kind, one of a package included."""
+        return self.best or self.fit
 
 
 def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
-    """The choice between rigid, prismatic, revolute and screw for one track. rng: picks samples for first guesses."""
+    """The choice between rigid, prismatic, revolute, screw and what packages add, for one track.
+
+    rng: picks samples for first guesses. Raises BadTable where a package's model is none.
+    """
     rng = np.random.default_rng(0) if rng is None else rng
     fits = {kind: fit(track, kind, rng) for kind in KINDS}
-    richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
+    models = added_models()
+    added = {own.name: fit_added(track, own, rng) for own in models}
+    all_fits: list[Fit | AddedFit] = [*fits.values(), *added.values()]
+    richest = max(all_fits, key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
     kept = track.part(good) if good.sum() >= FEWEST else track
     scenes = _scenes(kept, richest, nodes)
     if not scenes:
         return _still(kept, fits)
-    rows: dict[Kind, list[Row]] = {}
-    for kind in KINDS[1:]:
-        at, motion, column = [], fits[kind].motion, 2
-        for k, scene in enumerate(scenes):
-            # there and back, as what is most probable at one play is a good guess for the next
-            line: list[Row] = []
-            for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
-                line.append(row(scene, motion, float(play), column=column))
-                motion, column = line[-1].motion, line[-1].column
-            at += line if k % 2 == 0 else line[::-1]
-        rows[kind] = at
+    rows = {kind: _rows(scenes, fits[kind].motion, Terms.of) for kind in KINDS[1:]}
+    for found in added.values():
+        rows[found.motion.kind] = _rows(scenes, found.motion, AddedTerms.of)
     priors = (LOG_DISTORTIONS[:, None] + LOG_PLAYS).ravel()
-    probabilities, best, i, j = weigh(rows, scenes[0].moved, priors)
-    if probabilities["rigid"] > probabilities[best]:
-        best = "rigid"
-    follows = best == "rigid" or not (track.oriented and bool(LOOSE[j]))
-    chosen = fits[best] if follows else fit(track.points(), best, rng)
-    if not follows:
-        fits = {**fits, best: chosen}
-    enough = probabilities[best] >= SURE
-    return Choice(probabilities, chosen, enough, _why(probabilities, chosen, enough, track), fits, follows,
-                  float(PLAYS[i % len(PLAYS)]))  # fmt: skip
+    shares = {added[own.name].motion.kind: own.model.share for own in models}
+    probabilities, kind, i, j = weigh(rows, scenes[0].moved, priors, shares)
+    if probabilities["rigid"] > probabilities[kind]:
+        kind = "rigid"
+    follows = kind == "rigid" or not (track.oriented and bool(LOOSE[j]))
+    if not follows and kind in added:
+        own = added[kind].motion.own
+        added = {**added, kind: fit_added(track.points(), own, rng)}
+    elif not follows:
+        fits = {**fits, kind: fit(track.points(), kind, rng)}
+    of_house = kind if kind in fits else max(KINDS, key=lambda k: probabilities[k])
+    enough, leading = probabilities[kind] >= SURE, added.get(kind) or fits[kind]
+    return Choice(probabilities, fits[of_house], enough, _why(probabilities, leading, enough, track), fits, follows,
+                  float(PLAYS[i % len(PLAYS)]), added, added.get(kind))  # fmt: skip
 
 
-def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
+def _rows(scenes: list[Scene], motion: Motion, look: Callable[[Scene, Motion, float], Terms]) -> list[Row]:
+    """A kind's rows: of each scene, one for every play."""
+    rows: list[Row] = []
+    column = 2
+    for k, scene in enumerate(scenes):
+        # there and back, as what is most probable at one play is a good guess for the next
+        line: list[Row] = []
+        for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
+            line.append(row(scene, motion, float(play), column=column, look=look))
+            motion, column = line[-1].motion, line[-1].column
+        rows += line if k % 2 == 0 else line[::-1]
+    return rows
+
+
+def gross(found: Fit | AddedFit, track: Track) -> NDArray[np.bool_]:
     """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
     sigma = _scales(found)
     e = found.motion.residuals(track, found.motion.configurations(track, sigma))
@@ -85,7 +116,7 @@ def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
-def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
+def _scenes(track: Track, richest: Fit | AddedFit, most: int) -> list[Scene]:
     """The nodes of a track with each size of distortion; none where nothing moved."""
     nodes = Nodes(track.oriented, most)
     for i in range(len(track)):
@@ -98,7 +129,7 @@ def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
     return [Scene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
 
 
-def _scales(found: Fit) -> tuple[float, float]:
+def _scales(found: Fit | AddedFit) -> tuple[float, float]:
     return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
 
 
@@ -123,10 +154,15 @@ def _still(track: Track, fits: dict[Kind, Fit]) -> Choice:
     return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]))
 
 
-def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Track) -> str:
-    model = chosen.model
+def _why(probabilities: dict[Kind, float], chosen: Fit | AddedFit, enough: bool, track: Track) -> str:
     span = float(np.ptp(chosen.configurations[chosen.weights > 0.2])) if (chosen.weights > 0.2).any() else 0.0
-    percent = {kind: f"{100.0 * p:.0f} %" for kind, p in probabilities.items()}
+    if isinstance(chosen, AddedFit):
+        path = chosen.model.position(np.sort(chosen.configurations[chosen.weights > 0.2]))
+        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        said = ", ".join(f"{name} {value:.3g} ± {chosen.std[name]:.2g}" for name, value in chosen.model.values.items())
+        seen = f"moved {1e2 * way:.0f} cm along its path; {said}"
+        return _sentence(probabilities, chosen.model.kind, enough, seen)
+    model = chosen.model
     if model.kind == "rigid":
         seen = f"moved by no more than {1e3 * track.extent():.0f} mm"
     elif model.kind == "prismatic":
@@ -134,7 +170,12 @@ def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Tra
     else:
         rise = f", rising {2e3 * np.pi * model.pitch:.0f} mm a turn" if model.kind == "screw" else ""
         seen = f"turned {np.degrees(span):.0f}° at {1e2 * model.radius:.0f} cm from its axis{rise}"
+    return _sentence(probabilities, model.kind, enough, seen)
+
+
+def _sentence(probabilities: dict[Kind, float], kind: str, enough: bool, seen: str) -> str:
+    percent = {str(k): f"{100.0 * p:.0f} %" for k, p in probabilities.items()}
     if enough:
-        return f"{model.kind} ({percent[model.kind]}): it {seen}"
-    ranked = sorted(probabilities, key=lambda kind: -probabilities[kind])[:2]
+        return f"{kind} ({percent[kind]}): it {seen}"
+    ranked = sorted(percent, key=lambda k: -probabilities[cast("Kind", k)])[:2]
     return f"not enough motion yet: {percent[ranked[0]]} {ranked[0]}, {percent[ranked[1]]} {ranked[1]}; it {seen}"

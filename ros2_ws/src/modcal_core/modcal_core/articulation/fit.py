@@ -23,6 +23,7 @@ from functools import cache
 import numpy as np
 
 from modcal_core.articulation import furniture
+from modcal_core.articulation.added_motion import AddedMotion
 from modcal_core.articulation.joints import JointModel, Kind
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.seeds import seeds
@@ -62,19 +63,35 @@ def fit(track: Track, kind: Kind, rng: np.random.Generator | None = None, prior:
     """The most likely joint of this kind. start: begin there, else with robust guesses (rng chooses their samples)."""
     rng = np.random.default_rng(0) if rng is None else rng
     starts = [start] if start is not None else seeds(track, kind, rng)
-    best = min((_climb(track, s, prior) for s in starts), key=lambda c: c.cost)
+    best = min((climb(track, s, prior) for s in starts), key=lambda c: c.cost)
     return _told(track, best, prior)
 
 
 @dataclass
-class _State:
+class State:
+    """A motion, the scales (m, rad) of its residuals, and what they cost together."""
+
     motion: Motion
     sigma: tuple[float, float]
     cost: float
 
 
+@dataclass(frozen=True)
+class Settled:
+    """What a climb comes to, of any motion: as in ``Fit``, the configurations as the motion counts them."""
+
+    configurations: Array
+    weights: Array
+    sigma_position: float
+    sigma_rotation: float
+    log_likelihood: float
+    parameters: Array
+
+
 def prior_terms(motion: Motion) -> tuple[float, Array, Array]:
     """Half the squared distance from furniture's prior, its gradient (size,) and its curvature (size,), diagonal."""
+    if isinstance(motion, AddedMotion):
+        return motion.prior_terms()
     cost, gradient = 0.0, np.zeros(motion.size)
     if motion.turns:
         terms = [(math.log(motion.r), furniture.RADIUS)]
@@ -154,7 +171,7 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def _climb(track: Track, motion: Motion, prior: bool) -> _State:
+def climb(track: Track, motion: Motion, prior: bool) -> State:
     """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes."""
     sigma = (5e-3, 0.07)
     a = motion.configurations(track, sigma)
@@ -187,7 +204,7 @@ def _climb(track: Track, motion: Motion, prior: bool) -> _State:
                 motion, damping = tried, max(damping * 0.2, 1e-9)
                 break
             damping = max(damping * 8.0, 1e-6)
-    return _State(motion, sigma, cost)
+    return State(motion, sigma, cost)
 
 
 def _bounded(step: Array) -> Array:
@@ -196,7 +213,18 @@ def _bounded(step: Array) -> Array:
     return step if largest < 0.5 else step * (0.5 / largest)
 
 
-def _told(track: Track, state: _State, prior: bool) -> Fit:
+def _told(track: Track, state: State, prior: bool) -> Fit:
+    motion, at = state.motion, settled(track, state, prior)
+    named = {name: g @ at.parameters @ g.T for name, g in motion.gradients().items()}
+    if "point" in named:
+        named["centre"] = named["point"]
+    first = float(at.configurations[0]) if motion.kind != "rigid" else 0.0
+    return Fit(motion.model(first), at.configurations - first, named, at.log_likelihood, at.weights,
+               at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
+
+
+def settled(track: Track, state: State, prior: bool) -> Settled:
+    """Configurations, scales, weights and covariance at the end of a climb."""
     motion, sigma = state.motion, state.sigma
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
@@ -204,16 +232,11 @@ def _told(track: Track, state: _State, prior: bool) -> Fit:
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
     covariance = _covariance(motion, z, J, w, d, prior)
-    gradients = motion.gradients()
-    named = {name: g @ covariance @ g.T for name, g in gradients.items()}
-    if "point" in named:
-        named["centre"] = named["point"]
     log_likelihood = prior_terms(motion)[0] * prior - state.cost + len(z) * _log_constant(d)
     spread = _spread(w, chi, d)
-    first = float(a[0]) if motion.kind != "rigid" else 0.0
     rotation = sigma[1] * spread if z.shape[1] == 6 else np.nan
-    return Fit(motion.model(first), a - first, named, float(log_likelihood), np.minimum(w * NU / (NU + d), 1.0),
-               sigma[0] * spread, rotation, motion, covariance)  # fmt: skip
+    weights = np.minimum(w * NU / (NU + d), 1.0)
+    return Settled(a, weights, sigma[0] * spread, rotation, float(log_likelihood), covariance)
 
 
 def _log_constant(d: int) -> float:

@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.single import crossed
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.so3 import HAT, Array
 
 Kind = Literal["rigid", "prismatic", "revolute", "screw"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # How far a turn weighs against a shift where one configuration must satisfy both: a hand is about this long.
 _LENGTH = 0.1  # m
 _EYE = np.eye(3)
-HAT = so3.hat(_EYE).reshape(3, 9)  # a vector times this is its skew-symmetric matrix, flat
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,19 @@ class JointModel:
         R = self.start[:3, :3]
         if np.abs(R @ R.T - _EYE).max() > 1e-6 or crossed(R[:, 0], R[:, 1]) @ R[:, 2] < 0.0:
             raise BadRobot(f"joint {self.kind}, start", "is no rigid transform", "give a rotation and a position")
+
+    @classmethod
+    def trusted(
+        cls, kind: Kind, start: Array, axis: Array, point: Array, pitch: float = 0.0, oriented: bool = True
+    ) -> JointModel:
+        """A joint of numbers known to be sound, not looked at again: one made anew with every pose has no time."""
+        joint = cls.__new__(cls)
+        for name, value in (("start", start), ("axis", axis), ("point", point)):
+            value.flags.writeable = False
+            object.__setattr__(joint, name, value)
+        for name, other in (("kind", kind), ("pitch", pitch), ("oriented", oriented)):
+            object.__setattr__(joint, name, other)
+        return joint
 
     @property
     def turns(self) -> bool:

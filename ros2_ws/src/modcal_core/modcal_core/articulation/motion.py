@@ -25,11 +25,11 @@ from functools import cache
 
 import numpy as np
 
-from modcal_core.articulation.joints import HAT, JointModel, Kind, wrapped
+from modcal_core.articulation.joints import JointModel, Kind, wrapped
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.single import posed, turned
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.so3 import HAT, Array
 from modcal_core.robots.posture import rotation_vector
 
 RADIUS = (2e-3, 200.0)  # m; beyond, a circle cannot be told from a turn on the spot, or from a line
@@ -217,7 +217,7 @@ class Motion:
         """Write what rotations leave, and how it changes with a and with the parameters."""
         Q = self._against_start(track)
         if not derivatives:
-            both[:, 3:, 0] = _log(Q if C is None else C @ Q)[0]
+            both[:, 3:, 0] = quick_log(Q if C is None else C @ Q)[0]
             return
         both[:, 3:, 0], J_phi = _log_and_jacobian(Q if C is None else C @ Q)
         if C is not None:
@@ -244,7 +244,7 @@ class Motion:
             p = point + turn @ (p - point) + rise
             point = point + rise  # stays nearest to the start
             R = turn @ R if self.R is not None else R
-        return JointModel(self.kind, posed(R, p), axis, point, self.h, self.R is not None)
+        return JointModel.trusted(self.kind, posed(R, p), axis, point, self.h, self.R is not None)
 
     @property
     def axis(self) -> Array:
@@ -278,7 +278,7 @@ def _many(a: Array) -> bool:
     return bool(np.ptp(a) > 2.0 * np.pi)
 
 
-def _log(R: Array) -> tuple[Array, Array, Array]:
+def quick_log(R: Array) -> tuple[Array, Array, Array]:
     """Rotation vectors (n, 3) of rotations (n, 3, 3); sines and cosines (n,) of their angles.
 
     By the sine where no angle is large, which is quicker than by quaternions.
@@ -296,7 +296,7 @@ def _log_and_jacobian(R: Array) -> tuple[Array, Array]:
 
     I + ½ [φ] + k [φ]² with k = (1 − ½ θ cot ½θ) / θ², and cot ½θ = (1 + cos θ) / sin θ is at hand.
     """
-    phi, sine, cosine = _log(R)
+    phi, sine, cosine = quick_log(R)
     square = (phi * phi).sum(axis=1)
     if sine.min() < 1e-3:  # the quotient would lose digits
         return phi, so3.left_jacobian_inverse(-phi)

@@ -29,8 +29,8 @@ class Nodes:
         self.counts = np.zeros(most)
         self.k = 0
 
-    def add(self, position: Array, rotation: Array | None, weight: float = 1.0) -> int:
-        """Pool one sample; the index of its node."""
+    def add(self, position: Array, rotation: Array | None, weight: float = 1.0) -> bool:
+        """Pool one sample; whether there were too many nodes, so that all were pooled again, which takes its time."""
         row = np.empty(self._width)
         row[:3] = position
         if self.oriented:
@@ -38,7 +38,7 @@ class Nodes:
             row[3:] = rotation.ravel() * (_LENGTH / np.sqrt(2.0))
         return self._pool(row * weight, weight)
 
-    def _pool(self, row: Array, weight: float) -> int:
+    def _pool(self, row: Array, weight: float) -> bool:
         if self.k:
             apart = self.means() - row / weight
             squared = (apart * apart).sum(axis=1)
@@ -47,13 +47,14 @@ class Nodes:
                 self._sums[nearest] += row
                 self.counts[nearest] += weight
                 self._stale[nearest] = True
-                return nearest
+                return False
         if self.k == self.most:
             self._coarsen()
-            return self._pool(row, weight)
+            self._pool(row, weight)
+            return True
         self._sums[self.k], self.counts[self.k], self._stale[self.k] = row, weight, True
         self.k += 1
-        return self.k - 1
+        return False
 
     def _coarsen(self) -> None:
         rows, counts, k = self._sums[: self.k].copy(), self.counts[: self.k].copy(), self.k

@@ -66,6 +66,7 @@ class State:
     follows: bool = True
 
 
+_EYE = np.eye(3)
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
 _BESIDE = 6  # poses beside the path after which it has been left
 _MENDING = 3  # rounds of thought that a model gets to follow a handle that has left its path
@@ -116,8 +117,8 @@ class Tracker:
         off, twisted, event = self._compare(p, R)
         for q, S in self._accepted(p, R, off, twisted):
             self._moved = max(self._moved, math.dist(q, self._first))
-            self._nodes.add(q, S)
-            if self._belief.think(self._nodes):
+            pooled_again = self._nodes.add(q, S)  # enough for one pose
+            if not pooled_again and self._belief.think(self._nodes):
                 self._foresight.begin(*self._reached())
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
@@ -134,9 +135,7 @@ class Tracker:
             raise BadCommand("pose of the handle", "comes without a rotation, unlike before", "reset, or give both")
         if not self._oriented:
             R = None
-        if R is not None and (
-            R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-3
-        ):
+        if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - _EYE).max() > 1e-3):
             raise BadCommand("pose of the handle", "its rotation is no rotation matrix", "give a unit quaternion")
         if not np.isfinite(stamp) or stamp < self._stamp:
             raise BadCommand(

@@ -8,7 +8,7 @@ Samples are drawn by their order only, so a track that is moved or mirrored gets
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -23,7 +23,7 @@ _TRIES = 40
 _CIRCLES = 6  # of them that are tried as threads
 _SLOPES = (-0.4, -0.15, -0.04, 0.04, 0.15, 0.4)  # rad, of a thread against its circle
 _SCORED = 50  # samples that a guess is scored on
-_ROUGH = (5e-3, 0.07)  # m and rad: noise when nothing is known of it yet
+ROUGH = (5e-3, 0.07)  # m and rad: noise when nothing is known of it yet
 _CUT = 9.0  # squared, normalised residual at which an outlier begins
 _PAIRS = 10
 
@@ -34,14 +34,15 @@ def seeds(track: Track, kind: Kind, rng: np.random.Generator, keep: int = 2, tri
     few = track.part(rows)
     if kind == "rigid":
         p = np.median(track.positions, axis=0)
-        return [Motion("rigid", p, np.eye(3), None if track.rotations is None else _middle(track.rotations))]
-    best = _best(_guesses(few, kind, rng, tries), few, keep if kind != "screw" else _CIRCLES)
+        return [Motion("rigid", p, np.eye(3), None if track.rotations is None else middle_rotation(track.rotations))]
+    best = best_of(_guesses(few, kind, rng, tries), few, keep if kind != "screw" else _CIRCLES)
     if kind == "screw":
-        best = _best((thread for circle in best for thread in _threads(circle, few)), few, keep + 1)
+        best = best_of((thread for circle in best for thread in _threads(circle, few)), few, keep + 1)
     return best or [_fallback(few, kind)]
 
 
-def _best(guesses: Iterator[Motion], track: Track, keep: int) -> list[Motion]:
+def best_of(guesses: Iterable[Motion], track: Track, keep: int) -> list[Motion]:
+    """The best of these guesses, best first, by a likelihood that is cut off."""
     sound = [g for g in guesses if np.isfinite(g.p).all() and np.isfinite(g.G).all()]
     scored = sorted((_score(g, track), i) for i, g in enumerate(sound))
     return [sound[i] for _, i in scored[:keep]]
@@ -83,10 +84,10 @@ def rough(track: Track, kind: Kind, circle: Motion | None, turn: int) -> Motion 
 
 def _score(guess: Motion, track: Track) -> float:
     """Cut-off negative log-likelihood."""
-    e = guess.residuals(track, guess.configurations(track, _ROUGH))
-    z = (e[:, :3] ** 2).sum(axis=1) / _ROUGH[0] ** 2
+    e = guess.residuals(track, guess.configurations(track, ROUGH))
+    z = (e[:, :3] ** 2).sum(axis=1) / ROUGH[0] ** 2
     if e.shape[1] == 6:
-        z = np.minimum(z, _CUT) + np.minimum((e[:, 3:] ** 2).sum(axis=1) / _ROUGH[1] ** 2, _CUT)
+        z = np.minimum(z, _CUT) + np.minimum((e[:, 3:] ** 2).sum(axis=1) / ROUGH[1] ** 2, _CUT)
     cost = float(np.minimum(z, 2.0 * _CUT if e.shape[1] == 6 else _CUT).sum())
     # The rise of a thread and the width of a circle are bounded by what exists; ties go to the nearer axis.
     return cost + (1e-3 * abs(np.log(guess.r / 0.4)) if guess.turns else 0.0)
@@ -119,7 +120,7 @@ def _threads(circle: Motion, track: Track) -> Iterator[Motion]:
         yield Motion(
             "screw", circle.p, np.stack([c * t - s * b, n, s * t + c * b], axis=1), circle.R, r, _pitch(r * s / c)
         )
-    a = circle.configurations(track, _ROUGH)
+    a = circle.configurations(track, ROUGH)
     rise = ((track.positions - circle.p) @ circle.G)[:, 2]
     i = np.arange(len(a))
     j = (i + len(a) // 2) % len(a)
@@ -176,11 +177,11 @@ def _frame(e: Array, n: Array | None) -> Array:
 def _fallback(track: Track, kind: Kind) -> Motion:
     """Something to begin with where no sample differs from another."""
     G = _frame(np.linalg.svd(track.positions - track.positions.mean(axis=0))[2][0], None)
-    R = None if track.rotations is None else _middle(track.rotations)
+    R = None if track.rotations is None else middle_rotation(track.rotations)
     return Motion(kind, track.positions[0], G, R, 0.4, 0.01 if kind == "screw" else 0.0)
 
 
-def _middle(rotations: Array) -> Array:
+def middle_rotation(rotations: Array) -> Array:
     """Of the rotations, one that is near most: outliers cannot pull it."""
     some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS * 3).round().astype(int))]
     apart = np.linalg.norm(some[:, None] - some[None], axis=(2, 3))

@@ -12,17 +12,29 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from modcal_core.errors import BadTable
+
 _OURS = b"[modcal."
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
-    """(how to call it in a message to people, what it names) of each entry point of a group."""
+    """(how to call it in a message to people, what it names) of each entry point of a group.
+
+    Raises BadTable where a package cannot be loaded.
+    """
     if not _any_announced():
         return
     from importlib.metadata import entry_points
 
     for point in entry_points(group=group):
-        yield f"entry point {point.name} of {group}", point.load()
+        offender = f"entry point {point.name} of {group}"
+        try:
+            named = point.load()
+        except Exception as error:  # whatever a package may do
+            package = "its package" if point.dist is None else f"package {point.dist.name}"
+            said = f"{package} raises {type(error).__name__} ({error})"
+            raise BadTable(offender, said, "mend the package, or uninstall it") from error
+        yield offender, named
 
 
 @cache

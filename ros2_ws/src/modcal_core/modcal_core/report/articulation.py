@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from modcal_core.articulation.added_fit import AddedFit, AddedJoint
 from modcal_core.articulation.choice import Choice, gross
-from modcal_core.articulation.joints import KINDS
+from modcal_core.articulation.fit import Fit
+from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -18,6 +20,8 @@ from modcal_core.report.palette import LIGHT, OF_AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+_SHOWN = {"rad": (180.0 / np.pi, "deg"), "m": (1e2, "cm"), "1": (1.0, "")}  # how people read configurations
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Articulation:
 
 def _left(found: Articulation) -> tuple[Array, Array | None]:
     """What is left across the path: positions (n, 3) [m], and rotations (n, 3) [rad] or None."""
-    fit, track = found.choice.fit, found.track
+    fit, track = found.choice.leading, found.track
     T = fit.model.pose(fit.configurations)
     position = track.positions - T[:, :3, 3]
     if track.rotations is None or not fit.model.oriented:
@@ -43,13 +47,12 @@ def _left(found: Articulation) -> tuple[Array, Array | None]:
 def to_json_data(found: Articulation) -> dict[str, Any]:
     """What was found, as numbers and texts that JSON can hold."""
     choice, track = found.choice, found.track
-    fit, model = choice.fit, choice.fit.model
+    fit, model = choice.leading, choice.leading.model
     used = track if model.oriented else track.points()
     good = np.logical_not(gross(fit, used))
     good = good if good.any() else np.ones(len(track), dtype=bool)
     position, rotation = _left(found)
     lengths = np.linalg.norm(position[good], axis=1)
-    std = {name: [float(v) for v in np.sqrt(np.diag(C))] for name, C in fit.covariance.items() if name != "centre"}
     a = fit.configurations[good]
     return {
         "modcal_articulation": 1,
@@ -60,19 +63,12 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         "rejected": int((~good).sum()),
         "kind": model.kind,
         "enough": bool(choice.enough),
-        "probabilities": {kind: float(choice.probabilities[kind]) for kind in KINDS},
+        "probabilities": {kind: float(p) for kind, p in choice.probabilities.items()},
         "verdict": choice.why[:1].upper() + choice.why[1:] + ".",
         "rotations_followed": bool(choice.follows),
-        "joint": {
-            "axis": model.axis.tolist() if model.kind != "rigid" else None,
-            "point": model.point.tolist() if model.turns else None,
-            "radius": model.radius if model.turns else None,
-            "pitch": model.pitch if model.kind == "screw" else None,
-            "start": se3.to_pose(model.start).tolist(),
-            "std": std,
-        },
+        "joint": _added_data(fit) if isinstance(fit, AddedFit) else _joint_data(fit),
         "configuration": {
-            "unit": "rad" if model.turns else "m",
+            "unit": _unit(model),
             "lower": float(a.min()),
             "upper": float(a.max()),
         },
@@ -84,6 +80,40 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         if rotation is None
         else {"rms": float(np.degrees(np.sqrt(np.mean((rotation[good] ** 2).sum(axis=1)))))},
     }
+
+
+def _joint_data(fit: Fit) -> dict[str, Any]:
+    """Where a joint of the house lies, and how well that is known."""
+    model = fit.model
+    return {
+        "axis": model.axis.tolist() if model.kind != "rigid" else None,
+        "point": model.point.tolist() if model.turns else None,
+        "radius": model.radius if model.turns else None,
+        "pitch": model.pitch if model.kind == "screw" else None,
+        "start": se3.to_pose(model.start).tolist(),
+        "std": {name: np.sqrt(np.diag(C)).tolist() for name, C in fit.covariance.items() if name != "centre"},
+    }
+
+
+def _added_data(fit: AddedFit) -> dict[str, Any]:
+    """The shape and the place of what a package's model is; it has no axis."""
+    return {
+        "axis": None,
+        "point": None,
+        "radius": None,
+        "pitch": None,
+        "start": se3.to_pose(fit.model.pose(fit.configurations[:1])[0]).tolist(),
+        "std": {},
+        "object": se3.to_pose(fit.model.T_world_object).tolist(),
+        "parameters": fit.data(),
+    }
+
+
+def _unit(model: JointModel | AddedJoint) -> str:
+    """Of configurations."""
+    if isinstance(model, AddedJoint):
+        return model.unit
+    return "rad" if model.turns else "m"
 
 
 def to_html(found: Articulation) -> str:
@@ -118,10 +148,14 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("distance of the handle", f"{1e3 * joint['radius']:.1f} mm"))
     if joint["pitch"] is not None:
         rows.append(("rise", f"{2e3 * np.pi * joint['pitch']:.2f} mm a turn{spread('pitch', 2e3 * np.pi, 'mm')}"))
+    for name, known in joint.get("parameters", {}).items():
+        unit = "" if known["unit"] == "1" else f" {known['unit']}"
+        rows.append((name, f"{known['value']:.4g} ± {known['std']:.2g}{unit}"))
+    if "object" in joint:
+        rows.append(("the object's origin, m", numbers(joint["object"][:3])))
     span = data["configuration"]["upper"] - data["configuration"]["lower"]
-    rows.append(
-        ("seen", f"{np.degrees(span):.1f} deg" if data["configuration"]["unit"] == "rad" else f"{1e2 * span:.1f} cm")
-    )
+    scale, unit = _SHOWN[data["configuration"]["unit"]]
+    rows.append(("seen", f"{scale * span:.1f} {unit}".rstrip()))
     rows.append(("left over", f"{data['residual_mm']['rms']:.2f} mm RMS, {data['residual_mm']['p95']:.2f} mm at 95 %"))
     if data["residual_deg"] is not None:
         rows.append(("left over, turned", f"{data['residual_deg']['rms']:.2f} deg RMS"))
@@ -135,14 +169,14 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
     figure = Figure(figsize=(7.0, 3.0), layout="constrained")
     side, along = figure.subplots(1, 2)
     _draw_path(side, found)
-    fit = found.choice.fit
+    fit = found.choice.leading
     left, _ = _left(found)
-    scale, unit = (180.0 / np.pi, "deg") if fit.model.turns else (1e2, "cm")
+    scale, unit = _SHOWN[data["configuration"]["unit"]]
     shown = np.linalg.norm(left, axis=1) < 0.05
     for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
         along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=colour, label="xyz"[k])
-    label(along, f"configuration, {unit}", "left over, mm")
+    label(along, f"configuration, {unit}" if unit else "configuration", "left over, mm")
     along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
     alt = f"The path of a {data['kind']} joint and what it leaves over: {data['residual_mm']['rms']:.2f} mm RMS."
     words = "Left: what was seen, in the plane of the path, and the joint's own path. Right: what is left along it."
@@ -150,7 +184,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
 
 
 def _draw_path(axes: Axes, found: Articulation) -> None:
-    fit, p = found.choice.fit, found.track.positions
+    fit, p = found.choice.leading, found.track.positions
     good = fit.weights > 0.2
     good = good if good.sum() > 2 else np.ones(len(p), dtype=bool)
     middle = p[good].mean(axis=0)
@@ -160,7 +194,7 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     a = fit.configurations[good]
     path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
     axes.plot(*(1e2 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
-    if fit.model.turns and fit.model.radius < 2.0:
+    if isinstance(fit.model, JointModel) and fit.model.turns and fit.model.radius < 2.0:
         centre = (fit.model.point - middle) @ plane
         axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color=LIGHT["after"])
     axes.set_aspect("equal", adjustable="datalim")

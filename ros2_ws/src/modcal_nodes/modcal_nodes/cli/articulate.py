@@ -25,6 +25,7 @@ from modcal_nodes.files import to_json, write_folder
 from modcal_nodes.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
+_URDF = "object.urdf"
 _MOST = 2000  # samples; of more, evenly chosen ones say the same
 
 
@@ -62,6 +63,8 @@ def articulate_command(
 ) -> None:
     """Say how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
 
+    Models of installed packages are weighed too; what moves like one of them has no URDF.
+
     BAG is a bag with tracker poses or points, or joint states of the arm that holds the handle; or a text file with
     x y z, or x y z qx qy qz qw, in every line [m].
     """
@@ -77,16 +80,21 @@ def articulate_command(
         choice = choose(track, np.random.default_rng(seed))
     found = Articulation(bag.name, read.frame, track, choice)
     data = to_json_data(found)
-    model, reach = choice.fit.model, data["configuration"]
-    limits = None if model.kind == "rigid" else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
     out = out or Path(f"{bag.resolve().stem}_articulation")
-    files = {
-        "articulation.json": to_json(data),
-        "object.urdf": describe(model, read.frame or "world", "object_handle", limits),
-        "report.html": to_html(found),
-    }
+    files = {"articulation.json": to_json(data), "report.html": to_html(found)}
+    said = [data["verdict"]]
+    if choice.best is None:
+        model, reach = choice.fit.model, data["configuration"]
+        limits = None if model.kind == "rigid" else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
+        files[_URDF] = describe(model, read.frame or "world", "object_handle", limits)
+    else:
+        said.append(
+            f"No {_URDF}: a URDF has no joint that moves like a {choice.kind}; articulation.json says how it moves."
+        )
     write_folder(out, files)
-    voice.result(data, partial(say, [data["verdict"]]), f"Report: {out / 'report.html'}")
+    if _URDF not in files:  # one of an earlier call would tell of another joint
+        (out / _URDF).unlink(missing_ok=True)
+    voice.result(data, partial(say, said), f"Report: {out / 'report.html'}")
 
 
 def _text_track(path: Path) -> Array:

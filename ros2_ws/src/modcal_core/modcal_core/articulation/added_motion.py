@@ -1,0 +1,179 @@
+"""A model of a package while it is being fitted: where its object stands, how it is grasped, and its shape.
+
+    T_world_handle(a) = T_world_object · pose(values, a),   R_world_handle(a) = R_world_object · R_pose(a) · R_grasp
+
+What was seen at configuration a is unwound into the frame that the model moves along, as ``motion`` does:
+
+    e = B(a)ᵀ (p_seen − p(a)),   φ = log(B(a)ᵀ R_seen R_graspᵀ),   B = R_world_object R_pose(a)
+
+Parameters are small changes: a shift of the object [m] and a turn of it about the middle of the track [rad], with
+rotations a turn of the grasp [rad], and the shape in standard deviations of its prior. Derivatives by the shape and by
+the configuration are central differences; the others are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from modcal_core.articulation.added import FARTHEST, Guarded
+from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.motion import Motion, quick_log
+from modcal_core.articulation.track import Track
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.single import turned
+from modcal_core.geometry.so3 import Array
+
+_GRID = 128  # configurations among which the nearest is looked for first
+_NEWTON = 3  # steps from there
+_SMALL = 1e-5  # of the range of configurations, for differences
+_SMALL_VALUE = 1e-4  # standard deviations, likewise
+# Curvatures at which Laplace's method gives what is bounded, where the track says nothing: all rotations of the object
+# (8π²), and one metre of path along which it may lie, the unit in which all kinds count configurations.
+_ALL_TURNS = 2.0 * math.pi / (8.0 * math.pi**2) ** (2.0 / 3.0)
+_ONE_METRE = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
+class AddedMotion(Motion):
+    """own: the model. values (P,). T: T_world_object (4, 4). R: of the grasp (3, 3), None without rotations.
+
+    middle: about which the object turns (3,) [m], the middle of the track. Of a Motion's fields, kind bears the model's
+    name; p, G, r and h mean nothing here.
+    """
+
+    own: Guarded = field(kw_only=True)
+    values: Array = field(kw_only=True)
+    T: Array = field(kw_only=True)
+    middle: Array = field(kw_only=True)
+
+    @classmethod
+    def of(cls, own: Guarded, values: Array, T: Array, grasp: Array | None, middle: Array) -> AddedMotion:
+        """The motion with this shape, place and grasp."""
+        # wherever kinds are compared and counted, this one is another of them
+        kind = cast("Kind", own.name)
+        return cls(kind, np.zeros(3), np.eye(3), grasp, own=own, values=values, T=T, middle=middle)
+
+    @property
+    def size(self) -> int:
+        """How many parameters it has."""
+        return 6 + 3 * (self.R is not None) + self.own.size
+
+    @property
+    def start_turn(self) -> int:
+        """Which parameter is the first of the three by which the grasp is turned."""
+        return 6
+
+    def moved(self, z: Array) -> AddedMotion:
+        """The motion with its parameters changed by z (size,), the shape kept within what its prior allows."""
+        turn = turned(z[3:6])
+        p = self.middle + z[:3] + turn @ (self.T[:3, 3] - self.middle)
+        T = se3.transform(turn @ self.T[:3, :3], p)
+        grasp = None if self.R is None else turned(z[6:9]) @ self.R
+        mean, std = self.own.prior
+        values = np.clip(
+            self.values + std * z[self.size - self.own.size :], mean - FARTHEST * std, mean + FARTHEST * std
+        )
+        return AddedMotion.of(self.own, values, T, grasp, self.middle)
+
+    @cached_property
+    def _path(self) -> tuple[Array, Array]:
+        """Configurations (g,) over the whole range, and T_world_body (g, 4, 4) there."""
+        a, T = self.own.path(self.values, _GRID)
+        return a, self.T @ T
+
+    def bodies(self, a: Array) -> Array:
+        """T_world_body (n, 4, 4) at configurations a (n,): the handle's, before it is grasped."""
+        return self.T @ self.own.pose(self.values, a)
+
+    def poses(self, a: Array) -> Array:
+        """T_world_handle (n, 4, 4) at configurations a (n,)."""
+        T = self.bodies(a)
+        if self.R is not None:
+            T[:, :3, :3] = T[:, :3, :3] @ self.R
+        return T
+
+    def configurations(self, track: Track, sigma: tuple[float, float] = (1.0, 1.0)) -> Array:
+        """Latent configurations (n,) that are most likely where noise is sigma, (m, rad): of all, then by Newton."""
+        grid, T = self._path
+        seen = track.positions
+        cost = ((seen[:, None] - T[None, :, :3, 3]) ** 2).sum(axis=2) / sigma[0] ** 2
+        oriented = self.R is not None and track.rotations is not None and sigma[1] < 1e6
+        if oriented:
+            assert track.rotations is not None
+            assert self.R is not None
+            # |log Q|² ≈ 3 − tr Q, the trace as a product of flat matrices
+            bare = (track.rotations @ self.R.T).reshape(-1, 9)
+            cost += (3.0 - bare @ T[:, :3, :3].reshape(-1, 9).T) / sigma[1] ** 2
+        scale = np.array([1.0 / sigma[0]] * 3 + [1.0 / sigma[1]] * 3 * oriented)
+        a, cell = grid[cost.argmin(axis=1)], grid[1] - grid[0]
+        low, high = np.maximum(a - cell, grid[0]), np.minimum(a + cell, grid[-1])
+        for _ in range(_NEWTON):
+            e, by_a = (scale * x for x in self._seen(track, a, oriented))
+            step = (e * by_a).sum(axis=1) / np.maximum((by_a * by_a).sum(axis=1), 1e-30)
+            a = np.clip(a - step, low, high)
+        return a
+
+    def residuals(self, track: Track, a: Array) -> Array:
+        """Residuals (n, 3) [m], or (n, 6) [m, rad] with rotations, unwound, at configurations a (n,)."""
+        return self._unwound(track, self.bodies(a), self.R is not None and track.rotations is not None)
+
+    def expanded(self, track: Track, a: Array, derivatives: bool = True) -> tuple[Array, Array]:
+        """Residuals and, beside them, their derivatives by the parameters (n, m, 1 + size); derivatives by a (n, m)."""
+        oriented = self.R is not None and track.rotations is not None
+        e, by_a = self._seen(track, a, oriented)
+        both = np.zeros((*e.shape, 1 + self.size * derivatives))
+        both[:, :, 0] = e
+        if not derivatives:
+            return both, by_a
+        B = np.swapaxes(self.bodies(a)[:, :3, :3], 1, 2)
+        both[:, :3, 1:4] = -B
+        both[:, :3, 4:7] = B @ so3.hat(track.positions - self.middle)
+        if oriented:
+            both[:, 3:, 4:7] = -so3.left_jacobian_inverse(e[:, 3:]) @ B
+            both[:, 3:, 7:10] = -so3.left_jacobian_inverse(-e[:, 3:])
+        _, std = self.own.prior
+        for i in range(self.own.size):
+            ends = []
+            for side in (1.0, -1.0):
+                values = self.values.copy()
+                values[i] += side * _SMALL_VALUE * std[i]
+                ends.append(self._unwound(track, self.T @ self.own.pose(values, a), oriented))
+            both[:, :, 1 + self.size - self.own.size + i] = (ends[0] - ends[1]) / (2.0 * _SMALL_VALUE)
+        return both, by_a
+
+    def _seen(self, track: Track, a: Array, oriented: bool) -> tuple[Array, Array]:
+        """Residuals (n, m) and their derivatives by the configuration (n, m)."""
+        grid, _ = self._path
+        small = _SMALL * (grid[-1] - grid[0])
+        after, before = np.minimum(a + small, grid[-1]), np.maximum(a - small, grid[0])
+        n = len(a)
+        T = self.bodies(np.concatenate([a, after, before]))
+        e = [self._unwound(track, part, oriented) for part in (T[:n], T[n : 2 * n], T[2 * n :])]
+        return e[0], (e[1] - e[2]) / (after - before)[:, None]
+
+    def _unwound(self, track: Track, T: Array, oriented: bool) -> Array:
+        B = np.swapaxes(T[:, :3, :3], 1, 2)
+        e = (B @ (track.positions - T[:, :3, 3])[:, :, None])[:, :, 0]
+        if not oriented:
+            return e
+        assert track.rotations is not None
+        assert self.R is not None
+        return np.concatenate([e, quick_log(B @ track.rotations @ self.R.T)[0]], axis=1)
+
+    def prior_terms(self) -> tuple[float, Array, Array]:
+        """Half the squared distance from the prior, its gradient (size,) and its curvature (size,), diagonal."""
+        mean, std = self.own.prior
+        z = (self.values - mean) / std
+        gradient, curvature = np.zeros(self.size), np.zeros(self.size)
+        gradient[self.size - len(z) :] = z
+        curvature[:3], curvature[3:6], curvature[self.size - len(z) :] = _ONE_METRE, _ALL_TURNS, 1.0
+        return 0.5 * float(z @ z), gradient, curvature
+
+    def log_prior(self) -> float:
+        """What the prior's density has beside its exponent, in these coordinates."""
+        return -math.log(8.0 * math.pi**2) - 0.5 * self.own.size * math.log(2.0 * math.pi)

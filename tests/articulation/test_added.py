@@ -1,0 +1,219 @@
+"""A model of a package is fitted, weighed as the house's kinds are, and says nothing of what moves otherwise."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from articulation.folding import folding
+from articulation.furniture_tracks import recorded
+from articulation.objects import ideal, noisy, real
+from finite_differences import assert_jacobian
+
+from modcal_core.articulation import choice, furniture
+from modcal_core.articulation.added import AddedModel, Guarded, Parameter
+from modcal_core.articulation.added_fit import fit_added
+from modcal_core.articulation.choice import choose
+from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.track import Track
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending" / "cell_extras" / "folding_door.py"
+DEGREE = np.pi / 180.0
+# As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood.
+BEFORE = [
+    ("revolute", 0.12, False, (0.10654815034, 0.79040926828, 0.10098745243, 0.00205512895), 664.270784706),
+    ("revolute", 0.05, True, (0.74678978779, 0.12407300398, 0.12407300398, 0.00506420424), 1340.16741064),
+    ("screw", 0.5, False, (1.8665430e-05, 6.4595726e-10, 0.97904365844, 0.02093767548), 662.841055199),
+    ("prismatic", 0.1, False, (0.00105478062, 0.97496033299, 0.02350583573, 0.00047905066), 660.228676667),
+]
+
+
+def example() -> AddedModel:
+    spec = importlib.util.spec_from_file_location("folding_door", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert isinstance(module.MODEL, AddedModel)
+    return module.MODEL
+
+
+FOLDING = Guarded(example(), "articulation model folding_door of package cell_extras")
+
+
+class Circle(AddedModel):
+    """A hinge, as a package would write it, with furniture's own prior of radii."""
+
+    name = "circle"
+    parameters = (Parameter("log_radius", *furniture.RADIUS),)
+    lower, upper, unit, share = -3.0, 3.0, "rad", 0.3
+
+    def pose(self, values: Array, a: Array) -> Array:
+        c, s = np.cos(a), np.sin(a)
+        T = np.tile(np.eye(4), (len(a), 1, 1))
+        T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = c, -s, s, c
+        T[:, :2, 3] = np.exp(values[0]) * np.stack([c, s], axis=1)
+        return T
+
+
+def thinned(count: int) -> Array:
+    """Rows of some 80 samples, evenly chosen."""
+    return np.unique(np.linspace(0, count - 1, 80).round().astype(int))
+
+
+def with_models(monkeypatch: pytest.MonkeyPatch, *models: Guarded) -> None:
+    monkeypatch.setattr(choice, "added_models", lambda: models)
+
+
+@pytest.mark.parametrize(("kind", "reach", "oriented", "probabilities", "log_likelihood"), BEFORE)
+def test_without_packages_nothing_has_changed(
+    kind: Kind, reach: float, oriented: bool, probabilities: Sequence[float], log_likelihood: float
+) -> None:
+    rng = np.random.default_rng(4)
+    seen = noisy(ideal(kind, np.linspace(0.0, reach, 60), rng, 0.4, 0.08), rng, 1e-3, 0.005)
+    found = choose(Track(seen.positions, seen.rotations if oriented else None))
+    assert list(found.probabilities) == ["rigid", "prismatic", "revolute", "screw"]
+    assert list(found.probabilities.values()) == pytest.approx(list(probabilities), rel=1e-4)
+    assert found.fit.log_likelihood == pytest.approx(log_likelihood, rel=1e-6)
+    assert found.leading is found.fit
+    assert not found.added
+
+
+def test_derivatives(rng: np.random.Generator) -> None:
+    p, R = folding(rng, 0.4, 0.15, 30)
+    track = Track(p, R)
+    found = fit_added(track, FOLDING, rng)
+    motion, a = found.motion, found.configurations + 0.02 * rng.standard_normal(30)
+    a = np.clip(a, 0.01, 1.5)
+    both, by_a = motion.expanded(track, a)
+    assert_jacobian(
+        lambda z: motion.moved(z).residuals(track, a).ravel(), both[:, :, 1:].reshape(-1, motion.size),
+        np.zeros(motion.size), 1e-4, 1e-7,
+    )  # fmt: skip
+    assert_jacobian(lambda b: motion.residuals(track, a + b).ravel(), by_a.reshape(-1, 1), np.zeros(1), 1e-4, 1e-7)
+    off = motion.residuals(track, motion.configurations(track))
+    for side in (1e-3, -1e-3):  # the nearest configurations are nearest
+        assert (motion.residuals(track, motion.configurations(track) + side) ** 2).sum() > (off**2).sum()
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_a_hinge_that_a_package_writes_weighs_what_the_houses_hinge_weighs(
+    oriented: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Same likelihood, same prior volume: their odds are those of their shares, but for what Laplace's method leaves."""
+    with_models(monkeypatch, Guarded(Circle(), "circle"))
+    rng = np.random.default_rng(1)
+    seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, 60), rng, 0.4), rng, 1e-3, 0.3 * DEGREE)
+    found = choose(Track(seen.positions, seen.rotations if oriented else None))
+    own: float = found.probabilities["circle"]  # type: ignore[index]
+    log_odds = np.log(own / found.probabilities["revolute"]) - np.log(0.3 / (0.7 * furniture.SHARE["revolute"]))
+    assert abs(log_odds) < 1.0
+    mine = found.added["circle"]
+    assert np.exp(mine.model.values["log_radius"]) == pytest.approx(found.fits["revolute"].model.radius, rel=2e-3)
+    assert mine.log_likelihood == pytest.approx(found.fits["revolute"].log_likelihood, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_none_of_the_four_kinds_explains_is_told(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_models(monkeypatch, FOLDING)
+    rng = np.random.default_rng(seed)
+    width, handle = rng.uniform(0.3, 0.55), rng.uniform(0.08, 0.22)
+    p, R = folding(rng, width, handle)
+    found = choose(Track(p, R))
+    assert found.kind == "folding_door"
+    assert found.enough
+    assert found.probabilities["folding_door"] > 0.95  # type: ignore[index]
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    assert found.best is found.leading is found.added["folding_door"]
+    for name, true in (("log_width", np.log(width)), ("handle_m", handle)):
+        assert abs(found.best.model.values[name] - true) < 3.0 * found.best.std[name], name
+        assert found.best.std[name] < 0.01
+    assert found.why.startswith("folding_door (100 %): it moved ")
+    # where it says that it is, it is
+    assert np.linalg.norm(found.best.model.position(found.best.configurations) - p, axis=1).max() < 5e-3
+
+
+def test_outliers_do_not_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_models(monkeypatch, FOLDING)
+    rng = np.random.default_rng(7)
+    p, R = folding(rng, 0.4, 0.15, away=lambda s: 1e-3 * np.stack([np.sin(20 * s), np.cos(15 * s), 0 * s], axis=1))
+    p[::15] += rng.normal(0.0, 0.1, p[::15].shape)
+    found = choose(Track(p, R))
+    assert found.kind == "folding_door"
+    assert found.best is not None
+    assert found.best.weights[::15].max() < 0.2 < np.delete(found.best.weights, np.arange(0, 80, 15)).min() * 4.0
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
+def test_what_moves_otherwise_is_told_as_before(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed, oriented in ((0, True), (1, False)):
+        rng = np.random.default_rng(seed)
+        seen = real(kind, rng)
+        rows = thinned(len(seen.a))
+        track = Track(seen.positions[rows], seen.rotations[rows] if oriented else None)
+        with_models(monkeypatch)
+        without = choose(track)
+        with_models(monkeypatch, FOLDING)
+        found = choose(track)
+        assert found.kind == without.kind, found.why
+        assert found.probabilities["folding_door"] < 0.05  # type: ignore[index]
+
+
+def test_real_furniture_is_told_as_before(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = shared_data / "articulation"
+    if not folder.is_dir():
+        pytest.skip("no tracks of real furniture beside this checkout")
+    with_models(monkeypatch, FOLDING)
+    tracks = recorded(folder)
+    some = ["iros_drawer/003", "cabinet_one/005", *[name for name in tracks if name.startswith("pose")][:1]]
+    for name in some:
+        kind, track = tracks[name]
+        found = choose(track.part(thinned(len(track))))
+        assert found.kind == kind, (name, found.why)
+
+
+class _Bad(Circle):
+    """A model with one fault."""
+
+    def __init__(self, fault: str) -> None:
+        self.fault = fault
+
+    def pose(self, values: Array, a: Array) -> Array:
+        T = super().pose(values, a)
+        if self.fault == "raises":
+            raise ZeroDivisionError("float division by zero")
+        if self.fault == "nan":
+            T[-1, 0, 3] = np.nan
+        if self.fault == "still":
+            T = np.tile(np.eye(4), (len(a), 1, 1))
+        if self.fault == "mirror":
+            T[:, 2, 2] = -1.0
+        return T[:, :3] if self.fault == "shape" else T
+
+    def begin(self, track: Track) -> Sequence[Array]:
+        return [np.zeros(3)] if self.fault == "begin" else super().begin(track)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("raises", "pose at log_radius = -0.916291: raises ZeroDivisionError (float division by zero)"),
+        ("nan", "pose at log_radius = -0.916291: is not finite at a = 3"),
+        ("shape", "pose at log_radius = -0.916291: has shape (48, 3, 4), not (48, 4, 4)"),
+        ("mirror", "pose at log_radius = -0.916291: is no rigid transform"),
+        ("still", "pose at log_radius = -0.916291: does not move"),
+        ("begin", "begin: is no list of 1 finite numbers each"),
+    ],
+)
+def test_a_faulty_model_is_refused_by_name(fault: str, said: str, rng: np.random.Generator) -> None:
+    p, _ = folding(rng, 0.4, 0.15, 30)
+    own = Guarded(_Bad(fault), "articulation model circle of package bad_extras")
+    with pytest.raises(BadTable) as error:
+        fit_added(Track(p), own, rng)
+    remedy = "mend the package that brings it, or uninstall it"
+    assert str(error.value) == f"articulation model circle of package bad_extras, {said}: {remedy}"
