@@ -63,6 +63,7 @@ class Piece:
 
 
 _LEAST_DWELLS = 3
+_ASKED = 64  # readings of a dwell that the middle is sought among
 
 
 def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
@@ -249,9 +250,18 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
 
 
 def _inliers(position: Array) -> np.ndarray:
-    """Readings of one dwell that are no glitches: within 8 robust deviations of the median, at least half of them."""
-    off = np.linalg.norm(position - np.median(position, axis=0), axis=1)
-    limit = 8.0 * max(float(np.median(off)), 1e-6)
+    """Readings of one dwell that are no glitches: within 8 robust deviations of their middle, at least half of them.
+
+    The middle is sought about the reading that most others are near: where something was moved half way through, the
+    median lies between both places, where nothing ever was.
+    """
+    n, least = len(position), (len(position) + 1) // 2
+    some = position[np.unique(np.linspace(0, n - 1, min(n, _ASKED)).round().astype(int))]
+    apart = np.sort(np.linalg.norm(some[:, None] - some[None], axis=2), axis=1)
+    first = some[int(np.argmin(apart[:, (len(some) - 1) // 2]))]
+    near = np.argsort(np.linalg.norm(position - first, axis=1), kind="stable")[:least]
+    off = np.linalg.norm(position - np.median(position[near], axis=0), axis=1)
+    limit = 8.0 * max(float(np.partition(off, least - 1)[least - 1]), 1e-6)
     return off <= limit
 
 

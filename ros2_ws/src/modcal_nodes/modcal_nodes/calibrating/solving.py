@@ -10,6 +10,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any
 
+import rclpy
+
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.samples import Samples
@@ -113,6 +115,8 @@ class Workshop:
         except OSError as error:
             work.fail(f"{error.filename or 'file system'}: {error.strerror}: make room, or check its permissions")
         except Exception as error:  # a fault of ours must not leave the caller waiting
+            if isinstance(error, RuntimeError) and not rclpy.ok():
+                raise  # the node is told to stop, and nobody waits any more (see running.py)
             self._say(f"{work.name} failed: {error!r}")
             work.fail(f"internal error: {error!r}")
             if isinstance(error, BrokenProcessPool):
