@@ -81,7 +81,7 @@ def scipy_fit(model: Model, parameters: tuple[Parameter, ...], samples: Samples)
 
 def plainly(work: Callable[[], Fit]) -> Fit:
     """The same fit by the plain equations, all samples at once."""
-    with mock.patch.object(fitting, "system_of", PlainSystem), mock.patch.object(fitting, "_FEW", 10**9):
+    with mock.patch.object(fitting, "system_of", PlainSystem), mock.patch.object(fitting, "_MANY", 10**9):
         return work()
 
 

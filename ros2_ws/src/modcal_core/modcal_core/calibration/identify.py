@@ -4,7 +4,8 @@ Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–
 length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
 wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
 step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone through
-but two or three times; and near the end only the gradient is computed anew, which alone decides where that is.
+but two or three times; and near the end only the gradient is computed anew, which alone decides where that is. The end
+is reached when the next step would be too short, going by how much shorter the last was than the one before it.
 """
 
 from __future__ import annotations
@@ -38,12 +39,15 @@ from modcal_core.measurements.samples import Samples
 MAX_ITERATIONS = 60
 CONVERGED = 1e-5
 FITTED = 1e-2  # the same for models with effects, some of which have many values
-# A step shorter than this, in standard deviations, leaves the curvature as it is: that changes with the step's length
-# in metres and radians, which are the fewer the more samples there are. The covariance is then right to 1e-4.
-_NEAR, _NEAR_FOR = 3.0, 3e3
-_ROUGHLY = 0.3  # standard deviations of a fit that another begins with
-_UNSEEN = 1e-3  # standard deviations; a step that is shorter does not show in the residuals
-_FEW, _MANY = 500, 8  # samples that a large fit begins with, and how many times more make it large
+# Where no value [m, rad] changes by more, and steps become shorter, the curvature is left as it is, which changes with
+# their length. The covariance is then right to 1e-4 (robust fits of few: 1e-3), and better where a stricter end is set.
+_NEAR = 1e-4
+_SHRINKING = 0.3
+_SURE = 0.1  # of the tolerance; what is expected to be left
+_ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
+_UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
+# A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
+_FEW, _MANY, _EACH = 500, 8, 4
 EQUATIONS_PER_PARAMETER = 1.25
 
 
@@ -105,32 +109,75 @@ def identify(
     Raises NotEnoughData when the readings are too few for the parameters.
     """
     require_enough(samples, len(parameters), len(distances))
-    rough: Fit | None = None
-    if begin is None and not start.effects and len(samples) >= _MANY * _FEW:
-        few = samples.select(np.arange(0, len(samples), len(samples) // _FEW))
-        rough = identify(start, few, parameters, distances, robust, tolerance=_ROUGHLY)
-        begin = rough.values
+    P = len(parameters)
+    values = np.zeros(P) if begin is None else begin
+    fitted = () if keep_effects else start.effects
+    few = min(_FEW, len(samples) // _MANY)
+    if begin is None and not start.effects and few >= _EACH * P:
+        some = samples.select(np.arange(0, len(samples), len(samples) // few))
+        values = _minimum(start, some, parameters, distances, robust, (), tolerance, values, rough=True).values
+    at = _minimum(start, samples, parameters, distances, robust, fitted, tolerance, values)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(at.H), 1e-300))
+    covariance = np.outer(scale, scale) * _solve(at.H * np.outer(scale, scale), np.eye(len(at.values)), 0.0)
+    model = apply_deviations(start, deviations(start, parameters, at.values[:P]))
+    if fitted:
+        model = model.with_effects(_estimated(fitted, at.values[P:], np.sqrt(np.diag(covariance)[P:])))
+    return Fit(
+        model,
+        start,
+        tuple(parameters),
+        at.values[:P],
+        covariance[:P, :P],
+        at.spread,
+        at.weights,
+        at.H_data[:P, :P],
+        at.iterations,
+    )
+
+
+@dataclass(frozen=True)
+class _Minimum:
+    """Where the cost is least. H, H_data: JᵀWJ with and without the prior. Others as in the fit."""
+
+    values: Array
+    H: Array
+    H_data: Array
+    weights: Array
+    spread: Spread
+    iterations: int
+
+
+def _minimum(
+    start: Model,
+    samples: Samples,
+    parameters: Sequence[Parameter],
+    distances: Sequence[AnyDistance],
+    robust: bool,
+    fitted: Sequence[Effect],
+    tolerance: float,
+    begin: Array,
+    rough: bool = False,
+) -> _Minimum:
+    """The least cost that is reached from these values of the parameters.
+
+    rough: no more than a beginning; its last step is taken without looking where it leads.
+    """
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
     around = start.circumstances(samples)
     P = len(parameters)
-    fitted = () if keep_effects else start.effects
     centre, prior = priors(fitted, parameters, around)
-    values = np.concatenate([np.zeros(P) if begin is None else begin, *(e.values for e in fitted)])
-
+    known = np.diag(prior**-2.0)
+    values = np.concatenate([begin, *(e.values for e in fitted)])
     equations = system_of(start, parameters, samples, around)
-    damping, length = 0.0, np.inf  # length: of the last step, in standard deviations
-    near = min(_NEAR, _NEAR_FOR * tolerance * np.sqrt(len(samples)))
-    H_samples = np.zeros((len(values), len(values)))
-    if rough is not None and equations.quick_gradient:  # what the few say of the curvature does for the first step
-        H_samples, length = rough.information * (len(samples) / len(rough.weights)), 0.0
+    damping, length, near = 0.0, np.inf, False  # length: of the last step, in standard deviations
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
-        row_weight = row_weights(weights, spread, samples)
-        if length < near and equations.quick_gradient:
-            g = equations.gradient(values, row_weight)
+        row_weight = _of_rows(weights, spread.of(samples), spread.rotation, known_p, known_r, pose)
+        if near:
+            H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
         else:
             H_samples, g = equations.normal_equations(values, row_weight)
         H_data = H_samples
@@ -139,12 +186,16 @@ def identify(
             rows = distance_rows(start, parameters, values, distances)
             H_data[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
             g[:P] += (rows.J / rows.std**2) @ rows.residual
-        H, g = H_data + np.diag(prior**-2.0), g - (values - centre) * prior**-2.0
+        H, g = H_data + known, g - (values - centre) * prior**-2.0
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        last = length
         while True:
             step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
             length = float(np.sqrt(max(float(step @ H @ step), 0.0))) if damping == 0.0 else np.inf
-            if length <= min(tolerance, _UNSEEN):
+            following = length * min(length / last, 1.0) if last < np.inf else length  # the next step's, most likely
+            ended = length <= tolerance or following <= _SURE * tolerance
+            begun = rough and damping == 0.0 and float(np.abs(step).max()) <= _ROUGHLY
+            if begun or (ended and length <= _UNSEEN):
                 new = at
                 break
             new = equations.residuals(values + step)
@@ -154,18 +205,14 @@ def identify(
                 break
             damping = max(10.0 * damping, 1e-4)
         values, at = values + step, new
-        if length <= tolerance:
+        if ended or begun:
             break
+        near = equations.quick_gradient and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
+        near = near and damping == 0.0 and length <= _SHRINKING * last
         damping = 0.0 if damping < 1e-3 else damping / 10.0
-
-    weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
-    covariance = np.outer(scale, scale) * _solve(H * np.outer(scale, scale), np.eye(len(values)), 0.0)
-    model = apply_deviations(start, deviations(start, parameters, values[:P]))
-    if fitted:
-        model = model.with_effects(_estimated(fitted, values[P:], np.sqrt(np.diag(covariance)[P:])))
-    return Fit(
-        model, start, tuple(parameters), values[:P], covariance[:P, :P], spread, weights, H_data[:P, :P], iteration
-    )
+    if not rough:
+        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
+    return _Minimum(values, H, H_data, weights, spread, iteration)
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
@@ -209,8 +256,7 @@ def _weigh(
     at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, groups: Groups, parameters: int, robust: bool
 ) -> tuple[Array, Spread]:
     """Robust weights of the samples and the spread left, at these residuals."""
-    square_p = np.einsum("ij,ij->j", at.position, at.position)
-    square_r = np.einsum("ij,ij->j", at.rotation, at.rotation)
+    square_p, square_r = at.square_position, at.square_rotation
     weights = np.ones(len(square_p))
     if robust:
         rough = robust_spread(at.position, at.rotation, groups)
@@ -237,13 +283,21 @@ def _weigh(
 def row_weights(weights: Array, spread: Spread, samples: Samples) -> Array:
     """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
     pose = samples.is_pose
-    w_p = weights / (spread.of(samples) ** 2 + _known(samples.sigma_position) ** 2)
-    w_r = weights[pose] / (spread.rotation**2 + _known(samples.sigma_rotation[pose]) ** 2)
-    return np.concatenate([np.tile(w_p, 3), np.tile(w_r, 3)])
+    known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[pose])
+    return _of_rows(weights, spread.of(samples), spread.rotation, known_p, known_r, pose)
+
+
+def _of_rows(
+    weights: Array, spread: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
+) -> Array:
+    w_p = weights / (spread**2 + known_p**2)
+    w_r = weights[pose] / (turning**2 + known_r**2)
+    return np.concatenate([w_p, w_p, w_p, w_r, w_r, w_r])
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:
-    return float(row_weight @ at.residual**2)
+    N, M = at.position.shape[1], at.rotation.shape[1]
+    return float(row_weight[:N] @ at.square_position + row_weight[3 * N : 3 * N + M] @ at.square_rotation)
 
 
 def _slack(distances: Sequence[AnyDistance]) -> float:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -52,6 +53,16 @@ class Linearised:
     def residual(self) -> Array:
         """All residuals in the order of J's columns, (3 N + 3 M,)."""
         return np.concatenate([self.position.ravel(), self.rotation.ravel()])
+
+    @cached_property
+    def square_position(self) -> Array:
+        """Squared residual of each position [m²], (N,)."""
+        return np.asarray(np.einsum("ij,ij->j", self.position, self.position))
+
+    @cached_property
+    def square_rotation(self) -> Array:
+        """Squared residual of each orientation [rad²], (M,)."""
+        return np.asarray(np.einsum("ij,ij->j", self.rotation, self.rotation))
 
 
 def error_transform(twist: Array) -> Array:

@@ -103,10 +103,10 @@ def excess_spread(residual: Array, known: Array, weight: Array, lost: float, dim
     return max(float(np.sqrt(s2)), _FLOOR)
 
 
-def standard_score(square: Array, dimensions: Array) -> Array:
+def standard_score(square: Array | float, dimensions: Array | float) -> Array:
     """Approximate standard scores of χ² values (N,) with these degrees of freedom (N,) (Wilson & Hilferty 1931)."""
     c = 2.0 / (9.0 * dimensions)
-    return (np.cbrt(square / dimensions) - (1.0 - c)) / np.sqrt(c)
+    return np.asarray((np.cbrt(square / dimensions) - (1.0 - c)) / np.sqrt(c))
 
 
 def robust_weights(z: Array) -> Array:

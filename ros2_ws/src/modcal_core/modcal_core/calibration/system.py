@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, linearise
@@ -32,6 +34,9 @@ class System(Protocol):
     def gradient(self, values: Array, row_weight: Array) -> Array:
         """JᵀWr alone, (P,)."""
 
+    def last_curvature(self, row_weight: Array) -> Array:
+        """JᵀWJ of the last normal equations, scaled as the weights have been since, on the whole."""
+
 
 class PlainSystem:
     """The equations of any model."""
@@ -50,11 +55,17 @@ class PlainSystem:
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
-        return normal_equations(self._start, self._parameters, values, self._samples, row_weight)
+        H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight)
+        self._last = H / float(row_weight.sum())
+        return H, g
 
     def gradient(self, values: Array, row_weight: Array) -> Array:
         """JᵀWr alone, (P,)."""
         return self.normal_equations(values, row_weight)[1]
+
+    def last_curvature(self, row_weight: Array) -> Array:
+        """JᵀWJ of the last normal equations, scaled as the weights have been since, on the whole."""
+        return np.asarray(self._last * float(row_weight.sum()))
 
 
 def system_of(start: Model, parameters: Sequence[Parameter], samples: Samples, around: Circumstances) -> System:

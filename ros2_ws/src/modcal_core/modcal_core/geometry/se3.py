@@ -13,7 +13,8 @@ def transform(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Transforms (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3) [m]; either may be left out."""
     R = np.eye(3) if R is None else np.asarray(R, dtype=float)
     p = np.zeros(3) if p is None else np.asarray(p, dtype=float)
-    T = np.zeros(np.broadcast_shapes(R.shape[:-2], p.shape[:-1]) + (4, 4))
+    alike = R.shape[:-2] == p.shape[:-1]
+    T = np.zeros((R.shape[:-2] if alike else np.broadcast_shapes(R.shape[:-2], p.shape[:-1])) + (4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = p
     T[..., 3, 3] = 1.0

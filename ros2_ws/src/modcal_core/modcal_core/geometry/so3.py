@@ -25,6 +25,9 @@ def hat(w: ArrayLike) -> Array:
     return out
 
 
+HAT = hat(np.eye(3)).reshape(3, 9)  # a vector times this is its skew-symmetric matrix, flat
+
+
 def cross(a: Array, b: Array, out: Array | None = None) -> Array:
     """Cross products (3, N) of vectors (3, N), component-major: in one sweep a component, without copies."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
@@ -55,6 +58,16 @@ def exp(w: ArrayLike) -> Array:
     a, b, _ = rodrigues_coefficients(np.linalg.norm(w, axis=-1))
     W = hat(w)
     return np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
+
+
+def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
+    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than each alone."""
+    w = np.asarray(w, dtype=float)
+    a, b, c = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
+    W, eye = hat(w), np.eye(3)
+    WW = W @ W
+    b = b[..., None, None]
+    return eye + a[..., None, None] * W + b * WW, eye + b * W + c[..., None, None] * WW
 
 
 def log(R: ArrayLike) -> Array:
@@ -107,27 +120,33 @@ def from_quaternion(q: ArrayLike) -> Array:
     return R
 
 
+def _quaternion_products() -> Array:
+    """What the elements of a rotation, row by row, give to ``4 q qᵀ − 1`` for its quaternion q, (9, 16)."""
+    out = np.zeros((3, 3, 4, 4))
+    for i in range(3):
+        out[i, i] = np.diag([1.0 if j in (i, 3) else -1.0 for j in range(4)])
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for a, b in ((i, j), (j, i)):
+            out[a, b, i, j] = out[a, b, j, i] = 1.0  # q_i q_j by the sum, q_k w by the difference
+            out[a, b, k, 3] = out[a, b, 3, k] = -1.0 if (a, b) == (i, j) else 1.0
+    return out.reshape(9, 16)
+
+
+_PRODUCTS = _quaternion_products()
+
+
 def to_quaternion(R: ArrayLike) -> Array:
     """Quaternions x y z w (..., 4) of rotation matrices (..., 3, 3); of the two signs, one that divides safely.
 
     Of the four ways to write q from R, the one with the largest divisor is taken, so no angle loses digits.
     """
     R = np.asarray(R, dtype=float)
-    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    sums = np.stack([m00 - m11 - m22, m11 - m00 - m22, m22 - m00 - m11, m00 + m11 + m22], axis=-1)
-    # Row i of this symmetric matrix is 4 q_i q
-    K = np.empty(R.shape[:-2] + (4, 4))
-    for i in range(4):
-        K[..., i, i] = 1.0 + sums[..., i]
-    K[..., 0, 1] = K[..., 1, 0] = R[..., 0, 1] + R[..., 1, 0]
-    K[..., 0, 2] = K[..., 2, 0] = R[..., 0, 2] + R[..., 2, 0]
-    K[..., 1, 2] = K[..., 2, 1] = R[..., 1, 2] + R[..., 2, 1]
-    K[..., 0, 3] = K[..., 3, 0] = R[..., 2, 1] - R[..., 1, 2]
-    K[..., 1, 3] = K[..., 3, 1] = R[..., 0, 2] - R[..., 2, 0]
-    K[..., 2, 3] = K[..., 3, 2] = R[..., 1, 0] - R[..., 0, 1]
-    best = np.argmax(sums, axis=-1)
+    K = (R.reshape(*R.shape[:-2], 9) @ _PRODUCTS).reshape(*R.shape[:-2], 4, 4)
+    squares = K.reshape(*R.shape[:-2], 16)[..., ::5]
+    squares += 1.0
+    best = np.argmax(squares, axis=-1)
     q = np.take_along_axis(K, best[..., None, None], axis=-2)[..., 0, :]
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None])
 
 
 def from_rpy(rpy: ArrayLike) -> Array:

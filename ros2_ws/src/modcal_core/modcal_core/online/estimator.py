@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import hypot, isfinite
+from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,9 @@ from modcal_core.online.information import Information
 
 KEPT = 512  # samples that can be linearised again
 _MOVED = 0.02  # standard deviations; an estimate that moved further is linearised anew
+_FAR = 0.5  # the same, a parameter: before the oldest are let go, whose error goes with the square of it
 _ROUNDS = 20
+Rows = tuple[Array, Array]  # A (m, P) and b (m,) of A x = b, with noise of unit variance
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ class Estimator:
         self._frozen: Frozen | None = None
         self._kept: list[Samples] = []
         self._weights: list[float] = []
+        self._rows: list[Rows] = []  # of each that is kept, linearised at the point
         views = [View(kind, f) for f in range(len(model.frames))]
         self._ways = wander.ways(model, self.parameters, len(begin), views) if wander else None
         self._stamp = -np.inf
@@ -150,9 +153,10 @@ class Estimator:
         self.taken += 1
         self.rejected += weight == 0.0
         if weight > 0.0:
-            self._now = self._now.with_rows(*_whitened(at_point + J @ self._point, J, noise, weight))
+            rows = _whitened(at_point + J @ self._point, J, noise, weight)
+            self._now = self._now.with_rows(*rows)
             self.values = self._now.mean
-            self._keep(sample, weight)
+            self._keep(sample, weight, rows)
         return Update(score, weight)
 
     def settle(self) -> int:
@@ -178,59 +182,63 @@ class Estimator:
 
     def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
-        out = np.full(rows, hypot(self.spread.position, _known(sample.sigma_position[0])))
-        out[3:] = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
-        return out
+        position = hypot(self.spread.position, _known(sample.sigma_position[0]))
+        rotation = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
+        return np.array([position] * 3 + [rotation] * (rows - 3))
 
     def _judge(self, r: Array, J: Array, noise: Array) -> tuple[float, float]:
         """(standard score, weight) of a residual that the present estimate expected to be zero."""
         expected = self._now.variance_of(J)
         if expected is None:
             return 0.0, 1.0
-        expected[np.diag_indices(len(r))] += noise**2
+        expected.ravel()[:: len(r) + 1] += noise**2
         # positive definite, for the noise is: several times quicker than a general solver
         square = float(r @ lapack.dposv(expected, r)[1])
-        score = standard_score(np.array(square), np.array(len(r)))
+        score = standard_score(square, len(r))
         return float(score), float(robust_weights(score)) if self._robust else 1.0
 
-    def _keep(self, sample: Samples, weight: float) -> None:
+    def _keep(self, sample: Samples, weight: float, rows: Rows) -> None:
         if not self._kept_most:
             if self._apart(self.values - self._point) > _MOVED:
                 self._stand_at(self.values)
             return
         self._kept.append(sample)
         self._weights.append(weight)
+        self._rows.append(rows)
         if len(self._kept) >= self._kept_most:
+            if self._apart(self.values - self._point) > _FAR * sqrt(len(self.values)):
+                self._again()
             half = len(self._kept) // 2
-            self._before = self._with(self._before, self._kept[:half], self._weights[:half])
-            del self._kept[:half], self._weights[:half]
-            self._again()
+            self._before = self._before.with_rows(*_stacked(self._rows[:half]))
+            del self._kept[:half], self._weights[:half], self._rows[:half]
         elif (self.taken & (self.taken - 1)) == 0 and self._apart(self.values - self._point) > _MOVED:
             self._again()  # at every doubling: an estimate moves less and less
 
     def _again(self) -> None:
         self._stand_at(self.values)
-        self._now = self._with(self._before, self._kept, self._weights)
+        self._rows = self._linearised()
+        self._now = self._before.with_rows(*_stacked(self._rows))
         self.values = self._now.mean
 
     def _stand_at(self, values: Array) -> None:
         """Linearise about these values from now on."""
         self._point, self._frozen = values, None
 
-    def _with(self, known: Information, samples: list[Samples], weights: list[float]) -> Information:
-        """What is known, and besides it these samples as seen from the present estimate."""
-        if not samples:
-            return known
-        together = joined(samples)
+    def _linearised(self) -> list[Rows]:
+        """The kept samples as seen from the present estimate."""
+        together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose
         deviation_p = np.hypot(self.spread.position, np.nan_to_num(together.sigma_position))
         deviation_r = np.hypot(self.spread.rotation, np.nan_to_num(together.sigma_rotation[pose]))
-        w = np.asarray(weights)
+        w = np.asarray(self._weights)
         scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
         assert len(scale) == 3 * N + 3 * int(pose.sum())
         b = at.residual + self.values @ at.J
-        return known.with_rows((at.J * scale).T, b * scale)
+        A, b = (at.J * scale).T, b * scale
+        owner = np.concatenate([np.tile(np.arange(N), 3), np.tile(np.flatnonzero(pose), 3)])
+        order, cuts = np.argsort(owner, kind="stable"), np.cumsum(np.bincount(owner))[:-1]
+        return list(zip(np.split(A[order], cuts), np.split(b[order], cuts), strict=True))
 
     def _apart(self, step: Array) -> float:
         """How many standard deviations a step is long."""
@@ -249,9 +257,13 @@ def joined(samples: Sequence[Samples]) -> Samples:
     return replace(samples[-1], **arrays)
 
 
-def _whitened(b: Array, A: Array, noise: Array, weight: float) -> tuple[Array, Array]:
+def _whitened(b: Array, A: Array, noise: Array, weight: float) -> Rows:
     scale = np.sqrt(weight) / noise
     return A * scale[:, None], b * scale
+
+
+def _stacked(rows: Sequence[Rows]) -> Rows:
+    return np.concatenate([A for A, _ in rows]), np.concatenate([b for _, b in rows])
 
 
 def _known(sigma: float) -> float:

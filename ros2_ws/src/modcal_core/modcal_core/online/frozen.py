@@ -16,8 +16,9 @@ from modcal_core.calibration.linearise import View, deviations, local_twists, mo
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.so3 import HAT, Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
 
@@ -29,26 +30,23 @@ class Frozen:
         now = model_at(start, parameters, values)
         errors = deviations(start, parameters, values[: len(parameters)])
         of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
-        twists = np.zeros((len(parameters), 6))
+        places = max([0, *(p.place for p in parameters)]) + 1
+        self._twists = np.zeros((places, 6, len(parameters)))
         for j, p in enumerate(parameters):
             if p.place == INSTRUMENT:
                 continue  # of an instrument whose readings do not come here: nothing moves with it
-            twists[j] = (of_places[p.place - 1] if p.place else of_frames[p.frame])[p.direction]
+            twist = (of_places[p.place - 1] if p.place else of_frames[p.frame])[p.direction]
+            self._twists[p.place, :, j] = twist
         self._model = now
         self._effects = len(values) > len(parameters)
-        self._shift, self._turn = twists[:, :3, None], twists[:, 3:, None]
-        self._turning = so3.hat(twists[:, 3:])
-        self._place = np.array([max(p.place, 0) for p in parameters], dtype=int)
-        self._frame = np.array([p.frame for p in parameters], dtype=int)
         chain = now.serial
-        T_base_root = chain.T_base_root
-        self._T_root_frame = se3.inverse(now.T_frame_base @ T_base_root)
+        self._unseen = [_unseen(now, parameters, frame) for frame in range(len(now.frames))]
+        self._T_root_frame = se3.inverse(now.T_frame_base @ chain.T_base_root)
         rooted = np.array(chain.origins)
         rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
         rooted[-1] = rooted[-1] @ now.T_tip_tool
         self._chain = chain.with_origins(rooted)
-        self._constants = self._chain.along_z
-        self._joints = np.tile(np.eye(4), (chain.n, 1, 1))
+        self._steps = _steps(self._chain)
 
     def __call__(self, sample: Samples) -> tuple[Array, Array]:
         """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
@@ -68,17 +66,14 @@ class Frozen:
 
     def _of_geometry(self, sample: Samples) -> tuple[Array, Array]:
         """The same for an arm without effects: for one posture, products of 4 × 4 matrices are the least work."""
-        joints, q, revolute = self._joints, sample.q[0], self._chain.revolute
-        c, s = np.cos(q), np.sin(q)
-        joints[revolute, 0, 0] = joints[revolute, 1, 1] = c[revolute]
-        joints[revolute, 1, 0] = s[revolute]
-        joints[revolute, 0, 1] = -s[revolute]
-        joints[~revolute, 2, 3] = q[~revolute]
-        steps = joints @ self._constants[1:]
+        q = sample.q[0]
+        parts = np.ones((len(q), 1, 4))
+        parts[:, 0, 1], parts[:, 0, 2], parts[:, 0, 3] = np.cos(q), np.sin(q), q
+        steps = (parts @ self._steps).reshape(-1, 4, 4)
         T = np.empty((len(steps) + 1, 4, 4))
-        T[0] = self._constants[0]
+        T[0] = self._chain.along_z[0]
         for k, step in enumerate(steps):
-            np.matmul(T[k], step, out=T[k + 1])
+            np.dot(T[k], step, out=T[k + 1])
         residual, J, _ = self._seen(sample, T, 1.0)
         return residual, J
 
@@ -89,18 +84,37 @@ class Frozen:
         reading = T[:3, :3] @ (sample.position[0] / scale)
         R, p = T_root_place[:, :3, :3], T_root_place[:, :3, 3]
         residual = reading + T[:3, 3] - p[-1]
-        # a twist (v, ω) moves the tool by R (v + ω × t), t being the tool in the frame of its place
-        t = (p[-1] - p)[:, None] @ R
-        J = np.empty((len(self._place), 3, 1 + pose))
-        J[:, :, :1] = self._turning @ t[self._place].transpose(0, 2, 1) + self._shift
+        # a twist (v, ω) of a place moves the tool by R v + (R ω) × t, t being the way from there to the tool
+        places = len(self._twists)
+        rows = np.zeros((3 + 3 * pose, places, 6))
+        rows[:3, :, :3] = R[:places].transpose(1, 0, 2)
+        rows[:3, :, 3:] = (((p[:places] - p[-1]) @ HAT).reshape(-1, 3, 3) @ R[:places]).transpose(1, 0, 2)
         if pose:
-            J[:, :, 1:] = self._turn
+            rows[3:, :, 3:] = rows[:3, :, :3]
             residual = np.concatenate([residual, small_log(T[:3, :3] @ sample.R[0] @ R[-1].T)])
-        J = (R[self._place] @ J).transpose(2, 1, 0).reshape(-1, len(self._place))
-        if len(self._T_root_frame) > 1:
-            here = (self._frame == frame) | (self._frame == self._model.leader(frame))
-            J[:, (self._place == 0) & ~here] = 0.0
+        J = rows.reshape(len(rows), -1) @ self._twists.reshape(6 * places, -1)
+        J[:, self._unseen[frame]] = 0.0
         return residual, J, reading
+
+
+def _unseen(model: Model, parameters: Sequence[Parameter], frame: int) -> Array:
+    """Which parameters (m,) are of another frame that does not lead this one, so that readings in it say nothing."""
+    with_it = (frame, model.leader(frame))
+    return np.array([j for j, p in enumerate(parameters) if p.place == 0 and p.frame not in with_it], dtype=int)
+
+
+def _steps(chain: Chain) -> Array:
+    """From each place to the next, what is constant and what goes with cos q, sin q and q; flat, (n, 4, 16)."""
+    motions = np.zeros((chain.n, 4, 4, 4))
+    motions[:, 0] = np.eye(4)
+    for terms, turns in zip(motions, chain.revolute, strict=True):
+        if turns:  # Rz(q)
+            terms[0, 0, 0] = terms[0, 1, 1] = 0.0
+            terms[1, 0, 0] = terms[1, 1, 1] = terms[2, 1, 0] = 1.0
+            terms[2, 0, 1] = -1.0
+        else:
+            terms[3, 2, 3] = 1.0
+    return np.asarray(motions @ chain.along_z[1:, None]).reshape(chain.n, 4, 16)
 
 
 def small_log(R: Array) -> Array:

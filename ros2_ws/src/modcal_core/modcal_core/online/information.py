@@ -1,20 +1,21 @@
 """The square-root information form of a linear least-squares estimate, updated row by row.
 
-What is known of x is kept as an upper triangular R and a vector z with ``R x = z + noise of unit variance``: R is the
-Cholesky factor of the information matrix, so nothing is squared and an estimate stays positive definite however long it
-runs (Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*). New rows are taken in by one
-orthogonal triangularisation, which gives what a batch solution of all rows would.
+What is known of x is kept as an upper triangular R and a vector z with ``R x = z + noise of unit variance``: R is, but
+for the signs of its rows, the Cholesky factor of the information matrix, so nothing is squared and an estimate stays
+positive definite however long it runs (Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*). New
+rows are taken in by one orthogonal triangularisation, which gives what a batch solution of all rows would.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
 from modcal_core.geometry.so3 import Array
+
+_PANEL = 8  # columns that are eliminated together
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,11 @@ class Information:
     def with_rows(self, A: Array, b: Array) -> Information:
         """The same with rows ``A x = b + noise of unit variance`` added, A (k, P), b (k,)."""
         P = len(self.z)
-        stacked = np.empty((P + len(A), P + 1), order="F")
-        stacked[:P, :P], stacked[:P, P] = self.R, self.z
-        stacked[P:, :P], stacked[P:, P] = A, b
-        top = _triangular(stacked)
+        top, rows = np.zeros((P + 1, P + 1), order="F"), np.empty((len(A), P + 1), order="F")
+        top[:P, :P], top[:P, P] = self.R, self.z
+        rows[:, :P], rows[:, P] = A, b
+        # made for rows beneath a triangle: its zeros are not gone through
+        top = lapack.dtpqrt(0, min(_PANEL, P + 1), top, rows, overwrite_a=1, overwrite_b=1)[0]
         return Information(top[:P, :P], top[:P, P])
 
     def grown(self, G: Array, variance: Array) -> Information:
@@ -79,21 +81,5 @@ class Information:
 
 
 def triangular(rows: Array) -> Array:
-    """The upper triangle that an orthogonal transformation makes of rows (m, n), its diagonal not negative."""
-    return _triangular(np.array(rows, order="F"))
-
-
-def _triangular(rows: Array) -> Array:
-    """The same, in the place of the rows, which are lost."""
-    qr, _, _, _ = lapack.dgeqrf(rows, overwrite_a=1)
-    R = qr[: rows.shape[1]] * _upper(*qr[: rows.shape[1]].shape)
-    diagonal = R.diagonal()
-    if diagonal.min(initial=0.0) < 0.0:
-        R[: len(diagonal)] *= np.where(diagonal < 0.0, -1.0, 1.0)[:, None]
-    return np.asarray(R)
-
-
-@cache
-def _upper(m: int, n: int) -> Array:
-    """Ones on and above the diagonal, (m, n)."""
-    return np.asfortranarray(np.triu(np.ones((m, n))))
+    """The upper triangle that an orthogonal transformation makes of rows (m, n); (min(m, n), n)."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))

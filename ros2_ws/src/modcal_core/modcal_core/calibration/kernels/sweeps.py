@@ -8,7 +8,10 @@ Frame k is that of place k, the joint's axis along z; between places k and k + 1
 
 A twist (v, ω) at place k moves the tool by ``R (v + ω × t_k)``, R being the orientation of place k in the root, so the
 product of a residual r with it is ``v · r_k + ω · (t_k × r_k)``: the gradient of all places takes two sweeps and no
-Jacobian. Arrays are component-major with the postures last; each turn about z is a few contiguous passes.
+Jacobian.
+
+Vectors are rows of four, a point's last number is 1 and a direction's 0. A constant is then one product of matrices,
+and a turn about z one product of complex numbers, ``x + iy`` being the first half of a row.
 """
 
 from __future__ import annotations
@@ -17,17 +20,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modcal_core.calibration.kernels.turns import Complex, from_left, quaternions
 from modcal_core.geometry.so3 import Array
 
 
 @dataclass(frozen=True)
 class Postures:
-    """Joint positions of a block of B postures. c, s: cosines and sines, (n, B). q: (n, B) [rad, m]. revolute: (n,)."""
+    """Joint positions of a block of B postures. q: (B, n) [rad, m]. turn: e^{iq}, (n, B). half: e^{iq/2}, (n, B), where
+    orientations are asked for. revolute: (n,).
+    """
 
-    c: Array
-    s: Array
     q: Array
-    revolute: np.ndarray
+    turn: Complex
+    half: Complex
+    revolute: tuple[bool, ...]
 
     @property
     def n(self) -> int:
@@ -37,96 +43,98 @@ class Postures:
     @property
     def count(self) -> int:
         """Number of postures."""
-        return self.q.shape[1]
+        return len(self.q)
 
 
-def tool_in_places(M: Array, at: Postures, directions: bool = False) -> Array:
-    """The tool in the frames of places 0 … n − 1, (n, 3, V, B) [m], for constants M (n, 4, 4).
+class Constants:
+    """What stands between the places of a chain, for sweeps over any postures. M: T_k,k+1 at q = 0, (n, 4, 4) [m]."""
 
-    directions: beside its origin (V = 1) also its x and y axes (V = 3).
-    """
-    V = 3 if directions else 1
-    out = np.empty((at.n, 3, V, at.count))
-    last = np.zeros((3, V, 1))
-    last[:, 0, 0] = M[-1, :3, 3]
-    if directions:
-        last[:, 1:, 0] = M[-1, :3, :2]
+    def __init__(self, M: Array, orientations: bool) -> None:
+        """orientations: whether those of the tool are asked for."""
+        self.M = M
+        self.back = np.ascontiguousarray(M.transpose(0, 2, 1))  # of rows, from place k + 1 to k
+        self.out = M * _MIRRORED  # of rows of mirrored directions, from place k to k + 1
+        if orientations:
+            turns = quaternions(M[:, :3, :3])
+            self.turned, self.last = from_left(turns), turns[-1]
+
+
+# Directions with y the other way round: a turn back is then the same product as a turn
+_MIRROR = np.array([1.0, -1.0, 1.0, 0.0])
+_MIRRORED = np.outer(_MIRROR, _MIRROR)
+
+
+def tool_in_places(constants: Constants, at: Postures) -> Array:
+    """The tool in the frames of places 0 … n − 1, (n, B, 4) [m]."""
+    out = np.empty((at.n, at.count, 4))
+    xy = out.view(complex)[:, :, 0]
+    out[-1] = constants.back[-1, 3]
     for k in range(at.n - 1, -1, -1):
-        if k == at.n - 1:
-            u = np.broadcast_to(last, (3, V, at.count))
-        else:
-            u = (M[k, :3, :3] @ out[k + 1].reshape(3, -1)).reshape(3, V, -1)
-            u[:, 0] += M[k, :3, 3:]
-        here = out[k]
+        if k < at.n - 1:
+            np.matmul(out[k + 1], constants.back[k], out=out[k])
         if at.revolute[k]:
-            c, s = at.c[k], at.s[k]
-            np.multiply(u[:2], c, out=here[:2])
-            here[0] -= s * u[1]
-            here[1] += s * u[0]
-            here[2] = u[2]
+            np.multiply(xy[k], at.turn[k], out=xy[k])
         else:
-            here[...] = u
-            here[2, 0] += at.q[k]
+            out[k, :, 2] += at.q[:, k]
     return out
 
 
-def moments(M: Array, at: Postures, t: Array, force: Array, torque: Array | None = None) -> Array:
-    """Sums over the postures of what a force (3, B) on the tool and a torque (3, B) do along the six directions of
-    places 0 … n, (n + 1, 6): ``Σ (r_k, t_k × r_k + τ_k)``.
+def orientation_of_tool(constants: Constants, at: Postures) -> Complex:
+    """Quaternions of the tool in the root, (B, 2)."""
+    here, other = np.empty((2, at.count, 2), dtype=complex)
+    here[:] = constants.last
+    for k in range(at.n - 1, -1, -1):
+        if k < at.n - 1:
+            np.matmul(here.view(float), constants.turned[k], out=other.view(float))
+            here, other = other, here
+        if at.revolute[k]:
+            for part in here.T:
+                np.multiply(part, at.half[k], out=part)
+    return here
 
-    t: the tool in the places, (n, 3, B) or its first part.
+
+def wrench_on_tool(force: Array, torque: Array | None = None) -> Array:
+    """Forces and, where there are any, torques on the tool, (3, B) each, as mirrored rows (1 or 2, B, 4)."""
+    given = [force] if torque is None else [force, torque]
+    out = np.zeros((len(given), force.shape[1], 4))
+    for rows, seen in zip(out, given, strict=True):
+        rows[:, 0], rows[:, 2] = seen[0], seen[2]
+        np.negative(seen[1], out=rows[:, 1])
+    return out
+
+
+def sums(t: Array, wrench: Array) -> Array:
+    """Sums over the postures of all products of the tool's numbers (B, 4) with those of a wrench, (1 or 2, 4, 4)."""
+    return np.matmul(t.T, wrench)
+
+
+def sums_in_places(constants: Constants, at: Postures, t: Array, wrench: Array) -> Array:
+    """The same for the wrench as seen from places 0 … n, (n + 1, 1 or 2, 4, 4).
+
+    t: the tool in the places, (n, B, 4). wrench: seen from the root; it is written over.
     """
-    out = np.zeros((at.n + 1, 6))
-    V = 1 if torque is None else 2
-    r = np.empty((3, V, at.count))
-    r[:, 0] = force
-    if torque is not None:
-        r[:, 1] = torque
-    turned = np.empty_like(r)
-    for k in range(at.n + 1):
-        if k:
-            flat = M[k - 1, :3, :3].T @ turned.reshape(3, -1)
-            r = flat.reshape(3, V, -1)
-        sums = r.sum(axis=2)
-        out[k, :3] = sums[:, 0]
-        if torque is not None:
-            out[k, 3:] = sums[:, 1]
-        if k == at.n:
-            break
-        S = t[k] @ r[:, 0].T
-        out[k, 3] += S[1, 2] - S[2, 1]
-        out[k, 4] += S[2, 0] - S[0, 2]
-        out[k, 5] += S[0, 1] - S[1, 0]
+    out = np.zeros((at.n + 1, len(wrench), 4, 4))
+    other = np.empty_like(wrench)
+    for k in range(at.n):
+        np.matmul(t[k].T, wrench, out=out[k])
         if at.revolute[k]:
-            c, s = at.c[k], at.s[k]
-            np.multiply(r[:2], c, out=turned[:2])
-            turned[0] += s * r[1]
-            turned[1] -= s * r[0]
-            turned[2] = r[2]
-        else:
-            turned[...] = r
+            xy = wrench.view(complex)[:, :, 0]
+            np.multiply(xy, at.turn[k], out=xy)
+        np.matmul(wrench.reshape(-1, 4), constants.out[k], out=other.reshape(-1, 4))
+        wrench, other = other, wrench
+    out[at.n, :, 3] = wrench.sum(axis=1)  # there the tool is the origin
     return out
 
 
-def outward(axes: Array, k: int, M: Array, at: Postures, out: Array) -> None:
-    """Write the axes of place k + 1 in the root, (3, 3, B) with the axis first, given those of place k."""
-    if at.revolute[k]:
-        c, s = at.c[k], at.s[k]
-        turned = np.empty_like(axes)
-        np.multiply(axes[:2], c, out=turned[:2])
-        turned[0] += s * axes[1]
-        turned[1] -= s * axes[0]
-        turned[2] = axes[2]
-        axes = turned
-    np.matmul(M[k, :3, :3].T, axes.reshape(3, -1), out=out.reshape(3, -1))
-
-
-def unit_turns(axes: Array, t: Array, out: Array) -> None:
-    """Write what turns about the three axes of a place do to the tool, (3, 3, B): ``R (e_d × t)``, t being (3, B)."""
-    x, y, z = axes
-    np.multiply(y, t[2], out=out[0])
-    np.subtract(t[1] * z, out[0], out=out[0])
-    np.multiply(z, t[0], out=out[1])
-    np.subtract(t[2] * x, out[1], out=out[1])
-    np.multiply(x, t[1], out=out[2])
-    np.subtract(t[0] * y, out[2], out=out[2])
+def moments(sums: Array) -> Array:
+    """What forces and torques on the tool do along the six directions of a place, ``Σ (r, t × r + τ)``, (..., 6), from
+    the sums of products (..., 1 or 2, 4, 4).
+    """
+    S = sums[..., :3] * _MIRROR[:3]
+    out = np.empty((*S.shape[:-3], 6))
+    out[..., :3] = S[..., 0, 3, :]  # a point's last number is 1
+    y, z = [1, 2, 0], [2, 0, 1]
+    out[..., 3:] = S[..., 0, y, z] - S[..., 0, z, y]
+    if S.shape[-3] > 1:
+        out[..., 3:] += S[..., 1, 3, :]
+    return out
