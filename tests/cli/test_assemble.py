@@ -11,6 +11,7 @@ import yaml
 from modules.arms import LIBRARY, five_joints
 from modules.workshop import Arm, Made, shelf_of
 
+from modcal_core.calibration.module_store import twists_from_data
 from modcal_core.geometry import se3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.modules.assembly import Assembly
@@ -130,8 +131,14 @@ def test_from_recordings_to_a_better_start(
     assert spread(learned) < spread(nominal)
     # the same recording again changes nothing; the same name for another arm is refused
     before = store.read_text()
-    assert run(["modules", "learn", str(EXAMPLES / "five_joints.yaml"), str(one), "--modules", str(store)]) == 0
+    again = ["modules", "learn", str(EXAMPLES / "five_joints.yaml"), str(one), "--modules", str(store)]
+    assert run([*again, "--json"]) == 0
     assert store.read_text() == before
+    told = json.loads(capsys.readouterr().out)
+    assert (told["stations"], told["as_known"], told["notes"]) == (60, True, [])
+    stored = twists_from_data(yaml.safe_load(before), "store")
+    assert {(part["serial"], part["part"]) for part in told["parts"]} == set(stored)
+    assert all(np.allclose(part["twist"], stored[part["serial"], part["part"]]) for part in told["parts"])
     other = assembly_to_data(five_joints().with_serials([m.serial for m in reversed(assembly.modules)]), library)
     (tmp_path / "other.yaml").write_text(yaml.safe_dump({**other, "name": "five_joints"}))
     assert run(["modules", "learn", str(tmp_path / "other.yaml"), str(one), "--modules", str(store)]) == 2

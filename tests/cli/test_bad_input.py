@@ -139,6 +139,12 @@ def bare_folder(folder: Path) -> Path:
     return folder / "nothing"
 
 
+def folder_of_bags(folder: Path) -> Path:
+    (folder / "bags" / "morning").mkdir(parents=True)
+    (folder / "bags" / "morning" / "morning_0.mcap").write_bytes(b"")
+    return folder / "bags"
+
+
 def sqlite_bag(folder: Path) -> Path:
     (folder / "old").mkdir()
     (folder / "old" / "old_0.db3").write_bytes(b"SQLite format 3\x00")
@@ -150,6 +156,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "file that is not MCAP": (text_file, "is not an MCAP file"),
     "file of no bytes": (zero_bytes, "is empty"),
     "folder without a bag": (bare_folder, "holds no .mcap file"),
+    "folder of bags": (folder_of_bags, "holds no .mcap file: give one of the bags in it: morning"),
     "SQLite bag": (sqlite_bag, "is a SQLite bag: convert it"),
     "path that does not exist": (lambda folder: folder / "no_such_bag", "does not exist"),
 }

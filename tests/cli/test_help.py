@@ -38,3 +38,22 @@ def test_looking_into_a_bag_imports_no_scipy() -> None:
     ask = "import sys, modcal_nodes.cli.info; print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
     assert not {"scipy", "rclpy"} & set(out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["calibrat", "bag"], "No such command 'calibrat'. Did you mean calibrate? See: modcal --help"),
+        (["xyzzy"], "No such command 'xyzzy'. See: modcal --help"),
+        (["calibrate"], "Missing argument 'BAG'. See: modcal calibrate --help"),
+        (["modules", "learn", "--nothing"], "No such option"),
+    ],
+)
+def test_who_mistypes_is_told_where_to_look(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == ""
+    assert heard.err.startswith(f"modcal: {said}")
+    assert heard.err.count("\n") == 1

@@ -10,10 +10,13 @@ import signal
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli.recordings import stations
 
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
@@ -87,3 +90,61 @@ def test_an_interrupted_calibration_leaves_nothing(tmp_path: Path) -> None:
         assert done.wait(60) == 130
         assert "Traceback" not in done.stderr.read()
     assert not list(tmp_path.iterdir())
+
+
+def test_tables_are_whole_where_there_is_no_terminal(bag: Path) -> None:
+    """A log of 80 columns would cut names and numbers short."""
+    plain = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    table = subprocess.run([MODCAL, "info", bag], capture_output=True, text=True, check=True, env=plain).stdout
+    assert "shoulder_pan_joint, shoulder_lift_joint, elbow_joint" in table
+    narrow = subprocess.run(
+        [MODCAL, "info", bag], capture_output=True, text=True, check=True, env={**plain, "COLUMNS": "60"}
+    ).stdout
+    assert max(map(len, narrow.splitlines())) <= 60
+
+
+def said_by(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
+    """The JSON object that a verb prints; it says nothing else, and with -v its stages, on stderr."""
+    capfd.readouterr()
+    assert run([*(str(a) for a in arguments), "--json", "-v"]) == 0
+    said = capfd.readouterr()
+    assert all(re.fullmatch(r".*: \d+\.\d s", line) for line in said.err.splitlines())
+    data = json.loads(said.out)
+    assert isinstance(data, dict)
+    return data
+
+
+def test_the_other_verbs_speak_to_programs_too(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = ROOT / "examples" / "robots" / "ur10.urdf"
+    few = ("-p", "stations=4", "-p", "joint_rate_hz=50", "-p", "tracker_rate_hz=25")
+    simulated = said_by(capfd, "simulate", robot, "--out", "made", *few)
+    recording = read_bag(Path(simulated["bag"]))
+    assert simulated["stations"] == 4
+    assert simulated["joint_states"] == len(recording.joints[0].stamps)
+    assert simulated["readings"] == len(recording.readings[0].stamps)
+    table = said_by(capfd, "export", robot, "--to", "mdh")
+    assert Path(table["file"]).is_file()
+    assert table["off_m"] < 1e-9
+    again = said_by(capfd, "import", table["file"])
+    assert again["joints"] == table["joints"] == list(read_chain(robot.read_text()).names)
+    (tmp_path / "t.csv").write_text("t,q,x,y,z\n0,0,1,2,3\n1,1,1,2,3\n2,0,1,2,3\n")
+    (tmp_path / "m.yaml").write_text(
+        "tables: [{files: t.csv, time: {seconds: t}, joints: {unit: rad, columns: {one: q}}, "
+        "point: {frame: laser, unit: m, position: [x, y, z]}}]"
+    )
+    assert said_by(capfd, "import", "m.yaml", "--out", "rows") == {"bag": "rows", "stations": 3, "frames": ["laser"]}
+    whole = said_by(capfd, "repair", bag)
+    assert whole["repaired"] is None
+    (tmp_path / "cut.mcap").write_bytes((bag / f"{bag.name}_0.mcap").read_bytes()[:-2000])
+    cut = said_by(capfd, "repair", "cut.mcap")
+    assert cut["messages"].keys() == whole["messages"].keys()
+    assert (Path(cut["repaired"]) / "metadata.yaml").is_file()
+    assert len(cut["reasons"]) == 1
+    spec = ROOT / "examples" / "modules" / "five_joints.yaml"
+    robot_of_modules = said_by(capfd, "assemble", spec, "--out", "arm")
+    assert robot_of_modules["joints"] == list(read_chain(Path(robot_of_modules["robot"]).read_text()).names)
+    limits = said_by(capfd, "limits", robot, "--payload", "2", "--out", "limits")
+    assert limits == json.loads((tmp_path / "limits" / "limits.json").read_text())

@@ -1,7 +1,12 @@
-"""Which files a bag is made of."""
+"""Which files a bag is made of, and a folder that becomes one at once."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -35,4 +40,28 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
         return found, [f"{path.name} has no metadata.yaml: the recorder was stopped before it could close the bag."]
     if any(path.glob("*.db3")):
         raise BadRecording(str(path), "is a SQLite bag", "convert it: ros2 bag convert, with storage_id mcap")
-    raise BadRecording(str(path), "holds no .mcap file", "give a bag folder or a .mcap file")
+    inside = sorted({inner.parent.name for inner in path.glob("*/*.mcap")})
+    remedy = f"give one of the bags in it: {', '.join(inside[:3])}" if inside else "give a bag folder or a .mcap file"
+    raise BadRecording(str(path), "holds no .mcap file", remedy)
+
+
+@contextmanager
+def appearing(folder: Path) -> Iterator[Path]:
+    """A place beside ``folder``, and of its name, for what shall appear there at once: whole, or not at all.
+
+    It is moved into place when the block ends, and removed when anything is raised in it, Ctrl-C included. Raises
+    BadRecording when the folder exists, or its parent cannot be made.
+    """
+    if folder.exists():
+        raise BadRecording(str(folder), "exists already", "give another name, or remove it")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as error:
+        raise BadRecording(str(folder), f"cannot be written ({error.strerror})", "give a folder that can be") from error
+    try:
+        # a temporary folder is for its owner alone, which one in it is not
+        yield stage / folder.name
+        os.rename(stage / folder.name, folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import struct
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import yaml
 from mcap.data_stream import ReadDataStream
@@ -26,13 +25,16 @@ from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.bag_files import bag_files
+from modcal_msgs_py.bag_files import appearing, bag_files
 from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
 from modcal_msgs_py.mcap_walk import McapFile, RawMessage
 from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 _RECORD_HEAD = 9
+_MANY = 1000  # messages between two words of how far it is
+
+Heard: TypeAlias = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,15 @@ class Repair:
     reasons: tuple[str, ...]
 
 
-def repair_bag(path: Path, out: Path) -> Repair:
+def repair_bag(path: Path, out: Path, heard: Heard = lambda stage, share: None) -> Repair:
     """Write what is whole of the bag ``path`` (a folder or a .mcap file) as a whole bag ``out``.
 
-    Nothing is written when the bag is whole already. ``out`` appears at once and complete, or not at all. Raises
-    BadRecording when no message can be saved, ``out`` exists, or the disk is full.
+    Nothing is written when the bag is whole already. ``out`` appears at once and complete, or not at all. heard: is
+    told what is being done, and the share of it that is. Raises BadRecording when no message can be saved, ``out``
+    exists, or the disk is full.
     """
     files, stated, reasons = _files(path)
-    counts, more = _examined(files)
+    counts, more = _examined(files, heard)
     reasons += more
     if path.is_dir() and not reasons and _listed(stated) != counts:
         reasons = ["metadata.yaml counts other messages than the files hold."]
@@ -68,7 +71,8 @@ def repair_bag(path: Path, out: Path) -> Repair:
     if path.is_dir() and out.resolve().is_relative_to(path.resolve()):
         raise BadRecording(str(out), "lies in the bag that is to be repaired", "give --out a folder beside it")
     try:
-        return Repair(out, _rewritten(files, stated, out), tuple(reasons))
+        copied = partial(heard, f"writing {out.name}")
+        return Repair(out, _rewritten(files, stated, out, sum(counts.values()), copied), tuple(reasons))
     except OSError as error:
         raise BadRecording(
             str(out), f"cannot be written ({error.strerror})", "give --out a folder on a disk that has room"
@@ -103,15 +107,17 @@ def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     )
 
 
-def _examined(files: list[Path]) -> tuple[dict[str, int], list[str]]:
+def _examined(files: list[Path], heard: Heard) -> tuple[dict[str, int], list[str]]:
     """(whole messages by topic, what is wrong with the files)."""
     counts: dict[str, int] = {}
     reasons = []
-    for name in files:
+    for i, name in enumerate(files):
         file = McapFile(name, cdr_only=False)
         try:
             for message in file.messages():
                 counts[message.topic] = counts.get(message.topic, 0) + 1
+                if file.count % _MANY == 1:
+                    heard("reading all messages", (i + file.share) / len(files))
         except BadRecording as error:
             if len(files) == 1:
                 raise
@@ -148,12 +154,13 @@ def _index_fault(path: Path, count: int) -> str | None:
     return None
 
 
-def _rewritten(files: list[Path], stated: dict[str, Any], out: Path) -> dict[str, int]:
-    """Messages by topic in the bag ``out``, which is written beside its place and then moved there."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    stage.chmod(0o755)  # a temporary folder is for its owner alone
-    try:
+def _rewritten(
+    files: list[Path], stated: dict[str, Any], out: Path, count: int, heard: Callable[[float], None]
+) -> dict[str, int]:
+    """Messages by topic in the bag ``out`` of so many messages."""
+    done = 0
+    with appearing(out) as stage:
+        stage.mkdir()
         topics: dict[str, BagTopic] = {}
         written: list[BagFile] = []
         for name in files:
@@ -163,6 +170,9 @@ def _rewritten(files: list[Path], stated: dict[str, Any], out: Path) -> dict[str
             with contextlib.suppress(BadRecording):
                 for message in source.messages():
                     copy.add(message)
+                    done += 1
+                    if done % _MANY == 1:
+                        heard(done / count)
             if copy.finish():
                 written.append(copy.seen)
         distro = stated.get("ros_distro") or _distro(files)
@@ -170,9 +180,6 @@ def _rewritten(files: list[Path], stated: dict[str, Any], out: Path) -> dict[str
         for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
             whole[key] = stated.get(key, "")
         _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
-        os.rename(stage, out)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
     return {topic.name: topic.count for topic in topics.values()}
 
 

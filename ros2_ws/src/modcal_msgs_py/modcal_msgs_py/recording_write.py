@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Recording
+from modcal_msgs_py.bag_files import appearing
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, TYPES
 from modcal_msgs_py.types import message_class
 
 _TOPIC_OF = {kind: role for role, kind in READINGS.items()}
 _NO_NUMBERS = np.empty(0)
+_MANY = 500  # messages between two words of how far it is
 
 
-def write_recording(recording: Recording, folder: Path) -> None:
-    """Write joint states, readings, temperatures, the robot description and notes of a recording as a bag."""
-    stamped = sorted(_messages(recording), key=lambda m: m[0])
+def write_recording(recording: Recording, folder: Path, heard: Callable[[float], None] = lambda share: None) -> None:
+    """Write joint states, readings, temperatures, the robot description and notes of a recording as a bag.
+
+    The folder appears at once and whole, or not at all. heard: is told the share that is written. Raises BadRecording
+    when the folder exists already, or cannot be written.
+    """
+    with appearing(folder) as stage:
+        try:
+            _write(recording, stage, heard)
+        except BadRecording as error:  # of a disk that refuses; nothing is left for a repair
+            raise BadRecording(str(folder), error.limit, "make room on the disk, or write elsewhere") from error
+
+
+def _write(recording: Recording, folder: Path, heard: Callable[[float], None]) -> None:
+    count = sum(len(t.stamps) for tracks in (recording.joints, recording.readings, recording.signals) for t in tracks)
+    stamped = []
+    for message in _messages(recording):
+        stamped.append(message)
+        if len(stamped) % _MANY == 0:
+            heard(0.5 * len(stamped) / count)
+    stamped.sort(key=lambda m: m[0])
     start = stamped[0][0] if stamped else 0
     with BagWriter(folder) as bag:
         String = message_class("std_msgs/msg/String")
@@ -29,8 +50,10 @@ def write_recording(recording: Recording, folder: Path) -> None:
             )
         for note in recording.warnings:
             bag.write(f"/{NOTES}", TYPES[NOTES], String(data=note), start)
-        for stamp, role, message in stamped:
+        for i, (stamp, role, message) in enumerate(stamped):
             bag.write(f"/{role}", TYPES[role], message, stamp)
+            if i % _MANY == 0:
+                heard(0.5 * (1.0 + i / len(stamped)))
 
 
 def _messages(recording: Recording) -> Iterator[tuple[int, str, Any]]:

@@ -7,7 +7,7 @@ joint state and one reading with the same stamp, that is a finished station.
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -69,10 +69,13 @@ class _Table:
         raise BadTable(f"{self.path.name}", f"has no column {key}", f"columns are {known}")
 
 
-def import_tables(mapping: Any, folder: Path, source: str) -> Recording:
+def import_tables(
+    mapping: Any, folder: Path, source: str, heard: Callable[[float], None] = lambda share: None
+) -> Recording:
     """The recording that a mapping makes of the tables in a folder.
 
-    mapping: the data of the mapping file. source: its name, for messages. Raises BadTable naming file, line and column.
+    mapping: the data of the mapping file. source: its name, for messages. heard: is told the share of the tables that
+    is read. Raises BadTable naming file, line and column.
     """
     if not isinstance(mapping, Mapping) or not mapping.get("tables"):
         raise BadTable(source, "has no list 'tables'", "see docs/recordings.md")
@@ -81,14 +84,15 @@ def import_tables(mapping: Any, folder: Path, source: str) -> Recording:
     signals: list[SignalTrack] = []
     notes: list[str] = []
     clock = 0.0
-    for entry in mapping["tables"]:
+    for e, entry in enumerate(mapping["tables"]):
         unknown = set(entry) - _KEYS
         if unknown:
             raise BadTable(source, f"unknown key {', '.join(sorted(unknown))}", f"known are {', '.join(sorted(_KEYS))}")
         paths = sorted(folder.glob(str(_need(entry, "files", source))))
         if not paths:
             raise BadTable(f"{folder}/{entry['files']}", "matches no file", "check the folder and the name")
-        for path in paths:
+        for i, path in enumerate(paths):
+            heard((e + i / len(paths)) / len(mapping["tables"]))
             table = _read(path, entry)
             stamps, note = _stamps(table, entry, clock, source)
             clock = float(stamps.max()) + 1.0

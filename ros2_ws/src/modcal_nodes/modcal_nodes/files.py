@@ -18,18 +18,23 @@ from modcal_core.errors import BadTable
 def write_folder(folder: Path, files: Mapping[str, str]) -> None:
     """Write these texts into a folder, made if need be; on failure the folder is left as it was.
 
-    All files are written elsewhere first, on the same disk, and only then moved into place one after the other.
+    All files are written elsewhere first, on the same disk. A folder that is new is then moved into place at once, into
+    one that is there already its files are moved one after the other.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     if folder.exists() and not folder.is_dir():
         raise BadTable(str(folder), "is a file", "give --out a folder")
     stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
+        new = stage / "new"
+        new.mkdir()
         for name, text in files.items():
-            (stage / name).write_text(text, encoding="utf-8")
-        folder.mkdir(exist_ok=True)
+            (new / name).write_text(text, encoding="utf-8")
+        if not folder.exists():
+            os.rename(new, folder)
+            return
         for name in files:
-            os.replace(stage / name, folder / name)
+            os.replace(new / name, folder / name)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
 

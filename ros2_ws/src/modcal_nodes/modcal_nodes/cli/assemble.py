@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.calibration.module_errors import ModuleErrors, learn, surprise
+from modcal_core.calibration.module_errors import ModuleError, ModuleErrors, learn, surprise
 from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
 from modcal_core.calibration.witness import witness
 from modcal_core.errors import BadTable
@@ -24,6 +26,7 @@ from modcal_core.prepare import prepare
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
 _LIBRARY = click.option(
@@ -41,28 +44,40 @@ _UNLIKELY = 1e-4
     help="What modcal modules learn wrote: the URDF gets what is known of these physical modules.",
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
-def assemble_command(spec: Path, library_file: Path | None, store: Path | None, out: Path | None) -> None:
+@speaking
+def assemble_command(spec: Path, library_file: Path | None, store: Path | None, out: Path | None, voice: Voice) -> None:
     """Make a robot of SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
-    console = Console(emoji=False)
-    console.print(_table(assembly, library))
-    console.print(str(incidence_of(assembly, library)), highlight=False)
-    if errors is not None:
-        known = {serial for serial, _ in errors}
-        named = [m.serial for m in assembly.modules if m.serial]
-        strangers = [s for s in named if s not in known]
-        console.print(f"{len(named) - len(strangers)} of {len(assembly.modules)} modules are known from {store}")
-        if strangers:
-            console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
+    named = [m.serial for m in assembly.modules if m.serial]
+    known = set() if errors is None else {serial for serial, _ in errors}
     out = out or Path(assembly.name)
+    stated = assembly_to_data(assembly, library)
     files = {
         "robot.urdf": urdf_of(assembly, library, errors),
-        "assembly.yaml": to_yaml(assembly_to_data(assembly, library)),
+        "assembly.yaml": to_yaml(stated),
         "assembly.svg": picture(assembly, library),
     }
     write_folder(out, files)
-    click.echo(f"Robot: {out / 'robot.urdf'}")
+    strangers = [] if errors is None else [s for s in named if s not in known]
+    matrix = incidence_of(assembly, library)
+    data = {
+        "robot": str(out / "robot.urdf"),
+        "assembly": stated,
+        "joints": list(assembly.joint_names),
+        "known": [s for s in named if s in known],
+        "strangers": strangers,
+    }
+
+    def show(console: Console) -> None:
+        console.print(_table(assembly, library))
+        console.print(str(matrix), highlight=False)
+        if errors is not None:
+            console.print(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
+        if strangers:
+            console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
+
+    voice.result(data, show, f"Robot: {out / 'robot.urdf'}")
 
 
 @click.group("modules")
@@ -78,30 +93,59 @@ def modules_command() -> None:
     help="YAML of what is known; made if it is not there.",
 )  # fmt: skip
 @_LIBRARY
-def learn_command(spec: Path, bag: Path, store: Path, library_file: Path | None) -> None:
+@speaking
+def learn_command(spec: Path, bag: Path, store: Path, library_file: Path | None, voice: Voice) -> None:
     """Learn from BAG, a recording of the assembly SPEC, what its modules (by serial number) are off by."""
     assembly, library = read_assembly(spec, library_file)
     if not any(m.serial for m in assembly.modules):
         raise BadTable(str(spec), "no module has a serial number", "write serial: behind the modules to be known again")
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
-    prepared = prepare(read_bag(bag), chain_of(assembly, library))
-    new = witness(assembly, library, prepared.samples)
-    console = Console(emoji=False)
-    for note in prepared.notes:
-        console.print(note, style="yellow", highlight=False)
-    others = [w for w in known.witnesses if w.assembly.name != assembly.name]
-    expected = surprise(learn(others, library), new, library)
-    known = with_witness(known, new, library)
-    console.print(_known(known))
-    console.print(f"{new.stations} stations, {1e3 * new.residual:.3f} mm RMS left by the fit", highlight=False)
-    if expected.p_value < _UNLIKELY:
+    with voice.working() as watch:
+        watch(f"reading {bag.name}")
+        prepared = prepare(read_bag(bag), chain_of(assembly, library))
+        watch("fitting the modules")
+        new = witness(assembly, library, prepared.samples)
+        others = [w for w in known.witnesses if w.assembly.name != assembly.name]
+        p_value = surprise(learn(others, library), new, library).p_value
+        known = with_witness(known, new, library)
+        data = store_to_data(known, library)
+    write_folder(store.resolve().parent, {store.name: to_yaml(data)})
+    found = {
+        "modules": str(store),
+        "stations": new.stations,
+        "residual_m": float(new.residual),
+        "p_value": float(p_value),
+        "as_known": bool(p_value >= _UNLIKELY),
+        "notes": list(prepared.notes),
+        "parts": [_part(serial, part, error) for (serial, part), error in known.parts.items()],
+    }
+    voice.result(found, partial(_show_learned, found), f"Modules: {store}")
+
+
+def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
+    """What is known of one part of one module: twist and standard deviations (6,) [m, rad]."""
+    return {
+        "serial": serial,
+        "kind": error.kind,
+        "part": part,
+        "assemblies": int(error.seen),
+        "twist": np.asarray(error.twist).tolist(),
+        "std": np.asarray(error.std).tolist(),
+    }
+
+
+def _show_learned(found: dict[str, Any], console: Console) -> None:
+    say((f"[yellow]{note}" for note in found["notes"]), console)
+    console.print(_known(found["parts"]))
+    console.print(
+        f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit", highlight=False
+    )
+    if not found["as_known"]:
         said = (
-            f"This assembly is not as its modules were known (p = {expected.p_value:.1g}): "
+            f"This assembly is not as its modules were known (p = {found['p_value']:.1g}): "
             "a serial number is wrong, a module or a flange has suffered, or the library's tolerances are too tight."
         )
         console.print(said, style="yellow", highlight=False)
-    write_folder(store.resolve().parent, {store.name: to_yaml(store_to_data(known, library))})
-    click.echo(f"Modules: {store}")
 
 
 def _table(assembly: Assembly, library: Library) -> Table:
@@ -131,16 +175,18 @@ def _table(assembly: Assembly, library: Library) -> Table:
     return table
 
 
-def _known(known: ModuleErrors) -> Table:
+def _known(parts: list[dict[str, Any]]) -> Table:
     """What is known of every part: sizes of its errors, and how surely."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("serial", "kind", "part"):
         table.add_column(name)
     for name in ("assemblies", "shift mm", "± mm", "turn mrad", "± mrad"):
         table.add_column(name, justify="right")
-    for (serial, part), error in known.parts.items():
-        shift, turn = (float(np.linalg.norm(error.twist[at])) for at in (slice(0, 3), slice(3, 6)))
-        sure = (float(np.sqrt(np.mean(error.std[at] ** 2))) for at in (slice(0, 3), slice(3, 6)))
+    for known in parts:
+        twist, std = np.array(known["twist"]), np.array(known["std"])
+        shift, turn = (float(np.linalg.norm(twist[at])) for at in (slice(0, 3), slice(3, 6)))
+        sure = (float(np.sqrt(np.mean(std[at] ** 2))) for at in (slice(0, 3), slice(3, 6)))
         numbers = [f"{1e3 * x:.3f}" for pair in zip((shift, turn), sure, strict=True) for x in pair]
-        table.add_row(serial, error.kind, part.replace("_", " "), str(error.seen), *numbers)
+        part = known["part"].replace("_", " ")
+        table.add_row(known["serial"], known["kind"], part, str(known["assemblies"]), *numbers)
     return table

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 import numpy as np
-from rich.console import Console
 
 from modcal_core.calibration.deciding import Proposal, propose
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.planning.ground import allowed
 from modcal_core.planning.site import Site
+from modcal_nodes.cli.saying import console
 from modcal_nodes.files import to_yaml, write_folder
 from modcal_nodes.inputs import read_calibration
 
@@ -28,15 +28,15 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
         raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
     rng = np.random.default_rng(seed)
     share = max(2, stations // len(ties))
-    console = Console(emoji=False)
+    page = console()
     proposals = []
     for i, j in ties:
-        console.print(_tie(calibration, i, j), highlight=False)
+        page.print(_tie(calibration, i, j), highlight=False)
         if not _depends_on_posture(calibration, i, j):
-            console.print("  postures cannot decide this: repeat some stations cold and warm, and some time later")
+            page.print("  postures cannot decide this: repeat some stations cold and warm, and some time later")
             continue
         proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
-        console.print(f"  {_worth(proposal)}", highlight=False)
+        page.print(f"  {_worth(proposal)}", highlight=False)
         proposals.append(proposal)
     deciding = [p for p in proposals if p.decides]
     if not deciding:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import yaml
+from rich.console import Console
 
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
@@ -18,6 +20,7 @@ from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_elements import chain_urdf
+from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.files import read_yaml, to_yaml, write_file
 from modcal_nodes.inputs import read_calibration
 
@@ -44,6 +47,7 @@ class _Source:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml."
 )
+@speaking
 def export_command(
     source: Path,
     form: str,
@@ -53,6 +57,7 @@ def export_command(
     tip: str | None,
     largest_offset: float,
     out: Path | None,
+    voice: Voice,
 ) -> None:
     """Write the kinematics of SOURCE as a table, or as a URDF without bodies.
 
@@ -62,11 +67,9 @@ def export_command(
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is no distance", "give metres, such as 10")
     arm = _read(source, which, tool, base, tip)
-    for note in arm.left_out:
-        click.echo(f"left out: {note}")
     if form == "urdf":
         out = out or Path(f"{source.resolve().stem}_chain.urdf")
-        text, said = chain_urdf(arm.chain), ""
+        text, off = chain_urdf(arm.chain), None
     else:
         table = to_table(arm.chain, form, largest_offset)
         out = out or Path(f"{source.resolve().stem}_{form}.yaml")
@@ -77,9 +80,29 @@ def export_command(
         else:
             text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
             again = yaml.safe_load(text)
-        said = f", read back it is off by {loss(arm.chain, again):.1g} m at most"
+        off = float(loss(arm.chain, again))
     write_file(out, text)
-    click.echo(f"{out}: {arm.chain.n} joints, {arm.chain.base} → {arm.chain.tip}{said}")
+    voice.result(*told(out, arm.chain, off, arm.left_out))
+
+
+def told(
+    out: Path, chain: Chain, off: float | None = None, left_out: Sequence[str] = ()
+) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """What to say of the file with an arm's kinematics, as data and as lines.
+
+    off: how far poses are off when it is read back [m]. left_out: what it cannot hold.
+    """
+    data = {
+        "file": str(out),
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": list(chain.names),
+        "off_m": off,
+        "left_out": list(left_out),
+    }
+    said = "" if off is None else f", read back it is off by {off:.1g} m at most"
+    line = f"{out}: {chain.n} joints, {chain.base} → {chain.tip}{said}"
+    return data, partial(tell, [*(f"left out: {note}" for note in left_out), line])
 
 
 def read_table(path: Path) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from modcal_nodes.cli.calibrate import calibration_options
+from modcal_nodes.cli.saying import console
 from modcal_nodes.files import to_json
 from modcal_nodes.fleet.cluster import run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
@@ -73,19 +74,19 @@ def fleet_command(
     missing or has changed. Exit 2 when some could not be calibrated; all others are then written nevertheless.
     """
     planned = plan(bags, out, Wishes(**wishes), again)
-    console = Console()
-    quiet = as_json or not console.is_terminal
+    page = console()
+    quiet = as_json or not page.is_terminal
     here = room()
     jobs = jobs or here.jobs
     if not as_json:
         where = f"on {address}" if address else here.said(jobs)
-        console.print(f"{len(planned.missing)} of {len(planned.tasks)} recordings to do, {where}", highlight=False)
+        page.print(f"{len(planned.missing)} of {len(planned.tasks)} recordings to do, {where}", highlight=False)
 
     def runner(tasks: Sequence[Task]) -> Generator[Outcome, None, None]:
         return run_on_cluster(tasks, address, do) if address else run_here(tasks, jobs, do)
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=quiet, transient=True) as progress:
+    with Progress(*columns, console=page, disable=quiet, transient=True) as progress:
         bar = progress.add_task("", total=len(planned.missing))
 
         def heard(row: Row) -> None:
@@ -97,7 +98,7 @@ def fleet_command(
     if as_json:
         click.echo(to_json(_data(planned, compared)), nl=False)
     else:
-        _show(planned, compared, console)
+        _show(planned, compared, page)
     left = [row for row in compared.rows if row["state"] != DONE]
     if left:
         first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
@@ -117,7 +118,7 @@ def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
     }
 
 
-def _show(planned: Plan, compared: Compared, console: Console) -> None:
+def _show(planned: Plan, compared: Compared, page: Console) -> None:
     """A line for each robot, then those that could not be calibrated."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("robot", "recordings", "last", "RMS mm before", "after", "over time"):
@@ -131,8 +132,8 @@ def _show(planned: Plan, compared: Compared, console: Console) -> None:
         sizes = [last[f"{stage}_rms_mm"] for stage in ("nominal", "final")]
         numbers = ["" if size is None else f"{size:.3f}" for size in sizes]
         table.add_row(robot, str(len(rows)), last["started"][:10], *numbers, last["drift"] or "")
-    console.print(table, highlight=False)
+    page.print(table, highlight=False)
     for row in compared.rows:
         if row["state"] != DONE:
-            console.print(f"{row['name']} {row['state']}: {row['said']}", style="yellow", highlight=False)
+            page.print(f"{row['name']} {row['state']}: {row['said']}", style="yellow", highlight=False)
     click.echo(f"Table: {planned.out / 'fleet.parquet'}")

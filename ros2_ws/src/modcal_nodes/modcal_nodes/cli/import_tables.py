@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -12,7 +13,8 @@ from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
-from modcal_nodes.cli.export import read_table
+from modcal_nodes.cli.export import read_table, told
+from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.files import read_yaml, write_file
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -25,7 +27,8 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="The bag, or the URDF. Default: MAPPING's name."
 )
-def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None) -> None:
+@speaking
+def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, voice: Voice) -> None:
     """Turn CSV tables into a bag, as MAPPING (a YAML file) says.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
@@ -36,18 +39,20 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
         chain = from_table(table)
         out = out or Path(f"{mapping.stem}.urdf")
         write_file(out, chain_urdf(chain))
-        click.echo(f"{out}: {chain.n} joints, {chain.base} → {chain.tip}")
+        voice.result(*told(out, chain))
         return
     stated = read_yaml(mapping)
-    folder = data or mapping.parent
-    recording = import_tables(stated, folder, mapping.name)
-    urdf = urdf or _stated_urdf(stated, mapping, folder)
-    if urdf is not None:
-        recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
-    out = out or Path(mapping.stem)
-    write_recording(recording, out)
-    count = sum(len(r.stamps) for r in recording.readings)
-    click.echo(f"{out}: {count} stations, {len(recording.frames)} frame{'s' * (len(recording.frames) != 1)}")
+    folder, out = data or mapping.parent, out or Path(mapping.stem)
+    with voice.working() as watch:
+        recording = import_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
+        urdf = urdf or _stated_urdf(stated, mapping, folder)
+        if urdf is not None:
+            recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+        write_recording(recording, out, partial(watch, f"writing {out.name}"))
+    frames = list(recording.frames)
+    found = {"bag": str(out), "stations": sum(len(r.stamps) for r in recording.readings), "frames": frames}
+    line = f"{out}: {found['stations']} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
+    voice.result(found, partial(tell, [line]))
 
 
 def _stated_urdf(stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -20,6 +21,7 @@ from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.by_joint import numbers_by_joint
 from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.files import to_json, to_yaml, write_folder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -57,10 +59,10 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.option("--seed", type=int, default=0, show_default=True, help="Of those postures.")
 @click.option("--share", type=float, default=1.0, show_default=True, help="Of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="In the base link [m/s²].")
-@click.option("--json", "as_json", is_flag=True, help="Print limits.json in place of the table.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="Folder of limits.json and joint_limits.yaml."
 )
+@speaking
 def limits_command(
     source: Path,
     urdf: Path | None,
@@ -75,8 +77,8 @@ def limits_command(
     seed: int,
     share: float,
     gravity: tuple[float, float, float],
-    as_json: bool,
     out: Path | None,
+    voice: Voice,
     **by_joint: tuple[str, ...],
 ) -> None:
     """Say how hard each joint may be accelerated, without any drive giving more than it can.
@@ -99,17 +101,19 @@ def limits_command(
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
     q, v = _motion(arm.chain, recording, at, velocity, workspace, seed)
     found = LimitsFound(arm, q, v, source.name)
-    data = to_json_data(found)
+    with voice.working() as watch:
+        watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
+        data = to_json_data(found)
     if out is not None:
         write_folder(out, {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))})
-    if as_json:
-        click.echo(to_json(data), nl=False)
-        return
-    Console(emoji=False).print(_table(data))
-    if len(q) > 1:
-        click.echo(f"{len(q)} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
-    if out is not None:
-        click.echo(f"Limits: {out / 'limits.json'}")
+    where = "" if out is None else f"Limits: {out / 'limits.json'}"
+    voice.result(data, partial(_show, data, len(q)), where)
+
+
+def _show(data: dict[str, object], postures: int, console: Console) -> None:
+    console.print(_table(data))
+    if postures > 1:
+        click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
 
 
 def _motion(

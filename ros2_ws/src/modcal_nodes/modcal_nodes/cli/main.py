@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib import import_module
 
 import click
@@ -43,6 +44,16 @@ class _Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the verbs."""
         return list(VERBS)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb that is asked for; of one that is not there, which it is like."""
+        if args[0] not in VERBS and not args[0].startswith("-"):
+            like = get_close_matches(args[0], VERBS, 2)
+            meant = f" Did you mean {' or '.join(like)}?" if like else ""
+            raise click.UsageError(f"No such command '{args[0]}'.{meant}", ctx)
+        return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a verb, or None."""
@@ -80,7 +91,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, click.exceptions.NoArgsIsHelpError):
             click.echo(error.format_message())
             return 0
-        return _refuse(error.format_message())
+        return _refuse(error.format_message() + _remedy(error))
     except OSError as error:
         where = error.filename or "file system"
         return _refuse(f"{where}: {error.strerror or error}: check the path, its permissions and the space left")
@@ -92,6 +103,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         traceback.print_exc()
         click.echo("modcal: this is a fault of modcal; please report it with the lines above", err=True)
         return 1
+
+
+def _remedy(error: click.ClickException) -> str:
+    """What to do about a call that cannot be understood."""
+    if not isinstance(error, click.UsageError) or error.ctx is None:
+        return ""
+    return f" See: {error.ctx.command_path} --help"
 
 
 def _refuse(line: str) -> int:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 from rich.console import Console
 from rich.table import Table
 
-from modcal_msgs_py.mcap_repair import repair_bag
+from modcal_msgs_py.mcap_repair import Repair, repair_bag
+from modcal_nodes.cli.saying import Voice, speaking
 
 
 @click.command("repair")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="The new bag. Default: BAG_repaired.")
-def repair_command(bag: Path, out: Path | None) -> None:
+@speaking
+def repair_command(bag: Path, out: Path | None, voice: Voice) -> None:
     """Make a whole bag of BAG, which was cut: killed recorder, full disk, lost power.
 
     Every whole message is kept as it is. BAG itself is not touched; if nothing is wrong with it, nothing is written.
@@ -22,8 +25,18 @@ def repair_command(bag: Path, out: Path | None) -> None:
     if out is None:
         place = bag.resolve()
         out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
-    done = repair_bag(bag, out)
-    console = Console(emoji=False)
+    with voice.working() as watch:
+        done = repair_bag(bag, out, watch)
+    data = {
+        "bag": str(bag),
+        "repaired": None if done.folder is None else str(done.folder),
+        "reasons": list(done.reasons),
+        "messages": dict(done.saved),
+    }
+    voice.result(data, partial(_show, bag, done))
+
+
+def _show(bag: Path, done: Repair, console: Console) -> None:
     count = sum(done.saved.values())
     if done.folder is None:
         console.print(f"{bag} is whole ({count} messages): nothing to repair", highlight=False)

@@ -7,6 +7,7 @@ with the seconds that it took.
 from __future__ import annotations
 
 import functools
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ from rich.console import Console
 
 from modcal_nodes.progress import Watch, silent
 
+_WIDE = 160
+
 
 def say(lines: Iterable[str], console: Console) -> None:
     """Print these lines."""
@@ -24,12 +27,26 @@ def say(lines: Iterable[str], console: Console) -> None:
         console.print(line, highlight=False)
 
 
+def console(stderr: bool = False) -> Console:
+    """A console as wide as the terminal; where there is none, wide enough for every table (COLUMNS, if set)."""
+    made = Console(stderr=stderr, emoji=False)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = _WIDE
+    return made
+
+
+def tell(lines: Iterable[str], console: Console) -> None:
+    """Print these lines as they are, paths whole, however narrow the console is."""
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
 class Voice:
     """How one call of a verb speaks."""
 
     def __init__(self, as_json: bool = False, verbose: bool = False) -> None:
         self._as_json, self._verbose = as_json, verbose
-        self._out = Console(emoji=False)
+        self._out = console()
 
     def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
         """Say the result: as JSON data, or by showing it, and then where it is."""
@@ -45,7 +62,7 @@ class Voice:
     @contextmanager
     def working(self) -> Iterator[Watch]:
         """A watch to hand to long work. An interruption goes through."""
-        error = Console(stderr=True, emoji=False)
+        error = console(stderr=True)
         if self._verbose:
             yield from _lines()
         elif error.is_terminal and not self._as_json:

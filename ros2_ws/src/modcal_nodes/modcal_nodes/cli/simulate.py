@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import yaml
 
 from modcal_core.errors import BadTable
 from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.parameters import SIMULATED_CELL, Parameter
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded
@@ -28,7 +30,10 @@ _STATIONS = 60
     "--at", "later", type=(click.FloatRange(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
     help="The same, from so many seconds on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
-def simulate_command(robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...]) -> None:
+@speaking
+def simulate_command(
+    robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], voice: Voice
+) -> None:
     """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
 
     It visits 60 random postures (-p stations=N). What else it does that its model lacks is said with -p:
@@ -42,12 +47,21 @@ def simulate_command(robot: Path, out: Path, given: tuple[str, ...], later: tupl
     for text in given:
         name, value = _parameter(text)
         chosen[name] = value
-    plant = Plant(chosen)
     changes = sorted(((when, *_parameter(text)) for when, text in later), key=lambda change: change[0])
-    recording = recorded(plant, chosen, changes)
-    write_recording(recording, out)
-    counts = f"{len(recording.joints[0].stamps)} joint states, {len(recording.readings[0].stamps)} readings"
-    click.echo(f"{out}: {chosen['stations']} stations in {plant.end:.0f} s, {counts}")
+    with voice.working() as watch:
+        watch("building the cell")
+        plant = Plant(chosen)
+        recording = recorded(plant, chosen, changes, watch)
+        write_recording(recording, out, partial(watch, f"writing {out.name}"))
+    data = {
+        "bag": str(out),
+        "stations": chosen["stations"],
+        "duration_s": plant.end,
+        "joint_states": len(recording.joints[0].stamps),
+        "readings": len(recording.readings[0].stamps),
+    }
+    counts = f"{data['joint_states']} joint states, {data['readings']} readings"
+    voice.result(data, partial(tell, [f"{out}: {data['stations']} stations in {plant.end:.0f} s, {counts}"]))
 
 
 def _parameter(text: str) -> tuple[str, Any]:

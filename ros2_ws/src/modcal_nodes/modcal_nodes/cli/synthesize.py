@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -21,6 +20,7 @@ from modcal_core.modules.synthesis import Synthesis, Task, Watch, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.assemblies import read_library
 from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.saying import console
 from modcal_nodes.files import read_yaml, to_json, to_yaml, write_folder
 
 _PICTURES = 5  # of the ranking; the best gets one at each target
@@ -43,13 +43,13 @@ def synthesize_command(
     """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
     task = task_from_data(read_yaml(task_file), str(task_file))
     library = read_library(library_file)
-    console = Console(emoji=False)
+    page = console()
     with _progress(task) as watch:
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), watch)
     out = out or Path(f"{task.name}_synthesis")
     write_folder(out, synthesis_files(result, library, library_file))
-    console.print(sentence(result), highlight=False)
-    console.print(_table(result, library))
+    page.print(sentence(result), highlight=False)
+    page.print(_table(result, library))
     click.echo(f"Best: {out / 'best.yaml'}")
 
 
@@ -78,12 +78,12 @@ def synthesis_files(result: Synthesis, library: Library, library_file: Path | No
 @contextmanager
 def _progress(task: Task) -> Iterator[Watch | None]:
     """Something to call after every generation; nothing is shown where nobody looks."""
-    console = Console(stderr=True, emoji=False)
-    if not console.is_terminal:
+    error = console(stderr=True)
+    if not error.is_terminal:
         yield None
         return
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(*columns, console=error, transient=True) as progress:
         bars: dict[int, object] = {}
 
         def watch(generation: Generation) -> None:

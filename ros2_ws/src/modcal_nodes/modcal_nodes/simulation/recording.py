@@ -11,15 +11,19 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_nodes.progress import Watch, silent
 from modcal_nodes.simulation.pace import Grid
 from modcal_nodes.simulation.plant import TRACKER_PHASE, Plant
 from modcal_nodes.simulation.spoken import TRACKER
 from modcal_nodes.simulation.switches import SWITCHES
 
 _TEMPERATURE_RATE = 1.0  # Hz
+_MANY = 100  # moments between two words of how far it is
 
 
-def recorded(plant: Plant, chosen: dict[str, Any], changes: list[tuple[float, str, Any]]) -> Recording:
+def recorded(
+    plant: Plant, chosen: dict[str, Any], changes: list[tuple[float, str, Any]], watch: Watch = silent
+) -> Recording:
     """Everything the cell says until its last posture. changes: (seconds, switch, value), in order.
 
     Raises BadTable for a change that cannot be.
@@ -31,10 +35,14 @@ def recorded(plant: Plant, chosen: dict[str, Any], changes: list[tuple[float, st
     felt: dict[str, list[tuple[float, float]]] = {}
     for until, change in [*((when, (when, name, value)) for when, name, value in changes), (math.inf, None)]:
         stop = min(until, plant.end)
-        for t in grids[0].take(stop):
+        for i, t in enumerate(grids[0].take(stop)):
+            if i % _MANY == 0:
+                watch("moving the arm", t / plant.end)
             q, v, effort = plant.joints(t)
             joints.append((t, np.r_[q, v, np.full_like(q, np.nan) if effort is None else effort]))
-        for t in grids[1].take(stop):
+        for i, t in enumerate(grids[1].take(stop)):
+            if i % _MANY == 0:
+                watch("reading the tracker", t / plant.end)
             readings.append((t, plant.read(plant.tool(t))))
         for t in grids[2].take(stop):
             if (warm := plant.temperature(t)) is not None:
