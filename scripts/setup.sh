@@ -61,6 +61,8 @@ if ! cmp -s <(cat "${locks[@]}") <(cd $venv && cat "${locks[@]}" 2>/dev/null); t
         $venv/bin/python -c "import $module" || die "$module: a system library is missing:" \
             "sudo apt-get install -y libgomp1 libstdc++6 zlib1g"
     done
+    # At once and on all cores, and also where Python is told to keep no bytecode: every start would compile NumPy anew.
+    $venv/bin/python -m compileall -qq -j 0 $venv/lib || true # what is of another Python's time stays as it is
     cp "${locks[@]}" $venv/
 fi
 

@@ -114,7 +114,7 @@ def identify(
     fitted = () if keep_effects else start.effects
     few = min(_FEW, len(samples) // _MANY)
     if begin is None and not start.effects and few >= _EACH * P:
-        some = samples.select(np.arange(0, len(samples), len(samples) // few))
+        some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, robust, (), tolerance, values, rough=True).values
     at = _minimum(start, samples, parameters, distances, robust, fitted, tolerance, values)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(at.H), 1e-300))
@@ -198,19 +198,21 @@ def _minimum(
             if begun or (ended and length <= _UNSEEN):
                 new = at
                 break
-            new = equations.residuals(values + step)
+            trial = values + step
+            new = equations.residuals(trial)
             before = _cost(at, row_weight) + float(np.sum(((values - centre) / prior) ** 2))
-            after = _cost(new, row_weight) + float(np.sum(((values + step - centre) / prior) ** 2))
+            after = _cost(new, row_weight) + float(np.sum(((trial - centre) / prior) ** 2))
             if after <= before * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
                 break
             damping = max(10.0 * damping, 1e-4)
+        looked = new is not at
         values, at = values + step, new
         if ended or begun:
             break
         near = equations.quick_gradient and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
         near = near and damping == 0.0 and length <= _SHRINKING * last
         damping = 0.0 if damping < 1e-3 else damping / 10.0
-    if not rough:
+    if looked and not rough:  # else these are of the same residuals
         weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
     return _Minimum(values, H, H_data, weights, spread, iteration)
 
@@ -269,12 +271,12 @@ def _weigh(
     each = parameters / groups.rows  # degrees of freedom that a row gives up
 
     def left(rows: np.ndarray | slice, directions: int) -> float:
-        seen = at.position[:, rows]
-        return excess_spread(seen, known_p[rows], weights[rows], each * directions * seen.shape[1], directions)
+        seen = square_p[rows]
+        return excess_spread(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
 
     spread = Spread(
         left(groups.positions, 3),
-        excess_spread(at.rotation, known_r, weights[pose], each * 3.0 * len(square_r)),
+        excess_spread(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
         {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
     )
     return weights, spread

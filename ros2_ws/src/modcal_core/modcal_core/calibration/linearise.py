@@ -116,7 +116,8 @@ def deviations(model: Model, parameters: Sequence[Parameter], values: Array) -> 
 def apply_deviations(model: Model, errors: Deviations) -> Model:
     """The model with these errors put in: frames moved, constants of the chain changed, tool moved."""
     chain = model.chain
-    E = error_transform(errors.places)
+    both, ahead = error_transform(np.concatenate([errors.frames, errors.places])), len(errors.frames)
+    E = both[ahead:]
     changed: Mechanism
     if isinstance(chain, Delta):
         changed = chain.moved(errors.constants[:ARMS].T)
@@ -126,7 +127,7 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
         origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
         changed = chain.with_origins(origins)
     T_base_root = chain.T_base_root
-    T_frame_base = model.T_frame_base @ T_base_root @ error_transform(errors.frames) @ se3.inverse(T_base_root)
+    T_frame_base = model.T_frame_base @ T_base_root @ both[:ahead] @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]
     instruments = tuple(i.moved(d) for i, d in zip(model.instruments, errors.instruments, strict=True))
     return replace(

@@ -9,6 +9,7 @@ far outside, judged by its whole residual against a χ² law, counts less (Huber
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -64,7 +65,7 @@ class Groups:
             dimensions[others[name]] = kinds()[name].dimensions
         return cls(np.flatnonzero(~indirect), others, dimensions)
 
-    @property
+    @cached_property
     def rows(self) -> float:
         """Equations that the samples give."""
         return float(self.dimensions.sum())
@@ -83,11 +84,12 @@ def robust_spread(position: Array, rotation: Array, groups: Groups | None = None
     return Spread(one(position[:, groups.positions]), one(rotation), others)
 
 
-def excess_spread(residual: Array, known: Array, weight: Array, lost: float, dimensions: int = 3) -> float:
-    """s for residuals (3, N) with known deviations (N,) and robust weights (N,), ``lost`` degrees of freedom spent."""
-    if not residual.size:
+def excess_spread(square: Array, known: Array, weight: Array, lost: float, dimensions: int = 3) -> float:
+    """s for squares (N,) of residuals with known deviations (N,) and robust weights (N,), ``lost`` degrees of freedom
+    spent.
+    """
+    if not square.size:
         return _FLOOR
-    square = np.einsum("ij,ij->j", residual, residual)
     freedom = max(dimensions * float(weight.sum()) - lost, 1.0)
     if not known.any():
         return max(float(np.sqrt(weight @ square / freedom)), _FLOOR)

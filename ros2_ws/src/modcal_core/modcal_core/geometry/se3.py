@@ -25,7 +25,11 @@ def inverse(T: ArrayLike) -> Array:
     """Inverse transforms (..., 4, 4): ``T_b_a`` of ``T_a_b``."""
     T = np.asarray(T, dtype=float)
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
-    return transform(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
+    out = np.zeros(T.shape)
+    out[..., :3, :3] = Rt
+    np.negative(Rt @ T[..., :3, 3:], out=out[..., :3, 3:])
+    out[..., 3, 3] = 1.0
+    return out
 
 
 def exp(xi: ArrayLike) -> Array:

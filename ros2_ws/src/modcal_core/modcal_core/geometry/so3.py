@@ -1,8 +1,7 @@
 """Rotations: exponential, logarithm, quaternions (x y z w), fixed-axis roll-pitch-yaw, and the mean on the manifold.
 
 Every function takes any number of leading batch axes. The exponential is Rodrigues' formula
-``R = I + a [w]x + b [w]x^2`` with ``a = sin t / t`` and ``b = (1 - cos t) / t^2``, ``t = |w|``; both are series below
-``t = 1e-4``, where the quotients would lose digits.
+``R = I + a [w]x + b [w]x^2`` with ``a = sin t / t`` and ``b = (1 - cos t) / t^2 = 2 (sin(t/2) / t)^2``, ``t = |w|``.
 """
 
 from __future__ import annotations
@@ -12,20 +11,27 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-_SERIES_BELOW = 1e-4  # rad; the next term of each series is then below 1e-18
+_TINY = 1e-30  # rad; stands for no turn at all
+_LOG_SERIES_BELOW = 1e-4  # rad; the next term of each series is then below 1e-18
+_SERIES_BELOW = 1e-2  # rad, the same of a longer one; there the quotient would lose digits
+
+
+# A vector times this is its skew-symmetric matrix, flat
+HAT = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
+
+_EYE = np.eye(3)
 
 
 def hat(w: ArrayLike) -> Array:
     """Skew-symmetric matrices (..., 3, 3) of vectors (..., 3): ``hat(w) @ u == cross(w, u)``."""
     w = np.asarray(w, dtype=float)
-    out = np.zeros(w.shape[:-1] + (3, 3))
-    out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = w[..., 2], -w[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -w[..., 1], w[..., 0]
-    return out
-
-
-HAT = hat(np.eye(3)).reshape(3, 9)  # a vector times this is its skew-symmetric matrix, flat
+    return np.asarray((w @ HAT).reshape(*w.shape, 3))
 
 
 def cross(a: Array, b: Array, out: Array | None = None) -> Array:
@@ -42,32 +48,36 @@ def cross(a: Array, b: Array, out: Array | None = None) -> Array:
 
 def rodrigues_coefficients(angle: Array) -> tuple[Array, Array, Array]:
     """(sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3) for angles t [rad], accurate down to zero."""
+    a, b = _two_coefficients(angle)
     t2 = angle * angle
     small = angle < _SERIES_BELOW
-    safe = np.where(small, 1.0, angle)
-    half = np.sin(0.5 * safe)
-    a = np.where(small, 1.0 - t2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - t2 / 24.0, 2.0 * half * half / (safe * safe))
-    c = np.where(small, 1.0 / 6.0 - t2 / 120.0, (safe - np.sin(safe)) / (safe * safe * safe))
+    c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / np.where(small, 1.0, t2))
     return a, b, c
+
+
+def _two_coefficients(angle: Array) -> tuple[Array, Array]:
+    """The first two, which lose no digits near zero, only at it."""
+    safe = np.maximum(angle, _TINY)
+    half = np.sin(0.5 * safe) / safe
+    return np.sin(safe) / safe, 2.0 * half * half
 
 
 def exp(w: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     w = np.asarray(w, dtype=float)
-    a, b, _ = rodrigues_coefficients(np.linalg.norm(w, axis=-1))
+    a, b = _two_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
     W = hat(w)
-    return np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
+    return _EYE + a[..., None, None] * W + b[..., None, None] * (W @ W)
 
 
 def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
     """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than each alone."""
     w = np.asarray(w, dtype=float)
     a, b, c = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
-    W, eye = hat(w), np.eye(3)
+    W = hat(w)
     WW = W @ W
     b = b[..., None, None]
-    return eye + a[..., None, None] * W + b * WW, eye + b * W + c[..., None, None] * WW
+    return _EYE + a[..., None, None] * W + b * WW, _EYE + b * W + c[..., None, None] * WW
 
 
 def log(R: ArrayLike) -> Array:
@@ -76,7 +86,7 @@ def log(R: ArrayLike) -> Array:
     q = np.where(q[..., 3:] < 0.0, -q, q)
     v, s = q[..., :3], q[..., 3]
     n = np.linalg.norm(v, axis=-1)
-    small = n < _SERIES_BELOW
+    small = n < _LOG_SERIES_BELOW
     safe = np.where(small, 1.0, n)
     # 2 atan2(n, s) / n, as a series in n near zero where s is near one
     scale = np.where(small, 2.0 + n * n / 3.0, 2.0 * np.arctan2(safe, s) / safe)

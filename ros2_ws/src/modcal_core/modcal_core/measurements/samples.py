@@ -62,7 +62,7 @@ class Samples:
     @cached_property
     def is_pose(self) -> np.ndarray:
         """True where the reading has an orientation, (N,)."""
-        return self.kind == POSE
+        return np.full(len(self), self.kinds[0] == POSE) if len(self.kinds) == 1 else self.kind == POSE
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
@@ -75,8 +75,8 @@ class Samples:
         """Number of distinct stations."""
         return len(np.unique(self.station))
 
-    def select(self, rows: np.ndarray) -> Samples:
-        """The samples at the given rows (mask or indices), in that order."""
+    def select(self, rows: np.ndarray | slice) -> Samples:
+        """The samples at the given rows (mask, indices or slice), in that order."""
         shared = ("names", "frames", "signals")
         arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in shared}
         return replace(self, **arrays)

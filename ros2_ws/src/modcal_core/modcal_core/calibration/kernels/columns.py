@@ -14,18 +14,29 @@ In front of the arm, where an error concerns the samples of its frame only, all 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from modcal_core.calibration.kernels.sweeps import Postures
-from modcal_core.geometry import se3
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 _SLIDES = [0, 1, 2, 5]  # directions that a sliding joint lets through
 _YZX = [1, 2, 0]  # an order of axes in which neighbours give both turns about x and y
+_SEEN_FROM_ROOT = np.eye(3)[_YZX, :, None]
+# of which axis each part of a turned one is: c y, c x, s y, s x and z; x' = c x + s y and y' = c y − s x
+_PARTS, _SIGNS = [1, 0, 0, 1, 2], np.array([1.0, 1.0, 1.0, -1.0, 1.0])
+
+
+@lru_cache
+def columns_of(revolute: tuple[bool, ...], frames: int, orientations: bool) -> Columns:
+    """The columns of a chain with these joints; arms of one kind share them."""
+    return Columns(revolute, frames, orientations)
 
 
 class Columns:
-    """The different columns U of a chain: first the axes of all places, then their turns.
+    """The different columns U of a chain: first the axes of all places, then their turns. Nothing in it changes.
 
     frames: how many errors in front of the arm are told apart. axes: how many of the columns are axes.
     """
@@ -64,13 +75,16 @@ class Columns:
 
         M: (n, 4, 4). place, frame: of each parameter, (P,). twists: of each at its place, (P, 6).
         """
-        n = len(M)
-        passing = se3.adjoint(se3.inverse(M)).transpose(0, 2, 1)  # of rows of twists, from place k to k + 1
+        n, made = len(M), self._made.copy()
+        R = M[:, :3, :3]
+        passing = np.zeros((n, 6, 6))  # of rows of twists, from place k to k + 1: Ad(M⁻¹)ᵀ
+        passing[:, :3, :3] = passing[:, 3:, 3:] = R
+        passing[:, 3:, :3] = so3.hat(M[:, :3, 3]) @ R
         for k in range(n - 1, 0 if self._ahead else -1, -1):
             through = slice(2, 6, 3) if self._revolute[k] else _SLIDES
-            self._made[k, through] = passing[k, through] @ self._made[k + 1]
+            made[k, through] = passing[k, through] @ made[k + 1]
         row = np.where(place == 0, n + 1 + frame, place) if self._ahead else place
-        A = (twists[:, None] @ self._made[row])[:, 0]
+        A = (twists[:, None] @ made[row])[:, 0]
         return A[:, : self.count], A[:, self.count :]
 
     def write(self, M: Array, at: Postures, t: Array, root: Array, frame: np.ndarray | None, out: Array) -> None:
@@ -81,15 +95,14 @@ class Columns:
         """
         n = at.n
         R = M[:, :3, :3].transpose(0, 2, 1)[:, _YZX]
-        x, y, z = np.moveaxis(R, 2, 0)
-        turning, sliding = np.stack([y, x, x, -y, z], axis=2), np.ascontiguousarray(R[:, :, _YZX])
+        turning, sliding = R[:, :, _PARTS] * _SIGNS, R[:, :, _YZX]
         c, s = np.ascontiguousarray(at.turn.real), np.ascontiguousarray(at.turn.imag)
-        parts = np.empty((5, 3, at.count))  # c y, c x, s y, s x and z; of them are x' = c x + s y and y' = c y − s x
+        parts = np.empty((5, 3, at.count))
         flat = parts.reshape(5, -1)
         axes = np.empty((3, 3, at.count))  # y, z, x
         product = np.empty((2, 3, at.count))
         tool = np.empty((3, 1, at.count))
-        np.multiply(np.eye(3)[_YZX, :, None], root, out=axes)
+        np.multiply(_SEEN_FROM_ROOT, root, out=axes)
         first = 0
         for k in range(n):
             tool[:2, 0], tool[2, 0] = t[k, :, 1:3].T, t[k, :, 0]

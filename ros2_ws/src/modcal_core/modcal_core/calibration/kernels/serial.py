@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.calibration.kernels import turns
-from modcal_core.calibration.kernels.columns import Columns
+from modcal_core.calibration.kernels.columns import columns_of
 from modcal_core.calibration.kernels.sweeps import (
     Constants,
     Postures,
@@ -78,12 +78,11 @@ class SerialSystem:
         self._y = np.ones((N, 4))
         self._y[:, :3] = samples.position
         self._orientation = turns.quaternions(samples.R) if self._pose else None
-        self._place = np.array([p.place for p in parameters], dtype=int)
-        self._direction = np.array([p.direction for p in parameters], dtype=int)
-        self._of_frame = np.array([max(p.frame, 0) for p in parameters], dtype=int)
+        where = np.array([(p.place, p.direction, max(p.frame, 0)) for p in parameters], dtype=int).reshape(-1, 3)
+        self._place, self._direction, self._of_frame = where.T
         # row of each parameter's place: those in front of the arm, then places 1 … n
         self._row = np.where(self._place == 0, self._of_frame, len(self._led) + self._place - 1)
-        self._columns = Columns(self._revolute, len(self._led), self._pose)
+        self._columns = columns_of(self._revolute, len(self._led), self._pose)
         self._values: Array | None = None
         self._kept: list[Array] = []
 
