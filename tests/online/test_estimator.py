@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cells import record, samples_of
@@ -10,6 +12,7 @@ from numpy.random import Generator
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
@@ -37,15 +40,35 @@ def test_information_is_the_batch_solution(rng: Generator) -> None:
     b = A @ x + rng.normal(size=200)
     known = Information.of_prior(np.zeros(7), 100.0 * np.eye(7))
     for i in range(0, 200, 5):
-        known = known.with_rows(A[i : i + 5], b[i : i + 5])
+        known = known.with_rows(np.c_[A[i : i + 5], b[i : i + 5]])
     H = A.T @ A + 0.01 * np.eye(7)
     assert np.abs(known.mean - np.linalg.solve(H, A.T @ b)).max() < 1e-12
     assert np.abs(known.covariance - np.linalg.inv(H)).max() < 1e-12
 
 
+def test_innovation_is_how_far_rows_lay_from_what_was_expected(rng: Generator) -> None:
+    C = np.cov(rng.normal(size=(7, 40)))
+    known = Information.of_prior(rng.normal(size=7), C)
+    for _ in range(3):  # what stands in the corner from one time does not count the next
+        A, b = rng.normal(size=(5, 7)), 4.0 * rng.normal(size=5)
+        r = b - A @ known.mean
+        expected = r @ np.linalg.solve(A @ known.covariance @ A.T + np.eye(5), r)
+        known = known.with_rows(np.c_[A, b])
+        assert abs(known.innovation / expected - 1.0) < 1e-11
+
+
+def test_definite_once_something_is_known_of_all(rng: Generator) -> None:
+    A, x = rng.normal(size=(5, 5)), rng.normal(size=5)
+    known = Information.of(np.zeros((5, 5)), np.zeros(5)).with_rows(np.c_[A[:3], A[:3] @ x])
+    assert not known.definite
+    known = known.with_rows(np.c_[A[3:], A[3:] @ x])
+    assert known.definite
+    assert np.abs(known.mean - x).max() < 1e-12
+
+
 def test_growing_adds_the_variance_that_was_asked_for(rng: Generator) -> None:
     root = triangular(rng.normal(size=(9, 5)))
-    known = Information(root, rng.normal(size=5))
+    known = Information.of(root, rng.normal(size=5))
     G, variance = rng.normal(size=(5, 3)), np.array([0.5, 0.0, 2.0])
     grown = known.grown(G, variance)
     assert np.abs(grown.covariance - known.covariance - G @ np.diag(variance) @ G.T).max() < 1e-12
@@ -145,13 +168,45 @@ def test_an_outlier_is_counted_and_has_no_say() -> None:
     assert np.abs(estimator.values).max() < 6.0 * fit.std.max()
 
 
+def test_a_doubtful_sample_counts_as_much_as_its_weight_says() -> None:
+    cell = record(7, 200)
+    fit = batch(cell.samples, cell.world.nominal)
+    shifted = cell.samples.position + [3.5 * fit.spread.position, 0.0, 0.0]
+    samples = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, shifted))
+    seen = 0
+    for i in range(20):
+        sample = samples.select(np.array([i]))
+        estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
+        update = estimator.update(sample)
+        J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), sample).J
+        noise = np.diag(np.repeat([fit.spread.position**2, fit.spread.rotation**2], 3))
+        C = fit.covariance
+        expected = C - C @ J @ np.linalg.solve(J.T @ C @ J + noise / update.weight, J.T @ C)
+        assert np.abs((estimator.covariance - expected) / np.outer(fit.std, fit.std)).max() < 1e-7
+        seen += update.weight < 1.0
+    assert seen > 3
+
+
+def test_of_what_nothing_is_known_nothing_is_said() -> None:
+    """A point alone does not show how the tracker is turned; until more come, the values stay where they were."""
+    cell = record(3, 60, "point")
+    fit = batch(cell.samples, cell.world.nominal)
+    unknown = [replace(p, prior_std=np.inf) if p.place == 0 else p for p in fit.parameters]
+    estimator = Estimator(fit.start, unknown, fit.spread)
+    first = estimator.update(cell.samples.select(np.array([0])))
+    assert (first.score, first.weight) == (0.0, 1.0)
+    assert not estimator.values.any()
+    feed(estimator, cell.samples.select(np.arange(1, 60)))
+    assert np.abs((estimator.values - fit.values) / fit.std).max() < 0.5
+
+
 def test_covariance_stays_positive_definite_for_long() -> None:
     """Twenty thousand updates on columns of very different size, by the algebra alone."""
     rng = np.random.default_rng(0)
     known = Information.of_prior(np.zeros(12), np.eye(12))
     A = rng.normal(size=(50, 6, 12)) * np.logspace(-4, 4, 12)
     for i in range(20_000):
-        known = known.with_rows(A[i % 50], np.zeros(6)).grown(np.eye(12)[:, :3], np.full(3, 1e-9))
+        known = known.with_rows(np.c_[A[i % 50], np.zeros(6)]).grown(np.eye(12)[:, :3], np.full(3, 1e-9))
     scale = 1.0 / np.sqrt(np.diag(known.covariance))
     assert np.linalg.eigvalsh(known.covariance * np.outer(scale, scale)).min() > 0.0
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import cbrt, sqrt
 
 import numpy as np
 
@@ -109,6 +110,12 @@ def standard_score(square: Array | float, dimensions: Array | float) -> Array:
     """Approximate standard scores of χ² values (N,) with these degrees of freedom (N,) (Wilson & Hilferty 1931)."""
     c = 2.0 / (9.0 * dimensions)
     return np.asarray((np.cbrt(square / dimensions) - (1.0 - c)) / np.sqrt(c))
+
+
+def score_of_one(square: float, dimensions: int) -> float:
+    """:func:`standard_score` of a single χ² value, without arrays: where samples come one by one."""
+    c = 2.0 / (9.0 * dimensions)
+    return (cbrt(square / dimensions) - (1.0 - c)) / sqrt(c)
 
 
 def robust_weights(z: Array) -> Array:

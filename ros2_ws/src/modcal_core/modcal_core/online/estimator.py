@@ -14,14 +14,13 @@ from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.linalg import lapack
 
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.identify import priors
 from modcal_core.calibration.linearise import View as Seen
 from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread, robust_weights, standard_score
+from modcal_core.calibration.noise import HUBER_Z, Spread, robust_weights, score_of_one
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.geometry.so3 import Array
@@ -34,7 +33,7 @@ KEPT = 512  # samples that can be linearised again
 _MOVED = 0.02  # standard deviations; an estimate that moved further is linearised anew
 _FAR = 0.5  # the same, a parameter: before the oldest are let go, whose error goes with the square of it
 _ROUNDS = 20
-Rows = tuple[Array, Array]  # A (m, P) and b (m,) of A x = b, with noise of unit variance
+Rows = Array  # [A b] of A x = b, with noise of unit variance, (m, P + 1)
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Estimator:
         effects = np.concatenate([np.zeros(0), *(e.values for e in model.effects)])
         begin = np.concatenate([np.zeros(len(parameters)), effects])
         if covariance is None:
-            self._before = Information(np.zeros((len(begin), len(begin))), np.zeros(len(begin)))
+            self._before = Information.of(np.zeros((len(begin), len(begin))), np.zeros(len(begin)))
         else:
             self._before = Information.of_prior(begin, covariance)
         self._unprimed = covariance is None
@@ -146,16 +145,18 @@ class Estimator:
         self._let_wander(float(sample.stamps[0]))
         if self._frozen is None:
             self._frozen = Frozen(self.start, self.parameters, self._point)
-        at_point, J = self._frozen(sample)
-        r = at_point - J @ (self.values - self._point)
-        noise = self._noise(sample, len(r))
-        score, weight = self._judge(r, J, noise)
+        residual, J = self._frozen(sample)
+        rows = _whitened(residual + J @ self._point, J, self._noise(sample, len(residual)))
+        now = self._now.with_rows(rows)
+        score, weight = self._judged(now.innovation, len(rows)) if self._now.definite else (0.0, 1.0)
         self.taken += 1
         self.rejected += weight == 0.0
         if weight > 0.0:
-            rows = _whitened(at_point + J @ self._point, J, noise, weight)
-            self._now = self._now.with_rows(*rows)
-            self.values = self._now.mean
+            if weight < 1.0:
+                rows = sqrt(weight) * rows
+                now = self._now.with_rows(rows)
+            self._now = now
+            self.values = now.mean if now.definite else self.values
             self._keep(sample, weight, rows)
         return Update(score, weight)
 
@@ -170,7 +171,7 @@ class Estimator:
     def _take_priors(self, sample: Samples) -> None:
         """The priors of a batch fit, which depend on the drivers at hand for the effects only."""
         centre, prior = priors(self.start.effects, self.parameters, self.start.circumstances(sample))
-        self._before = self._now = Information(np.diag(1.0 / prior), centre / prior)
+        self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
         self._unprimed = False
 
     def _let_wander(self, stamp: float) -> None:
@@ -186,16 +187,11 @@ class Estimator:
         rotation = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
         return np.array([position] * 3 + [rotation] * (rows - 3))
 
-    def _judge(self, r: Array, J: Array, noise: Array) -> tuple[float, float]:
-        """(standard score, weight) of a residual that the present estimate expected to be zero."""
-        expected = self._now.variance_of(J)
-        if expected is None:
-            return 0.0, 1.0
-        expected.ravel()[:: len(r) + 1] += noise**2
-        # positive definite, for the noise is: several times quicker than a general solver
-        square = float(r @ lapack.dposv(expected, r)[1])
-        score = standard_score(square, len(r))
-        return float(score), float(robust_weights(score)) if self._robust else 1.0
+    def _judged(self, square: float, rows: int) -> tuple[float, float]:
+        """(standard score, weight) of so many rows that lay so far from what was expected."""
+        score = score_of_one(square, rows)
+        inside = score <= HUBER_Z or not self._robust
+        return score, 1.0 if inside else float(robust_weights(np.asarray(score)))
 
     def _keep(self, sample: Samples, weight: float, rows: Rows) -> None:
         if not self._kept_most:
@@ -209,7 +205,7 @@ class Estimator:
             if self._apart(self.values - self._point) > _FAR * sqrt(len(self.values)):
                 self._again()
             half = len(self._kept) // 2
-            self._before = self._before.with_rows(*_stacked(self._rows[:half]))
+            self._before = self._before.with_rows(np.concatenate(self._rows[:half]))
             del self._kept[:half], self._weights[:half], self._rows[:half]
         elif (self.taken & (self.taken - 1)) == 0 and self._apart(self.values - self._point) > _MOVED:
             self._again()  # at every doubling: an estimate moves less and less
@@ -217,7 +213,7 @@ class Estimator:
     def _again(self) -> None:
         self._stand_at(self.values)
         self._rows = self._linearised()
-        self._now = self._before.with_rows(*_stacked(self._rows))
+        self._now = self._before.with_rows(np.concatenate(self._rows))
         self.values = self._now.mean
 
     def _stand_at(self, values: Array) -> None:
@@ -235,10 +231,10 @@ class Estimator:
         scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
         assert len(scale) == 3 * N + 3 * int(pose.sum())
         b = at.residual + self.values @ at.J
-        A, b = (at.J * scale).T, b * scale
+        rows = np.concatenate([at.J, b[None]]).T * scale[:, None]
         owner = np.concatenate([np.tile(np.arange(N), 3), np.tile(np.flatnonzero(pose), 3)])
         order, cuts = np.argsort(owner, kind="stable"), np.cumsum(np.bincount(owner))[:-1]
-        return list(zip(np.split(A[order], cuts), np.split(b[order], cuts), strict=True))
+        return np.split(rows[order], cuts)
 
     def _apart(self, step: Array) -> float:
         """How many standard deviations a step is long."""
@@ -257,13 +253,11 @@ def joined(samples: Sequence[Samples]) -> Samples:
     return replace(samples[-1], **arrays)
 
 
-def _whitened(b: Array, A: Array, noise: Array, weight: float) -> Rows:
-    scale = np.sqrt(weight) / noise
-    return A * scale[:, None], b * scale
-
-
-def _stacked(rows: Sequence[Rows]) -> Rows:
-    return np.concatenate([A for A, _ in rows]), np.concatenate([b for _, b in rows])
+def _whitened(b: Array, A: Array, noise: Array) -> Rows:
+    rows = np.empty((len(b), A.shape[1] + 1), order="F")
+    np.divide(A, noise[:, None], out=rows[:, :-1])
+    np.divide(b, noise, out=rows[:, -1])
+    return rows
 
 
 def _known(sigma: float) -> float:

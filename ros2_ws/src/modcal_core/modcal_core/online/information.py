@@ -8,7 +8,7 @@ rows are taken in by one orthogonal triangularisation, which gives what a batch 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -20,27 +20,56 @@ _PANEL = 8  # columns that are eliminated together
 
 @dataclass(frozen=True)
 class Information:
-    """What is known of x (P,): ``R x = z``. R: (P, P), upper triangular. z: (P,)."""
+    """What is known of x (P,): ``R x = z``.
 
-    R: Array
-    z: Array
+    triangle: (P + 1, P + 1), upper triangular, in Fortran's order: R, z beside it, and in the corner below z what the
+    rows that were added last could not be made to agree with the rest. definite: something is known of all of x.
+    """
+
+    triangle: Array
+    definite: bool
+
+    @classmethod
+    def of(cls, R: Array, z: Array) -> Information:
+        """``R x = z``, R (P, P) being upper triangular."""
+        P = len(z)
+        triangle = np.zeros((P + 1, P + 1), order="F")
+        triangle[:P, :P], triangle[:P, P] = R, z
+        return cls(triangle, _definite(R))
 
     @classmethod
     def of_prior(cls, mean: Array, covariance: Array) -> Information:
         """What a mean (P,) and a covariance (P, P) say."""
         L = np.linalg.cholesky(covariance)
         R = triangular(solve_triangular(L, np.eye(len(mean)), lower=True))
-        return cls(R, R @ mean)
+        return cls.of(R, R @ mean)
 
-    def with_rows(self, A: Array, b: Array) -> Information:
-        """The same with rows ``A x = b + noise of unit variance`` added, A (k, P), b (k,)."""
-        P = len(self.z)
-        top, rows = np.zeros((P + 1, P + 1), order="F"), np.empty((len(A), P + 1), order="F")
-        top[:P, :P], top[:P, P] = self.R, self.z
-        rows[:, :P], rows[:, P] = A, b
+    @property
+    def R(self) -> Array:
+        """(P, P), upper triangular."""
+        return self.triangle[:-1, :-1]
+
+    @property
+    def z(self) -> Array:
+        """What ``R x`` is, (P,)."""
+        return self.triangle[:-1, -1]
+
+    def with_rows(self, rows: Array) -> Information:
+        """The same with rows ``A x = b + noise of unit variance`` added, which are given as [A b], (k, P + 1)."""
+        triangle = self.triangle.copy(order="F")
+        triangle[-1, -1] = 0.0
         # made for rows beneath a triangle: its zeros are not gone through
-        top = lapack.dtpqrt(0, min(_PANEL, P + 1), top, rows, overwrite_a=1, overwrite_b=1)[0]
-        return Information(top[:P, :P], top[:P, P])
+        triangle = lapack.dtpqrt(0, min(_PANEL, len(triangle)), triangle, rows, overwrite_a=1)[0]
+        return Information(triangle, self.definite or _definite(triangle[:-1, :-1]))
+
+    @property
+    def innovation(self) -> float:
+        """How far the rows that were added last lay from what had been expected of them, squared: ``rᵀ S⁻¹ r``.
+
+        r is their residual before and S its covariance. A sum of squares grows by this where its least is found again,
+        so it stands in the corner, and nothing has to be solved for it.
+        """
+        return float(self.triangle[-1, -1]) ** 2
 
     def grown(self, G: Array, variance: Array) -> Information:
         """The same after x has wandered by ``G w``, w (m,) being noise of these variances (m,), G (P, m).
@@ -56,17 +85,13 @@ class Information:
         stacked[m:, :m] = -self.R @ G[:, moving]
         stacked[m:, m : m + P], stacked[m:, m + P] = self.R, self.z
         rest = triangular(stacked)[m : m + P, m:]
-        return Information(rest[:, :P], rest[:, P])
-
-    def variance_of(self, J: Array) -> Array | None:
-        """Covariance of ``J x``, (k, k), for J (k, P); None while nothing at all is known of some of x."""
-        half, singular = lapack.dtrtrs(self.R, J.T, trans=1)
-        return None if singular else half.T @ half
+        return replace(Information.of(rest[:, :P], rest[:, P]), definite=self.definite)
 
     @property
     def mean(self) -> Array:
         """The estimate of x, (P,)."""
-        return np.asarray(lapack.dtrtrs(self.R, self.z)[0])
+        # the last row is beneath what is solved, and stays: without it the triangle would have to be copied
+        return np.asarray(lapack.dtrtrs(self.triangle[:, :-1], self.z)[0])
 
     @property
     def covariance(self) -> Array:
@@ -83,3 +108,8 @@ class Information:
 def triangular(rows: Array) -> Array:
     """The upper triangle that an orthogonal transformation makes of rows (m, n); (min(m, n), n)."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _definite(R: Array) -> bool:
+    """Whether every column of R (P, P) has something of its own, beyond what is left by rounding."""
+    return bool((np.abs(np.diagonal(R)) > len(R) * np.finfo(float).eps * np.linalg.norm(R, axis=0)).all())
