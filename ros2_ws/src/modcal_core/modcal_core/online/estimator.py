@@ -254,10 +254,7 @@ def joined(samples: Sequence[Samples]) -> Samples:
 
 
 def _whitened(b: Array, A: Array, noise: Array) -> Rows:
-    rows = np.empty((len(b), A.shape[1] + 1), order="F")
-    np.divide(A, noise[:, None], out=rows[:, :-1])
-    np.divide(b, noise, out=rows[:, -1])
-    return rows
+    return np.concatenate([A, b[:, None]], axis=1) / noise[:, None]
 
 
 def _known(sigma: float) -> float:

@@ -2,6 +2,10 @@
 
 :func:`~modcal_core.calibration.linearise.linearise` puts the values in anew for every call, which pays for thousands of
 samples at once. Here that is done once, and a sample costs one pass along the chain and a few small products.
+
+What a place does to the tool is first seen at the root's origin, for there it goes along the chain like the frames do:
+with the adjoint matrix of the place's frame, which for one joint more is multiplied by that of one joint. The way from
+there to the tool is the same for all.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from math import asin, sqrt
 import numpy as np
 
 from modcal_core.calibration.effects import all_columns, motion
-from modcal_core.calibration.linearise import View, deviations, local_twists, model_at
+from modcal_core.calibration.linearise import Deviations, View, deviations, local_twists, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry import se3, so3
@@ -20,6 +24,8 @@ from modcal_core.geometry.so3 import HAT, Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
+
+_EYE = np.eye(6)
 
 
 class Frozen:
@@ -29,24 +35,17 @@ class Frozen:
         """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
         now = model_at(start, parameters, values)
         errors = deviations(start, parameters, values[: len(parameters)])
-        of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
-        places = max([0, *(p.place for p in parameters)]) + 1
-        self._twists = np.zeros((places, 6, len(parameters)))
-        for j, p in enumerate(parameters):
-            if p.place == INSTRUMENT:
-                continue  # of an instrument whose readings do not come here: nothing moves with it
-            twist = (of_places[p.place - 1] if p.place else of_frames[p.frame])[p.direction]
-            self._twists[p.place, :, j] = twist
+        self._twists = [_twists(now, parameters, errors, frame) for frame in range(len(now.frames))]
         self._model = now
         self._effects = len(values) > len(parameters)
         chain = now.serial
-        self._unseen = [_unseen(now, parameters, frame) for frame in range(len(now.frames))]
-        self._T_root_frame = se3.inverse(now.T_frame_base @ chain.T_base_root)
+        T_root_frame = se3.inverse(now.T_frame_base @ chain.T_base_root)
+        self._R_root_frame, self._p_root_frame = list(T_root_frame[:, :3, :3]), list(T_root_frame[:, :3, 3])
         rooted = np.array(chain.origins)
         rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
         rooted[-1] = rooted[-1] @ now.T_tip_tool
         self._chain = chain.with_origins(rooted)
-        self._steps = _steps(self._chain)
+        self._first, self._steps = _carried(self._chain.along_z[0])[:, :6], _steps(self._chain)
 
     def __call__(self, sample: Samples) -> tuple[Array, Array]:
         """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
@@ -56,7 +55,7 @@ class Frozen:
         twists, scale = motion(self._model.effects, at)
         f = frames(self._chain, sample.q, twists)
         T_root_place = np.concatenate([f.transform(k) for k in range(len(f.p))])
-        residual, J, reading = self._seen(sample, T_root_place, float(scale[0]))
+        residual, J, reading = self._seen(sample, sample.position[0] / scale[0], _carried(T_root_place)[..., :6])
         if self._effects:
             position, rotation = residual[:3, None], residual[3:, None].reshape(3, -1)
             view = View(sample, np.flatnonzero(sample.is_pose), f, position, rotation, reading[:, None])
@@ -65,56 +64,85 @@ class Frozen:
         return residual, J
 
     def _of_geometry(self, sample: Samples) -> tuple[Array, Array]:
-        """The same for an arm without effects: for one posture, products of 4 × 4 matrices are the least work."""
+        """The same for an arm without effects: for one posture, products of small matrices are the least work."""
         q = sample.q[0]
-        parts = np.ones((len(q), 1, 4))
-        parts[:, 0, 1], parts[:, 0, 2], parts[:, 0, 3] = np.cos(q), np.sin(q), q
-        steps = (parts @ self._steps).reshape(-1, 4, 4)
-        T = np.empty((len(steps) + 1, 4, 4))
-        T[0] = self._chain.along_z[0]
-        for k, step in enumerate(steps):
-            np.dot(T[k], step, out=T[k + 1])
-        residual, J, _ = self._seen(sample, T, 1.0)
+        parts = np.empty((len(q), 1, 4))
+        parts[:, 0, 0], parts[:, 0, 3] = 1.0, q
+        np.cos(q, out=parts[:, 0, 1])
+        np.sin(q, out=parts[:, 0, 2])
+        steps = (parts @ self._steps).reshape(-1, 7, 7)
+        carried = np.empty((len(q) + 1, 7, 6))
+        outer = carried[0]
+        outer[:] = self._first
+        for step, inner in zip(steps, carried[1:], strict=True):
+            outer = np.dot(step, outer, out=inner)
+        residual, J, _ = self._seen(sample, sample.position[0], carried)
         return residual, J
 
-    def _seen(self, sample: Samples, T_root_place: Array, scale: float) -> tuple[Array, Array, Array]:
-        """(residual, J of the geometry, what was read as seen from the root) with the places' frames (n + 1, 4, 4)."""
-        frame, pose = int(sample.frame[0]), bool(sample.is_pose[0])
-        T = self._T_root_frame[frame]
-        reading = T[:3, :3] @ (sample.position[0] / scale)
-        R, p = T_root_place[:, :3, :3], T_root_place[:, :3, 3]
-        residual = reading + T[:3, 3] - p[-1]
-        # a twist (v, ω) of a place moves the tool by R v + (R ω) × t, t being the way from there to the tool
-        places = len(self._twists)
-        rows = np.zeros((3 + 3 * pose, places, 6))
-        rows[:3, :, :3] = R[:places].transpose(1, 0, 2)
-        rows[:3, :, 3:] = (((p[:places] - p[-1]) @ HAT).reshape(-1, 3, 3) @ R[:places]).transpose(1, 0, 2)
-        if pose:
-            rows[3:, :, 3:] = rows[:3, :, :3]
-            residual = np.concatenate([residual, small_log(T[:3, :3] @ sample.R[0] @ R[-1].T)])
-        J = rows.reshape(len(rows), -1) @ self._twists.reshape(6 * places, -1)
-        J[:, self._unseen[frame]] = 0.0
-        return residual, J, reading
+    def _seen(self, sample: Samples, position: Array, carried: Array) -> tuple[Array, Array, Array]:
+        """(residual, J of the geometry, what was read as seen from the root).
+
+        position: what was read, (3,) [m]. carried: of every place as :func:`_carried` says, but for the last column,
+        (n + 1, 7, 6).
+        """
+        frame, rows = int(sample.frame[0]), 6 if sample.is_pose[0] else 3
+        R_root_frame = self._R_root_frame[frame]
+        R_tool_root, p = carried[-1, :3, :3], carried[-1, 6, :3]
+        reading = R_root_frame.dot(position)
+        residual = reading + self._p_root_frame[frame] - p
+        to_tool = _EYE.copy()
+        to_tool[3:, :3] = p.dot(HAT).reshape(3, 3)
+        J = self._twists[frame].dot(carried.reshape(-1, 6)).dot(to_tool[:, :rows])
+        if rows == 6:
+            residual = np.concatenate([residual, small_log(R_root_frame.dot(sample.R[0]).dot(R_tool_root))])
+        return residual, J.T, reading
 
 
-def _unseen(model: Model, parameters: Sequence[Parameter], frame: int) -> Array:
-    """Which parameters (m,) are of another frame that does not lead this one, so that readings in it say nothing."""
-    with_it = (frame, model.leader(frame))
-    return np.array([j for j, p in enumerate(parameters) if p.place == 0 and p.frame not in with_it], dtype=int)
+def _twists(now: Model, parameters: Sequence[Parameter], errors: Deviations, frame: int) -> Array:
+    """The twist that each parameter makes per unit, in the frame of its place, (P, 7 (n + 1)); for readings in a frame.
+
+    Behind each place's six directions stands a zero, for what goes along with them in :func:`_carried`.
+    """
+    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
+    out = np.zeros((len(parameters), now.serial.n + 1, 7))
+    with_it = (frame, now.leader(frame))
+    for j, p in enumerate(parameters):
+        if p.place == INSTRUMENT:
+            continue  # of an instrument whose readings do not come here: nothing moves with it
+        if p.place:
+            out[j, p.place, :6] = of_places[p.place - 1][p.direction]
+        elif p.frame in with_it:  # of a frame that does not lead this one, readings in this one say nothing
+            out[j, 0, :6] = of_frames[p.frame][p.direction]
+    return out.reshape(len(parameters), -1)
+
+
+def _carried(T: Array) -> Array:
+    """What goes from place to place along a chain, (..., 7, 7), of transforms (..., 4, 4).
+
+    Rows 0 to 5: by the six directions of a twist in the inner frame, the twist in the outer one, which is the adjoint
+    matrix transposed. Row 6: the position. The matrix of ``T_a_b T_b_c`` is that of ``T_b_c`` times that of ``T_a_b``.
+    """
+    out = np.zeros((*T.shape[:-2], 7, 7))
+    out[..., :6, :6] = np.swapaxes(se3.adjoint(T), -1, -2)
+    out[..., 6, :3] = T[..., :3, 3]
+    out[..., 6, 6] = 1.0
+    return out
 
 
 def _steps(chain: Chain) -> Array:
-    """From each place to the next, what is constant and what goes with cos q, sin q and q; flat, (n, 4, 16)."""
-    motions = np.zeros((chain.n, 4, 4, 4))
-    motions[:, 0] = np.eye(4)
+    """From each place to the next, what is constant and what goes with cos q, sin q and q; flat, (n, 4, 49)."""
+    motions = np.zeros((chain.n, 4, 7, 7))
+    motions[:, 0] = np.eye(7)
     for terms, turns in zip(motions, chain.revolute, strict=True):
         if turns:  # Rz(q)
-            terms[0, 0, 0] = terms[0, 1, 1] = 0.0
-            terms[1, 0, 0] = terms[1, 1, 1] = terms[2, 1, 0] = 1.0
-            terms[2, 0, 1] = -1.0
+            for x, y in ((0, 1), (3, 4)):
+                terms[0, x, x] = terms[0, y, y] = 0.0
+                terms[1, x, x] = terms[1, y, y] = terms[2, x, y] = 1.0
+                terms[2, y, x] = -1.0
         else:
-            terms[3, 2, 3] = 1.0
-    return np.asarray(motions @ chain.along_z[1:, None]).reshape(chain.n, 4, 16)
+            terms[3, 6, 2] = terms[3, 3, 1] = 1.0
+            terms[3, 4, 0] = -1.0
+    return np.asarray(_carried(chain.along_z[1:])[:, None] @ motions).reshape(chain.n, 4, 49)
 
 
 def small_log(R: Array) -> Array:
