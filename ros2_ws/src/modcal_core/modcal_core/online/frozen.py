@@ -26,6 +26,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
 _EYE = np.eye(6)
+_AT_ROOT = np.eye(7, 6)  # the frame of the first joint is the root
 
 
 class Frozen:
@@ -45,7 +46,7 @@ class Frozen:
         rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
         rooted[-1] = rooted[-1] @ now.T_tip_tool
         self._chain = chain.with_origins(rooted)
-        self._first, self._steps = _carried(self._chain.along_z[0])[:, :6], _steps(self._chain)
+        self._steps = _steps(self._chain)
 
     def __call__(self, sample: Samples) -> tuple[Array, Array]:
         """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
@@ -72,9 +73,9 @@ class Frozen:
         np.sin(q, out=parts[:, 0, 2])
         steps = (parts @ self._steps).reshape(-1, 7, 7)
         carried = np.empty((len(q) + 1, 7, 6))
-        outer = carried[0]
-        outer[:] = self._first
-        for step, inner in zip(steps, carried[1:], strict=True):
+        carried[0], carried[1] = _AT_ROOT, steps[0, :, :6]
+        outer = carried[1]
+        for step, inner in zip(steps[1:], carried[2:], strict=True):
             outer = np.dot(step, outer, out=inner)
         residual, J, _ = self._seen(sample, sample.position[0], carried)
         return residual, J
