@@ -176,7 +176,7 @@ def test_a_doubtful_sample_counts_as_much_as_its_weight_says() -> None:
     seen = 0
     for i in range(20):
         sample = samples.select(np.array([i]))
-        estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
+        estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, kept=0)
         update = estimator.update(sample)
         J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), sample).J
         noise = np.diag(np.repeat([fit.spread.position**2, fit.spread.rotation**2], 3))

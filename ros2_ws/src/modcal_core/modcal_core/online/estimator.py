@@ -146,7 +146,7 @@ class Estimator:
         if self._frozen is None:
             self._frozen = Frozen(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
-        rows = _whitened(residual + J @ self._point, J, self._noise(sample, len(residual)))
+        rows = _whitened(residual + J.dot(self._point), J, self._noise(sample, len(residual)))
         now = self._now.with_rows(rows)
         score, weight = self._judged(now.innovation, len(rows)) if self._now.definite else (0.0, 1.0)
         self.taken += 1
