@@ -24,6 +24,13 @@ _ASK_AGAIN = 20.0  # s
 Wait = Callable[[Callable[[], Any], float], Any]
 
 
+class Health(dict[str, DiagnosticStatus]):
+    """What a node says of its parts in /diagnostics; of one it has said nothing of yet, that it is stale."""
+
+    def __missing__(self, part: str) -> DiagnosticStatus:
+        return DiagnosticStatus(level=DiagnosticStatus.STALE)
+
+
 class PlayedCell:
     """Publishers of one cell, in a namespace of its own if need be."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from correction.test_compensation import calibration_of, true_model
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nodes.cell import Health
 from nodes.processes import ROOT
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -68,7 +69,7 @@ class Arm:
         self.states: list[JointState] = []
         self.commands: list[JointTrajectory] = []
         self.urdfs: list[str] = []
-        self.health: dict[str, DiagnosticStatus] = {}
+        self.health = Health()
         self.said: list[str] = []
         self.who = f"{space}/corrector"
         self.joints = node.create_publisher(JointState, f"{space}/joint_states", 10)
@@ -144,7 +145,9 @@ class Arm:
 
         def refused() -> bool:
             told = self.health["commands"]
-            return int(self.facts("commands")["refused"]) > before and said in told.message and told.level == WARN
+            return (
+                int(self.facts("commands").get("refused", 0)) > before and said in told.message and told.level == WARN
+            )
 
         for _ in range(5):
             self.desired.publish(wish())
@@ -157,7 +160,7 @@ class Arm:
         raise AssertionError(f"'{said}' was not said: {self.health['commands'].message}")
 
     def facts(self, part: str) -> dict[str, str]:
-        return {pair.key: pair.value for pair in self.health[part].values} if part in self.health else {}
+        return {pair.key: pair.value for pair in self.health[part].values}
 
 
 def matrix(message: Any) -> Array:

@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from nodes.cell import Health
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
@@ -52,7 +53,7 @@ class PulledArm:
         self.off: Array | None = (
             None  # where a corrector says that the tool is, from where its joints say; None: silent
         )
-        self.health: dict[str, DiagnosticStatus] = {}
+        self.health = Health()
         self.poses: list[PoseStamped] = []
         self.references: list[JointTrajectoryPoint] = []
         self.trajectories: list[JointTrajectory] = []
@@ -195,7 +196,7 @@ class PulledArm:
         self.believe()
 
     def said(self) -> str:
-        return self.health["pull"].message if "pull" in self.health else ""
+        return str(self.health["pull"].message)
 
 
 class Witness:
