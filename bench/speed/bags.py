@@ -37,7 +37,7 @@ def rows(stations: int = 60) -> Iterator[Row]:
         ours, other = pair_ms(lambda: read_bag(bag), peer, 5, 3)
         rate = f"{len(read) / ours:.0f} k messages/s into arrays"
         yield Row("bags", f"{len(read)} messages", ours, "rosbags", other, rate)
-        answer = ask("mcap_decode", str(next(bag.glob("*.mcap"))))
+        answer = ask("mcap-ros2-support", "mcap_decode", str(next(bag.glob("*.mcap"))))
         yield Row("bags", f"{len(read)} messages", ours, "mcap-ros2-support", answer.ms, answer.remark)
         names = recording.joints[0].names
         ms = median_ms(lambda: cut_stations(recording, names), 3)

@@ -132,7 +132,7 @@ def against_pybotics(fit: Fit, samples: Samples, work: str, ms: float) -> Row:
         file = Path(folder) / "samples.npz"
         start = fit.start
         np.savez(file, q=samples.q, position=samples.position, frame=start.T_frame_base[0], tool=start.T_tip_tool)
-        answer = ask("pybotics_fit", str(file), seconds=120.0)
+        answer = ask("pybotics", "pybotics_fit", str(file), seconds=120.0)
     if answer.found:
         left = fit.model.predict(samples.q)[:, :3, 3] - samples.position
         ours = 1e3 * float(np.sqrt(np.mean(left**2)))

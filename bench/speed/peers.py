@@ -1,6 +1,6 @@
-"""Others that live in an environment of their own, because their requirements do not go with ours.
+"""Others that live in environments of their own, because their requirements do not go with ours, nor with each other's.
 
-``make bench`` makes it from bench/requirements.txt. One that is not there is said in the table, and is no error.
+``make bench`` makes them from bench/requirements.txt. One that is not there is said in the table, and is no error.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PYTHON = ROOT / ".venv-bench" / "bin" / "python"
+ENVIRONMENTS = ROOT / ".venv-bench"
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,12 @@ class Answer:
     found: tuple[float, ...] = ()
 
 
-def ask(script: str, *arguments: str, seconds: float = 300.0) -> Answer:
-    """What bench/peers/SCRIPT.py prints: {"ms": …, "remark": …, "found": […]}."""
-    if not PYTHON.exists():
+def ask(peer: str, script: str, *arguments: str, seconds: float = 300.0) -> Answer:
+    """What bench/peers/SCRIPT.py prints: {"ms": …, "remark": …, "found": […]}. peer: as in bench/requirements.txt."""
+    python = ENVIRONMENTS / peer / "bin" / "python"
+    if not python.exists():
         return Answer(None, "not installed")
-    command = [str(PYTHON), str(ROOT / "bench" / "peers" / f"{script}.py"), *arguments]
+    command = [str(python), str(ROOT / "bench" / "peers" / f"{script}.py"), *arguments]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
     except subprocess.TimeoutExpired:
