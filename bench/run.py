@@ -26,6 +26,7 @@ import conftest  # noqa: E402, F401 (finds the install tree)
 sys.path.append(str(BENCH / "speed"))
 import fits  # noqa: E402
 import following  # noqa: E402
+import joints  # noqa: E402
 import kinematics  # noqa: E402
 import report  # noqa: E402
 import search  # noqa: E402
@@ -46,6 +47,7 @@ def main() -> None:
         "kinematics": kinematics.rows,
         "online": following.rows,
         "diagnosis": following.diagnosis,
+        "articulation": joints.rows,
         "bags": bags.rows,
         "synthesis": search.rows,
         "start": startup.rows,
