@@ -48,7 +48,7 @@ def main() -> None:
         return ((T[:, :3, :3] @ point + T[:, :3, 3]) @ R.T + at - seen).ravel()
 
     begun = time.process_time()
-    found = least_squares(residual, np.zeros(33), method="trf", xtol=1e-10, ftol=1e-10)
+    found = least_squares(residual, np.zeros(33))
     ms = 1e3 * (time.process_time() - begun)
     rms = float(np.sqrt(np.mean(found.fun**2)))
     print(json.dumps({"ms": ms, "found": [rms], "remark": f"{1e3 * rms:.1f} um left"}))
