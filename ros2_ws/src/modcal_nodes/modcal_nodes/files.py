@@ -77,7 +77,8 @@ def to_json(data: Any) -> str:
 
 def to_yaml(data: Any) -> str:
     """YAML text with keys in the order given and short lists in one line."""
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=160, allow_unicode=True)
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as quick, where PyYAML has it
+    return str(yaml.dump(data, Dumper=dumper, sort_keys=False, default_flow_style=None, width=160, allow_unicode=True))
 
 
 def read_yaml(path: Path) -> Any:

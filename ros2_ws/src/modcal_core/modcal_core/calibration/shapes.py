@@ -104,10 +104,22 @@ class Shape:
     def _splines(self, x: Array) -> Array:
         count, low, high = int(self.settings["count"]), self.settings["low"], self.settings["high"]
         step = (high - low) / (count - SPLINE_DEGREE)
-        centres = low + step * np.arange(-1, count - 1)
-        # beyond the last knot every function is zero: nothing is claimed where nothing was seen
-        u = np.abs((x - centres[:, None]) / step)
-        return np.where(u < 1.0, 2.0 / 3.0 - u**2 + 0.5 * u**3, np.clip(2.0 - u, 0.0, None) ** 3 / 6.0)
+        # counted in knots from the first centre; beyond the last knot every function is zero: nothing is claimed where
+        # nothing was seen
+        at = np.clip((x - low) / step + 1.0, -3.0, count + 2.0)
+        unknown = np.isnan(at)
+        at = np.where(unknown, 0.0, at)
+        knot = np.floor(at)
+        u = at - knot
+        v = 1.0 - u
+        near = (v**2 * v / 6.0, 2.0 / 3.0 - u**2 * (1.0 - 0.5 * u), 2.0 / 3.0 - v**2 * (1.0 - 0.5 * v), u**2 * u / 6.0)
+        # only the four functions about a driver are not zero there
+        out = np.zeros((count + 10, len(x)))
+        first, column = knot.astype(int) + 4, np.arange(len(x))
+        for i, value in enumerate(near):
+            out[first + i, column] = value
+        out[:, unknown] = np.nan
+        return out[5 : count + 5]
 
     def _waves(self, x: Array) -> Array:
         order = int(self.settings["order"])

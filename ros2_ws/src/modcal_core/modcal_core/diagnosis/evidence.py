@@ -165,22 +165,25 @@ class Scanner:
         distinct = {key: self._column(key, space) for key in dict.fromkeys(bank.keys)}
         for key, column in distinct.items():
             if key not in space.against:
-                space.against[key] = np.sum(column[:, :, None] * space.Q, axis=0)
+                space.against[key] = np.einsum("cN,cNp->Np", column, space.Q)
             if key not in trials.known:
                 trials.known[key] = trials.seen_by(column, space.against[key])
-        n = np.stack([bank.numbers[:, a] @ trials.known[bank.keys[a]] for a in range(m)], axis=1)
-        fitted = [bank.numbers[:, a] @ space.against[bank.keys[a]] for a in range(m)]
         if len(distinct) == 1:
+            alone = bank.keys[0]
+            flat = bank.numbers.reshape(-1, bank.numbers.shape[-1])
+            n = (flat @ trials.known[alone]).reshape(-1, m, len(trials.signs))
+            projected = (flat @ space.against[alone]).reshape(-1, m, space.Q.shape[-1])  # (C, m, P)
             square = np.sum(distinct[bank.keys[0]] ** 2, axis=0)
             gram = (bank.numbers * square) @ bank.numbers.transpose(0, 2, 1)
         else:
+            n = np.stack([bank.numbers[:, a] @ trials.known[bank.keys[a]] for a in range(m)], axis=1)
+            projected = np.stack([bank.numbers[:, a] @ space.against[bank.keys[a]] for a in range(m)], axis=1)
             gram = np.empty((len(bank.effects), m, m))
             for a in range(m):
                 for b in range(a, m):
                     together = np.sum(distinct[bank.keys[a]] * distinct[bank.keys[b]], axis=0)
                     both = np.einsum("cN,cN->c", bank.numbers[:, a], bank.numbers[:, b] * together)
                     gram[:, a, b] = gram[:, b, a] = both
-        projected = np.stack(fitted, axis=1)  # (C, m, P)
         return n, gram - projected @ projected.transpose(0, 2, 1)
 
 
