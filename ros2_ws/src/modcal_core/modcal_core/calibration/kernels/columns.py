@@ -23,8 +23,7 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 _SLIDES = [0, 1, 2, 5]  # directions that a sliding joint lets through
-_YZX = [1, 2, 0]  # an order of axes in which neighbours give both turns about x and y
-_SEEN_FROM_ROOT = np.eye(3)[_YZX, :, None]
+_THREE = np.arange(3)
 # of which axis each part of a turned one is: c y, c x, s y, s x and z; x' = c x + s y and y' = c y − s x
 _PARTS, _SIGNS = [1, 0, 0, 1, 2], np.array([1.0, 1.0, 1.0, -1.0, 1.0])
 
@@ -94,43 +93,44 @@ class Columns:
         one that each sample is watched from, where there are several.
         """
         n = at.n
-        R = M[:, :3, :3].transpose(0, 2, 1)[:, _YZX]
-        turning, sliding = R[:, :, _PARTS] * _SIGNS, R[:, :, _YZX]
+        R = M[:, :3, :3].transpose(0, 2, 1)
+        turning = R[:, :, _PARTS] * _SIGNS
         c, s = np.ascontiguousarray(at.turn.real), np.ascontiguousarray(at.turn.imag)
         parts = np.empty((5, 3, at.count))
         flat = parts.reshape(5, -1)
-        axes = np.empty((3, 3, at.count))  # y, z, x
         product = np.empty((2, 3, at.count))
         tool = np.empty((3, 1, at.count))
-        np.multiply(_SEEN_FROM_ROOT, root, out=axes)
+        axes = out[:3] if frame is None else np.empty((3, 3, at.count))  # x, y, z of the place
+        axes[:] = 0.0
+        axes[_THREE, _THREE] = root
         first = 0
         for k in range(n):
             tool[:2, 0], tool[2, 0] = t[k, :, 1:3].T, t[k, :, 0]
             if k == 0 and frame is not None:
-                first = self._behind
                 self._write_ahead(axes, tool, frame, out)
+                first = self._behind
             else:
-                out[first : first + 2] = axes[2::-2]
                 # z t_y − y t_z and x t_z − z t_x
                 turned = out[self.axes + first : self.axes + first + 2]
-                np.multiply(axes[1:], tool[:2], out=turned)
-                turned -= np.multiply(axes[:2], tool[1:], out=product)
+                np.multiply(axes[2::-2], tool[:2], out=turned)
+                turned -= np.multiply(axes[1:], tool[1:], out=product)
                 first += 2
+            behind = out[first : first + 3]  # its x takes the row of this one's z, which is no column
             if self._revolute[k]:
-                np.multiply(axes[::2], c[k], out=parts[:2])
-                np.multiply(axes[::2], s[k], out=parts[2:4])
-                parts[4] = axes[1]
-                np.matmul(turning[k], flat, out=axes.reshape(3, -1))
+                np.multiply(axes[1::-1], c[k], out=parts[:2])
+                np.multiply(axes[1::-1], s[k], out=parts[2:4])
+                parts[4] = axes[2]
+                np.matmul(turning[k], flat, out=behind.reshape(3, -1))
             else:
-                axes = (sliding[k] @ axes.reshape(3, -1)).reshape(axes.shape)
-        out[first : first + 3] = axes[[2, 0, 1]]
+                behind[:] = (R[k] @ axes.reshape(3, -1)).reshape(axes.shape)
+            axes = behind
 
     def _write_ahead(self, axes: Array, tool: Array, frame: np.ndarray, out: Array) -> None:
         """Write the columns in front of the arm, those of each frame for its own samples."""
-        y, z, x = axes
+        x, y, z = axes
         ty, tz, tx = tool[:, 0]
         turned = np.stack([z * ty - y * tz, x * tz - z * tx, y * tx - x * ty])
         for f in range(self._ahead):
             own = frame == f
-            np.multiply(axes[[2, 0, 1]], own, out=out[3 * f : 3 * f + 3])
+            np.multiply(axes, own, out=out[3 * f : 3 * f + 3])
             np.multiply(turned, own, out=out[self.axes + 3 * f : self.axes + 3 * f + 3])
