@@ -35,7 +35,7 @@ def test_recorded_over_dds_and_calibrated(tmp_path: Path) -> None:
     heard: list[PointStamped] = []
     with running(cell, recorder), listener(domain) as (node, wait):
         node.create_subscription(PointStamped, "tracker/point", heard.append, 1000)
-        wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 45 * 0.6, 60.0)
+        wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 6.0 + 45 * 0.6, 60.0)
         assert cell.stop() == 0
         assert recorder.stop() == 0
     out = tmp_path / "out"

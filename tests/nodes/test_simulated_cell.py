@@ -292,11 +292,16 @@ def test_repeatability_scatters_arrivals_only(tmp_path: Path) -> None:
     domain = fresh_domain()
     cell = Process(
         "simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED, repeatability_rad=1e-4, stations=6, travel_s=0.1,
-        dwell_s=0.3, start_delay_s=2.0,
+        dwell_s=0.3, start_delay_s=6.0,
     )  # fmt: skip
     with running(cell), listener(domain) as (node, wait):
         states, true = hear(node, JointState, "joint_states"), hear(node, PoseStamped, "simulated_cell/true_tool")
-        wait(lambda: len(true) > 5 and seconds(true[-1]) > seconds(true[0]) + 2.6, 60.0)
+
+        def toured() -> bool:
+            begun = next((seconds(m) for m in states if np.any(m.velocity)), np.inf)
+            return bool(true) and seconds(true[-1]) > begun + 6 * 0.4
+
+        wait(toured, 60.0)
         assert cell.stop() == 0
     world = make_world(CHAIN, np.random.default_rng(SEED), 5e-4, 1e-3)
     t, at = np.array([seconds(m) for m in states]), np.array([m.position for m in states])
