@@ -12,9 +12,11 @@ import pytest
 from articulation.objects import Seen, ideal, noisy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
+from nodes.cell import Said
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -67,6 +69,12 @@ def shown(seen: Seen, frame: str, begin: float) -> list[PoseStamped]:
     return messages
 
 
+def meet(node: Node, wait: Callable[[Callable[[], Any], float], Any], *publishers: Publisher) -> None:
+    """Until the estimator and these have found each other, both ways: what is said before may be lost."""
+    said = Said(node)
+    wait(lambda: all(p.get_subscription_count() and said.found(p.topic_name) for p in publishers), 15.0)
+
+
 def say(publisher: Any, messages: list[Any], wait: Callable[[Callable[[], Any], float], Any], told: Told) -> None:
     """Publish one after the other, each when the one before has been answered."""
     before = int(told.status.get("samples", "0"))
@@ -83,7 +91,7 @@ def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
     with running(estimator), listener(domain) as (node, wait):
         told, diagnostics = Told(node), Diagnostics(node)
         publisher = node.create_publisher(PoseStamped, "tracker/pose", 100)
-        wait(lambda: publisher.get_subscription_count() and diagnostics.last, 15.0)
+        meet(node, wait, publisher)
         seen = noisy(ideal("revolute", np.linspace(0.0, 1.0, 200), rng, 0.4), rng, 5e-4, 2e-3)
         begin = time.time()
         messages = shown(seen, "camera", begin)
@@ -138,7 +146,7 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
     with running(estimator), listener(domain) as (node, wait):
         told = Told(node)
         publisher = node.create_publisher(PointStamped, "tracker/point", 100)
-        wait(publisher.get_subscription_count, 15.0)
+        meet(node, wait, publisher)
         seen = noisy(ideal("prismatic", np.linspace(0.0, 0.35, 200), rng), rng, 5e-4)
         messages = []
         for i, p in enumerate(seen.positions):
@@ -194,7 +202,7 @@ def test_a_weight_that_turns_with_the_gripper_is_not_somebody_who_pulls(
         told = Told(node)
         poses = node.create_publisher(PoseStamped, "tracker/pose", 100)
         wrenches = node.create_publisher(WrenchStamped, "wrench", 100)
-        wait(lambda: poses.get_subscription_count() and wrenches.get_subscription_count(), 15.0)
+        meet(node, wait, poses, wrenches)
         tilt = np.concatenate([np.zeros(60), np.full(90, 0.5 * np.pi)])
         turned = Rotation.from_rotvec(np.stack([tilt, 0.0 * tilt, 0.0 * tilt], axis=1))
         still = Seen(
