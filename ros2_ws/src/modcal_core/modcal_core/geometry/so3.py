@@ -1,7 +1,8 @@
 """Rotations: exponential, logarithm, quaternions (x y z w), fixed-axis roll-pitch-yaw, and the mean on the manifold.
 
 Every function takes any number of leading batch axes. The exponential is Rodrigues' formula
-``R = I + a [w]x + b [w]x^2`` with ``a = sin t / t`` and ``b = (1 - cos t) / t^2 = 2 (sin(t/2) / t)^2``, ``t = |w|``.
+``R = I + a [w]x + b [w]x^2`` with ``a = sin t / t`` and ``b = (1 - cos t) / t^2``, ``t = |w|``; both are series below
+``t = 0.01``, where the quotients would lose digits.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-_TINY = 1e-30  # rad; stands for no turn at all
-_LOG_SERIES_BELOW = 1e-4  # rad; the next term of each series is then below 1e-18
-_SERIES_BELOW = 1e-2  # rad, the same of a longer one; there the quotient would lose digits
+_LOG_SERIES_BELOW = 1e-4  # rad; the next term of the series is then below 1e-18
+# Of the coefficients of the exponential: 1, t², t⁴. The next terms are below 2e-16, where quotients would lose digits
+_SERIES_BELOW = 1e-2  # rad
+_SERIES = ((1.0, -1 / 6, 1 / 120), (1 / 2, -1 / 24, 1 / 720), (1 / 6, -1 / 120, 1 / 5040))
 
 
 # A vector times this is its skew-symmetric matrix, flat
@@ -48,24 +50,20 @@ def cross(a: Array, b: Array, out: Array | None = None) -> Array:
 
 def rodrigues_coefficients(angle: Array) -> tuple[Array, Array, Array]:
     """(sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3) for angles t [rad], accurate down to zero."""
-    a, b = _two_coefficients(angle)
     t2 = angle * angle
     small = angle < _SERIES_BELOW
-    c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / np.where(small, 1.0, t2))
-    return a, b, c
-
-
-def _two_coefficients(angle: Array) -> tuple[Array, Array]:
-    """The first two, which lose no digits near zero, only at it."""
-    safe = np.maximum(angle, _TINY)
-    half = np.sin(0.5 * safe) / safe
-    return np.sin(safe) / safe, 2.0 * half * half
+    a, b, c = (first + t2 * (second + t2 * third) for first, second, third in _SERIES)
+    if small.all():  # as in most calibrations
+        return a, b, c
+    safe = np.where(small, 1.0, angle)
+    half, sine = np.sin(0.5 * safe) / safe, np.sin(safe) / safe
+    return np.where(small, a, sine), np.where(small, b, 2.0 * half * half), np.where(small, c, (1.0 - sine) / safe**2)
 
 
 def exp(w: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     w = np.asarray(w, dtype=float)
-    a, b = _two_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
+    a, b, _ = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
     W = hat(w)
     return _EYE + a[..., None, None] * W + b[..., None, None] * (W @ W)
 

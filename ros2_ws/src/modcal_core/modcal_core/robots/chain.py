@@ -120,10 +120,10 @@ class Chain:
         """The place of the tool, behind the last joint."""
         return self.n
 
-    @property
+    @cached_property
     def T_base_root(self) -> Array:
         """The frame of the first joint before it moves, its axis along z, in the base, (4, 4)."""
-        return self.origins[0] @ se3.transform(self.joint_basis[0])
+        return _read_only(self.origins[0] @ se3.transform(self.joint_basis[0]))
 
     @cached_property
     def T_base_joint_home(self) -> Array:
