@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT / "tests")  # in place of this folder, where "articulation" would be this file
 import conftest  # noqa: E402, F401 (finds the install tree)
 import numpy as np  # noqa: E402
+from articulation.furniture_tracks import recorded  # noqa: E402
 from articulation.objects import ideal, noisy  # noqa: E402
 
 from modcal_core.articulation.choice import choose  # noqa: E402
@@ -34,7 +35,6 @@ from modcal_core.articulation.online import State, Tracker  # noqa: E402
 from modcal_core.articulation.track import Track  # noqa: E402
 
 DATA = ROOT.parent / "shared" / "data" / "articulation"
-SLIDE = ("iros_drawer", "drawer_one", "M2U00394", "M2U00395")
 DEGREE = np.pi / 180.0
 
 
@@ -71,15 +71,14 @@ def misses(track: Track, states: list[State]) -> list[float]:
 def furniture(cut: float) -> list[dict[str, Any]]:
     """A row for every real track."""
     rows = []
-    for file in [*sorted(DATA.glob("position/*/*.log")), *sorted(DATA.glob("pose/*.log"))]:
-        numbers = np.loadtxt(file)
-        track = Track.of_poses(numbers[: max(8, int(cut * len(numbers)))])
+    for name, (truth, whole) in recorded(DATA).items():
+        track = whole.part(np.arange(min(len(whole), max(8, int(cut * len(whole))))))
         choice = choose(track)
         states, _ = followed(track)
         wrong = misses(track, states)
         row = {
-            "track": f"{file.parent.name}/{file.stem}",
-            "truth": "prismatic" if file.parent.name in SLIDE or file.stem in SLIDE else "revolute",
+            "track": name,
+            "truth": truth,
             "kind": choice.kind,
             "enough": choice.enough,
             "probability": choice.probabilities[choice.kind],

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from articulation.folding import folding
-from articulation.furniture_tracks import recorded
 from articulation.objects import ideal, noisy, real
 from finite_differences import assert_jacobian
 
@@ -164,15 +163,13 @@ def test_what_moves_otherwise_is_told_as_before(kind: Kind, monkeypatch: pytest.
         assert found.probabilities["folding_door"] < 0.05  # type: ignore[index]
 
 
-def test_real_furniture_is_told_as_before(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = shared_data / "articulation"
-    if not folder.is_dir():
-        pytest.skip("no tracks of real furniture beside this checkout")
+def test_real_furniture_is_told_as_before(
+    furniture: dict[str, tuple[Kind, Track]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     with_models(monkeypatch, FOLDING)
-    tracks = recorded(folder)
-    some = ["iros_drawer/003", "cabinet_one/005", *[name for name in tracks if name.startswith("pose")][:1]]
+    some = ["iros_drawer/003", "cabinet_one/005", *[name for name in furniture if name.startswith("pose")][:1]]
     for name in some:
-        kind, track = tracks[name]
+        kind, track = furniture[name]
         found = choose(track.part(thinned(len(track))))
         assert found.kind == kind, (name, found.why)
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from articulation.furniture_tracks import recorded
 from articulation.objects import ideal, noisy, real
 
 from modcal_core.articulation.choice import choose
@@ -82,18 +79,10 @@ def test_flawed_tracks_are_told_rightly_or_not_at_all() -> None:
     assert sure >= 24
 
 
-@pytest.fixture(scope="module")
-def tracks(shared_data: Path) -> dict[str, tuple[Kind, Track]]:
-    folder = shared_data / "articulation"
-    if not folder.is_dir():
-        pytest.skip("no tracks of real furniture beside this checkout")
-    return recorded(folder)
-
-
 @pytest.mark.slow
-def test_real_furniture(tracks: dict[str, tuple[Kind, Track]]) -> None:
+def test_real_furniture(furniture: dict[str, tuple[Kind, Track]]) -> None:
     """Of 43 tracks of points two may be wrong (one is a bad pull), of poses none; none is said with certainty to be wrong."""
-    told = {name: (kind, choose(track)) for name, (kind, track) in tracks.items()}
+    told = {name: (kind, choose(track)) for name, (kind, track) in furniture.items()}
     wrong = [name for name, (kind, choice) in told.items() if choice.kind != kind]
     assert len([name for name in wrong if not name.startswith("pose")]) <= 2, wrong
     assert not [name for name in wrong if name.startswith("pose")]
@@ -102,8 +91,8 @@ def test_real_furniture(tracks: dict[str, tuple[Kind, Track]]) -> None:
 
 
 @pytest.mark.parametrize("name", ["iros_drawer/003", "cabinet_one/005"])
-def test_moved_mirrored_or_reversed_it_stays_what_it_is(name: str, tracks: dict[str, tuple[Kind, Track]]) -> None:
-    kind, track = tracks[name]
+def test_moved_mirrored_or_reversed_it_stays_what_it_is(name: str, furniture: dict[str, tuple[Kind, Track]]) -> None:
+    kind, track = furniture[name]
     p = track.positions
     M = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     for other in (p @ M.T + [1.0, -2.0, 0.5], p * [-1.0, 1.0, 1.0], p[::-1]):

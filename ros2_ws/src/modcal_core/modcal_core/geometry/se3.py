@@ -35,13 +35,8 @@ def inverse(T: ArrayLike) -> Array:
 def exp(xi: ArrayLike) -> Array:
     """Transforms (..., 4, 4) of twists (..., 6) [m, rad]."""
     xi = np.asarray(xi, dtype=float)
-    v, w = xi[..., :3], xi[..., 3:]
-    a, b, c = so3.rodrigues_coefficients(np.linalg.norm(w, axis=-1))
-    W = so3.hat(w)
-    WW = W @ W
-    R = np.eye(3) + a[..., None, None] * W + b[..., None, None] * WW
-    V = np.eye(3) + b[..., None, None] * W + c[..., None, None] * WW
-    return transform(R, (V @ v[..., None])[..., 0])
+    R, V = so3.exp_and_left_jacobian(xi[..., 3:])
+    return transform(R, (V @ xi[..., :3, None])[..., 0])
 
 
 def log(T: ArrayLike) -> Array:

@@ -69,7 +69,7 @@ def exp(w: ArrayLike) -> Array:
 
 
 def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
-    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than each alone."""
+    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than both apart."""
     w = np.asarray(w, dtype=float)
     a, b, c = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
     W = hat(w)
