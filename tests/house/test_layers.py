@@ -22,6 +22,7 @@ ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
 ROOMS["planning"] = ROOMS["calibration"] | {"planning"}
 ROOMS["articulation"] = _ALSO | {"articulation"}
 ROOMS["compliance"] = _ALSO | {"articulation", "compliance"}
+ROOMS["verdict"] = ROOMS["diagnosis"] | {"verdict"}
 ROOMS["report"] = {*ROOMS, "report", "top"}
 ROOMS["top"] = {*ROOMS, "top"}
 

@@ -16,6 +16,8 @@ from modcal_core.diagnosis.evidence_map import EvidenceMap
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.verdict import Verdict
 
 FORMAT = 1
 _DRAWS = 400
@@ -50,7 +52,8 @@ class Report:
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
-    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,).
+    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). grounds: what else the
+    verdict has to know. judged: the verdict; None until it was made.
     """
 
     samples: Samples
@@ -71,6 +74,8 @@ class Report:
     model: Model | None = None
     missed: Array = field(default_factory=lambda: np.empty(0))
     wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    grounds: Grounds = Grounds()
+    judged: Verdict | None = None
 
     @property
     def measurement(self) -> str:

@@ -1,0 +1,58 @@
+"""The verdict: one of three words, why it is that one, and the account of squared error that it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Status = Literal["at_floor", "open", "cannot_tell"]
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the account: a name as in ``report.json``, its value [mm² or deg²], and its 95 % interval if known."""
+
+    what: str
+    value: float
+    ci95: Interval | None = None
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of the squared error, 0 … 1, with its 95 % interval. lower99: the lower end of its 99 % interval."""
+
+    share: float
+    ci95: Interval
+    lower99: float
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """What the arm does not repeat, RMS over space [mm or deg]. source: "revisits", "stated", or None if unknown."""
+
+    value: float | None
+    source: Literal["revisits", "stated"] | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Status and its grounds.
+
+    open_because: a sentence for each reason, empty unless the status is open. remedy: what would tell, for a status of
+    cannot_tell. floor_mm, floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2,
+    account_deg2: rows that sum to the squared error of the nominal model; None where readings have no length or no angle.
+    predictable, predictable_deg: share of the held-out squared error that a regressor without physics predicts.
+    """
+
+    status: Status
+    open_because: tuple[str, ...] = ()
+    remedy: str = ""
+    floor_mm: float | None = None
+    floor_deg: float | None = None
+    account_mm2: tuple[Row, ...] | None = None
+    account_deg2: tuple[Row, ...] | None = None
+    predictable: Share | None = None
+    predictable_deg: Share | None = None
+    repeatability_mm: Repeatability = Repeatability(None, None)
+    repeatability_deg: Repeatability = Repeatability(None, None)
