@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test lint format bench undeclared closed-loop \
+.PHONY: help setup setup-test build demo test quick lint format bench undeclared closed-loop \
 	soak long-bag doors articulation control-tick synthesis modular planning limits delta docs reference lock clean
 
 help:  ## list the targets
@@ -35,8 +35,15 @@ build: setup  ## build the workspace with colcon
 demo: build  ## calibrate from an embedded recording; ends with before/after and where the report is
 	@bash examples/demo.sh
 
+# Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+
 test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
-	@$(PY) -m pytest $(PYTEST_ARGS)
+	@$(PY) -m pytest $(PARALLEL) $(PYTEST_ARGS)
+
+quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute at most
+	@$(PY) -m ruff check .
+	@$(PY) -m pytest $(PARALLEL) -m "not dds and not slow" $(PYTEST_ARGS)
 
 lint: setup-test  ## ruff check, ruff format --check, mypy
 	@$(PY) -m ruff check .
