@@ -13,6 +13,7 @@ from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import with_prior
 from modcal_core.calibration.placing import Known
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
@@ -28,13 +29,14 @@ class Cell:
 
     distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
-    instrument watches a point of the tool of its own.
+    instrument watches a point of the tool of its own. stated: repeatability and accuracy that were stated.
     """
 
     distances: tuple[AnyDistance, ...] = ()
     fixed: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
+    stated: Stated = Stated()
 
     @property
     def kept(self) -> tuple[str, ...]:
