@@ -13,7 +13,8 @@ from report.reports import delta, warm_cell
 
 from modcal_core.calibration.score import Floor
 from modcal_core.diagnosis.choice import Choice
-from modcal_core.report.report import STAGES, to_json_data
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import STAGES
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 

@@ -112,6 +112,7 @@ def calibrate(
         model=final.model,
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
+        searched=look_for_effects,
     )
     return Result(report, shipped, final)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Cell:
     fixed: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
-    stated: Stated = Stated()
+    stated: Stated = field(default_factory=Stated)
 
     @property
     def kept(self) -> tuple[str, ...]:

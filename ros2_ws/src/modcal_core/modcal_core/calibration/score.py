@@ -148,5 +148,16 @@ def noise_floor(samples: Samples) -> Floor | None:
         # half of the squared gap is one reading's variance; the median ignores readings that were plainly wrong
         chi3_median = 2.366
         return Floor(float(np.sqrt(1.5 * np.median(np.sum(gap**2, axis=1)) / chi3_median)), True)
+    scatter = reading_scatter(samples)
+    return None if scatter is None else Floor(scatter, False)
+
+
+def reading_scatter(samples: Samples) -> float | None:
+    """RMS over space of what a station's reading is uncertain by, from the scatter within the stations [m].
+
+    None where fewer than ten stations show it, and of recordings with readings that are no positions.
+    """
+    if not is_direct(np.unique(samples.kind).tolist()):
+        return None
     known = samples.sigma_position[np.isfinite(samples.sigma_position)]
-    return Floor(float(np.sqrt(3.0 * np.mean(known**2))), False) if len(known) >= _REPEATS else None
+    return float(np.sqrt(3.0 * np.mean(known**2))) if len(known) >= _REPEATS else None

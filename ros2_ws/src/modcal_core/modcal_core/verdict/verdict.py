@@ -55,10 +55,10 @@ class Repeatability:
 class Verdict:
     """Status and its grounds.
 
-    reasons: why the status is open; empty unless it is. remedy: what would tell, for a status of
-    cannot_tell. floor_mm, floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2,
-    account_deg2: rows that sum to the squared error of the nominal model; None where readings have no length or no angle.
-    predictable, predictable_deg: share of the held-out squared error that a regressor without physics predicts.
+    reasons: why the status is open; empty unless it is. remedy: what would tell, for a status of cannot_tell. floor_mm,
+    floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2, account_deg2: rows that sum to
+    the squared error of the nominal model; None where readings have no length or no angle. predictable,
+    predictable_deg: share of the held-out squared error that a regressor without physics predicts.
     """
 
     status: Status

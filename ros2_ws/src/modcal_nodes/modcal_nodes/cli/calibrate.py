@@ -16,7 +16,8 @@ from modcal_core.errors import ModcalError
 from modcal_core.loop import evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare_pieces
-from modcal_core.report.report import Report, to_json_data
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import Report
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.cli.saying import Voice, speaking

@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import to_json_data
+from modcal_core.report.as_json import to_json_data
 from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
 from modcal_nodes.recorded import Calibrated, calibrate_bag
 
