@@ -43,7 +43,7 @@ class Stated:
             )
 
     @property
-    def repeatability_rms_mm(self) -> float | None:
+    def rms_mm(self) -> float | None:
         """RMS over space of what the arm does not repeat [mm], from either statement; None if there is none."""
         if self.repeatability_iso_mm is not None:
             return RMS_OF_RP * self.repeatability_iso_mm
@@ -57,6 +57,6 @@ class Stated:
     def over(self, other: Stated) -> Stated:
         """These statements, and the other's where these have none. Repeatability counts as one, however stated."""
         mine, theirs = self.given(), other.given()
-        if self.repeatability_rms_mm is not None:
+        if self.rms_mm is not None:
             theirs = {name: v for name, v in theirs.items() if name not in ("repeatability_mm", "repeatability_iso_mm")}
         return Stated(**{**theirs, **mine})

@@ -18,7 +18,7 @@ NOT_SOUGHT = (
     "Only the geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift, steps and latency "
     "were not looked for."
 )
-_MAX_REASONS = 2  # that the sentence gives; report.json has all of them
+MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 
 
 def sentence(report: Report) -> str:
@@ -104,7 +104,7 @@ def _status(report: Report) -> str:
 
 
 def _reasons(verdict: Verdict) -> str:
-    first = verdict.open_because[:_MAX_REASONS]
+    first = verdict.open_because[:MAX_REASONS]
     more = len(verdict.open_because) - len(first)
     said = " ".join(sentence if sentence.endswith((".", "!", "?")) else f"{sentence}." for sentence in first)
     return said + (f" And {counted(more, 'more reason')}, in report.json." if more else "")

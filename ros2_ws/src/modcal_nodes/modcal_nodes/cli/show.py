@@ -5,7 +5,12 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from modcal_core.report.account import in_words
 from modcal_core.report.report import STAGES, Report
+from modcal_core.report.sentence import MAX_REASONS
+from modcal_core.verdict.verdict import Row, Status
+
+STYLES: dict[Status, str] = {"at_floor": "bold green", "open": "bold red", "cannot_tell": "bold yellow"}
 
 
 def show_report(report: Report, console: Console) -> None:
@@ -31,7 +36,35 @@ def show_report(report: Report, console: Console) -> None:
             console.print(sentence, highlight=False)
     for note in report.notes:
         console.print(note, style="yellow", highlight=False)
-    console.print(report.verdict, style="bold", highlight=False)
+    for unit, rows in _accounts(report):
+        console.print(_account(rows, unit))
+    console.print(report.verdict, style=STYLES[report.status], highlight=False, markup=False)
+    for reason in report.judged.open_because[MAX_REASONS:] if report.judged is not None else ():
+        console.print(f"Open: {reason}", style="red", highlight=False, markup=False)
+    if report.tolerance is not None:
+        style = {"PASS": "bold green", "FAIL": "bold red"}.get(report.tolerance.result, "bold yellow")
+        console.print(f"{report.tolerance.result}: {report.tolerance.because}", style=style, highlight=False)
+
+
+def _accounts(report: Report) -> list[tuple[str, tuple[Row, ...]]]:
+    judged = report.judged
+    made = [] if judged is None else [("mm²", judged.account_mm2), ("deg²", judged.account_deg2)]
+    return [(unit, rows) for unit, rows in made if rows]
+
+
+def _account(rows: tuple[Row, ...], unit: str) -> Table:
+    """Where the squared error of the nominal model went."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("account of the squared error", overflow="fold")
+    for name in (unit, "95 % interval", "share"):
+        table.add_column(name, justify="right")
+    total = sum(row.value for row in rows)
+    for row in rows:
+        ends = "" if row.ci95 is None else f"{row.ci95[0]:.3g} … {row.ci95[1]:.3g}"
+        share = f"{100.0 * row.value / max(total, 1e-300):.2f} %"
+        table.add_row(in_words(row.what), f"{row.value:.4g}", ends, share)
+    table.add_row("nominal model", f"{total:.4g}", "", "")
+    return table
 
 
 def _effects(report: Report) -> Table:
