@@ -17,10 +17,10 @@ from modcal_core.report.page import as_script_data, render
 from modcal_core.report.report import STAGES, Report
 from modcal_core.report.residuals import comparisons
 from modcal_core.report.scene import scene, still
+from modcal_core.report.sentence import STATUS_WORDS
 from modcal_core.verdict.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
-STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "cannot_tell": "cannot tell"}
 _MOST_COLUMNS = 28  # drivers of a map
 _MOST_LISTED = 30  # stations that were left out
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from modcal_core.report.counted import counted
-from modcal_core.verdict.verdict import Repeatability, Verdict
+from modcal_core.verdict.verdict import Repeatability, Status, Verdict
 
 if TYPE_CHECKING:
     from modcal_core.report.report import Report
@@ -18,6 +18,7 @@ NOT_SOUGHT = (
     "Only the geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift, steps and latency "
     "were not looked for."
 )
+STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "cannot_tell": "cannot tell"}
 MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 
 

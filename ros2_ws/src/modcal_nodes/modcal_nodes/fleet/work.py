@@ -62,6 +62,8 @@ def _row(done: Calibrated) -> dict[str, Any]:
         "condition": None if seen is None else seen["condition"],
         "effects": [f"{e['family']} at {e['place']} by {e['driver']}" for e in data["effects"]],
         "parameters": [*data["parameters"], *_effect_values(data["effects"])],
+        "status": data["status"],
+        "open_because": data["open_because"],
         "verdict": data["verdict"],
     }
 
