@@ -43,7 +43,11 @@ _CLOCK = click.option(
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
 _CELL = click.option(
-    "--cell", "cell_file", type=EXISTING, default=None, help="YAML of known distances and fixed parameters."
+    "--cell",
+    "cell_file",
+    type=EXISTING,
+    default=None,
+    help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
 _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 
@@ -73,11 +77,11 @@ _STATED = (
         "--repeatability-iso", type=_POSITIVE, default=None, metavar="MM",
         help="The same as RP of ISO 9283, as data sheets give it.",
     ),
-    click.option("--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG", help="Of the orientation, RMS."),
+    click.option("--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG", help="Repeatability of the orientation, RMS."),
     click.option(
         "--instrument-mm", type=_POSITIVE, default=None, metavar="MM", help="Error of the instrument, RMS over space."
     ),
-    click.option("--instrument-deg", type=_POSITIVE, default=None, metavar="DEG", help="Of its orientation, RMS."),
+    click.option("--instrument-deg", type=_POSITIVE, default=None, metavar="DEG", help="Orientation error of the instrument, RMS."),
 )  # fmt: skip
 _TOLERANCE = (
     click.option(
