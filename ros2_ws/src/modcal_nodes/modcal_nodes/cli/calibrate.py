@@ -77,11 +77,17 @@ _STATED = (
         "--repeatability-iso", type=_POSITIVE, default=None, metavar="MM",
         help="The same as RP of ISO 9283, as data sheets give it.",
     ),
-    click.option("--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG", help="Repeatability of the orientation, RMS."),
+    click.option(
+        "--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG",
+        help="Repeatability of the orientation, RMS.",
+    ),
     click.option(
         "--instrument-mm", type=_POSITIVE, default=None, metavar="MM", help="Error of the instrument, RMS over space."
     ),
-    click.option("--instrument-deg", type=_POSITIVE, default=None, metavar="DEG", help="Orientation error of the instrument, RMS."),
+    click.option(
+        "--instrument-deg", type=_POSITIVE, default=None, metavar="DEG",
+        help="Orientation error of the instrument, RMS.",
+    ),
 )  # fmt: skip
 _TOLERANCE = (
     click.option(
