@@ -19,7 +19,7 @@ from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
 from modcal_core.calibration.moments import sharpened
-from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.score import Errors, errors, outlying, spread_of
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
@@ -32,6 +32,10 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.case import fitted_case, frozen_case
+from modcal_core.verdict.floor import Stated
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.status import judge
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -55,12 +59,14 @@ def calibrate(
     progress: Callable[[str], None] = lambda _: None,
     look_for_effects: bool = True,
     changed: float | None = None,
+    stated: Stated | None = None,
 ) -> Result:
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
     None decides. inertias: of the arm's bodies, for effects of load. progress: hears of each effect that is tried.
     look_for_effects: go beyond geometry. changed: stamp [s] about which something is known to have happened.
+    stated: repeatability and accuracy that the verdict may rely on.
     Raises ModcalError for data that cannot carry a fit.
     """
     cell = cell or Cell()
@@ -94,13 +100,14 @@ def calibrate(
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
     steps = (Step("geometry", left["geometric"]), *added)
+    grounds = Grounds()
+    judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, stated)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        noise_floor=noise_floor(samples),
         effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
         left=diagnosis.left,
         identifiability=identifiability(final),
@@ -112,6 +119,8 @@ def calibrate(
         model=final.model,
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
+        grounds=grounds,
+        judged=judged,
     )
     return Result(report, shipped, final)
 
@@ -158,11 +167,12 @@ def evaluate(
     refit_tool: bool = False,
     cell: Cell | None = None,
     block: int | None = None,
+    stated: Stated | None = None,
 ) -> Report:
     """How far a frozen calibration misses on another recording.
 
     Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
-    and the score is that of the rest. Otherwise every sample is scored.
+    and the score is that of the rest. Otherwise every sample is scored. stated: see :func:`calibrate`.
     """
     cell = (cell or Cell()).met(samples)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
@@ -182,13 +192,14 @@ def evaluate(
     missed = {stage: errors(model, scored) for stage, model in models.items()}
     wrong = np.zeros(len(samples), bool)
     wrong[sets.held_out[out]] = True
+    grounds = Grounds()
+    case = frozen_case(calibration, models["final"], samples, sets, wrong, missed, refit_base, refit_tool)
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
         errors=missed,
-        noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
@@ -201,6 +212,8 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
+        grounds=grounds,
+        judged=judge(case, grounds, stated),
     )
 
 

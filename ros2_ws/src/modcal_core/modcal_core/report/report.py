@@ -9,20 +9,21 @@ import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import Errors, ErrorSize, Floor
+from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import Choice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
+from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.status import MOST_ABOVE_FLOOR, MOST_PREDICTABLE
 from modcal_core.verdict.verdict import Verdict
 
 FORMAT = 1
 _DRAWS = 400
 STAGES = ("nominal", "geometric", "final")
-_REPEATS_WITHIN_MM = 0.1  # what an arm in order misses a posture by when it comes again (ISO 9283 RP of common arms)
 _STRONGEST = 10  # candidates of a scan that report.json names
 
 
@@ -45,9 +46,8 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: None where the recording does not show it. effects: what
-    the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise.
-    parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
+    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still but
+    predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
     sentence each, for a person.
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
@@ -61,7 +61,6 @@ class Report:
     scored: Samples
     rejected: int
     errors: dict[str, Errors]
-    noise_floor: Floor | None
     effects: tuple[Finding, ...] = ()
     left: Choice | None = None
     identifiability: Identifiability | None = None
@@ -74,7 +73,7 @@ class Report:
     model: Model | None = None
     missed: Array = field(default_factory=lambda: np.empty(0))
     wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
-    grounds: Grounds = Grounds()
+    grounds: Grounds = field(default_factory=Grounds)
     judged: Verdict | None = None
 
     @property
@@ -117,26 +116,37 @@ class Report:
         return rows[np.argsort(-self.missed[rows], kind="stable")]
 
     @property
-    def unexplained_mm(self) -> float | None:
-        """RMS of what is left beyond the noise [mm]; None when the rest is noise as far as the recording shows.
-
-        What exceeds the noise floor by more than a fifth; where the floor lacks what the arm does not repeat, by
-        more than arms in order do not. Otherwise what one more effect would take away.
-        """
-        final, beyond = self.size_mm("final"), self._beyond_floor_mm
-        if final is None:
-            return None
-        if beyond and self.noise_floor is not None and (self.noise_floor.whole or beyond > _REPEATS_WITHIN_MM):
-            return beyond
-        return None if self.left is None else final.rms * float(np.sqrt(self.left.share))
+    def noise_floor_mm(self) -> float | None:
+        """What no model can do better than [mm RMS]; None where neither returns nor a person tell."""
+        return None if self.judged is None else self.judged.floor_mm
 
     @property
-    def _beyond_floor_mm(self) -> float:
-        """RMS beyond the noise floor [mm], 0 where it is less than a fifth more, or where no floor is known."""
-        final = self.size_mm("final")
-        if final is None or self.noise_floor is None or final.rms <= 1.2e3 * self.noise_floor.rms:
-            return 0.0
-        return float(np.sqrt(final.rms**2 - (1e3 * self.noise_floor.rms) ** 2))
+    def reading_scatter_mm(self) -> float | None:
+        """RMS over space of the scatter of readings within a dwell [mm]; no floor, for the arm stands still there."""
+        return reading_scatter_mm(self.samples)
+
+    @property
+    def unexplained_mm(self) -> float | None:
+        """RMS of what is left that the model should explain [mm]; None when nothing shows that there is any.
+
+        What a regressor without physics surely predicts, or what lies beyond a known floor, or what one more effect
+        would take away.
+        """
+        final, judged = self.size_mm("final"), self.judged
+        if final is None:
+            return None
+        beyond = 0.0
+        if judged is not None and judged.status == "open":
+            rows = {row.what: row.value for row in judged.account_mm2 or ()}
+            both = judged.predictable_both
+            if both is not None and both.lower99 > MOST_PREDICTABLE:
+                beyond = rows.get("predictable", 0.0)
+            left = final.rms**2 - rows.get("estimation", 0.0)
+            if judged.floor_mm is not None and left > MOST_ABOVE_FLOOR * judged.floor_mm**2:
+                beyond = max(beyond, left - judged.floor_mm**2)
+        if self.left is not None:
+            beyond = max(beyond, final.rms**2 * self.left.share)
+        return float(np.sqrt(beyond)) if beyond > 0.0 else None
 
     @property
     def verdict(self) -> str:
@@ -156,16 +166,11 @@ class Report:
 
     def _about_the_rest(self) -> str:
         rest = self.unexplained_mm
-        if rest is None and self.noise_floor is None:
-            return "; nothing in what is left stands out from noise."
-        if rest is None and self.noise_floor is not None:
-            noise = 1e3 * self.noise_floor.rms
-            if not self._beyond_floor_mm:
-                return f", which is the noise of the measurement ({noise:.3f} mm)."
-            return (
-                f". Readings scatter by {noise:.3f} mm within a station; the rest goes along with nothing that was "
-                "recorded, as what an arm does not repeat. Postures visited twice would tell."
-            )
+        floor = self.noise_floor_mm
+        if rest is None:
+            if floor is None:
+                return ". How small it can be is not known." + (f" {self.judged.remedy}" if self.judged else "")
+            return f", which is what arm and instrument do not repeat ({floor:.3f} mm)."
         said = f"; at least {rest:.3f} mm of it is more than noise, and the model does not explain it."
         if self.left is None:
             return said
@@ -198,7 +203,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
         "split": {"unit": report.sets.unit, **report.set_sizes()},
         "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
-        "noise_floor_mm": None if report.noise_floor is None else 1e3 * report.noise_floor.rms,
+        "noise_floor_mm": report.noise_floor_mm,
         "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
         "effects": [_effect(finding) for finding in report.effects],
         "unexplained": None if rest is None else _unexplained(rest, report.left),

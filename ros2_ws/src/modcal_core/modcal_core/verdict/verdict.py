@@ -41,7 +41,8 @@ class Verdict:
 
     open_because: a sentence for each reason, empty unless the status is open. remedy: what would tell, for a status of
     cannot_tell. floor_mm, floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2,
-    account_deg2: rows that sum to the squared error of the nominal model; None where readings have no length or no angle.
+    account_deg2: rows that sum to the squared error of the nominal model; None where nothing has a length
+    or an angle.
     predictable, predictable_deg: share of the held-out squared error that a regressor without physics predicts.
     """
 
@@ -54,5 +55,7 @@ class Verdict:
     account_deg2: tuple[Row, ...] | None = None
     predictable: Share | None = None
     predictable_deg: Share | None = None
+    predictable_both: Share | None = None
     repeatability_mm: Repeatability = Repeatability(None, None)
     repeatability_deg: Repeatability = Repeatability(None, None)
+    returns: int = 0
