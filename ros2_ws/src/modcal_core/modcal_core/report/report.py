@@ -46,9 +46,9 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still but
-    predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
-    sentence each, for a person.
+    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still
+    but predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out:
+    parameters that say the same as others. notes: a sentence each, for a person.
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
