@@ -23,17 +23,21 @@ _OWN_WAVES = 6  # waves a turn of a joint's own position
 _SMOOTH = 16  # random functions of the whole posture
 _NEAR = 40  # the same of neighbours in posture
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
-_SLOW, _FAST = 4, 20  # waves over the order of the stations
+_SLOW, _FAST = 4, 44  # waves over the order of the stations
+_MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
 _MOST_SIGNALS = 40
 
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that belong together. name: for a person, after "can be predicted from". columns: (D, 6, N)."""
+    """Columns that belong together. name: for a person, after "can be predicted from". columns: (D, 6, N). few: whether
+    a few of them are expected to matter, not all a little.
+    """
 
     name: str
     columns: Array
+    few: bool = False
 
 
 def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
@@ -49,6 +53,7 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
     for group in (builder.history(), builder.load(), builder.signals()):
         if group is not None:
             yield group
+    yield builder.single_waves()
 
 
 class _Builder:
@@ -94,12 +99,15 @@ class _Builder:
         return self._group("neighbours in posture", [self._times(self._ends()[6:], self._random(_NEAR, 2.0))])
 
     def order(self, first: int, last: int) -> Group:
-        """Base, tool and joints with waves over the order of the stations, first < waves <= last, in time at first."""
+        """Waves over the order of the stations, first < waves <= last: slow ones, and time, with base, tool and joints,
+        fast ones with the base alone.
+        """
         rank = _rank(self.samples)
+        last = min(last, self.samples.stations // 2)
         waves = [np.cos(np.pi * k * rank) for k in range(first + 1, last + 1)]
-        where = self._ends()
+        where = self._ends()[:6]
         if not first:
-            where = [*where, *zip(self.places, self.axis, strict=True)]
+            where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
             stamps = self.samples.stamps - self.samples.stamps.min()
             if np.ptp(stamps) > 0.0:
                 share = stamps / np.ptp(stamps)
@@ -130,7 +138,7 @@ class _Builder:
         if np.isfinite(self.samples.effort).any():
             kinds.append("effort")
         for name, place, axis in zip(self.samples.names, self.places, self.axis, strict=True):
-            numbers = []
+            numbers: list[Array] = []
             for kind in kinds:
                 torque = self.at.driver(f"{kind}:{name}")
                 numbers += [torque, np.sign(torque)] if kind == "effort" else [torque]
@@ -156,6 +164,16 @@ class _Builder:
             return None
         where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
         return self._group("recorded signals", [self._times(where, numbers)])
+
+    def single_waves(self) -> Group:
+        """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints."""
+        axes = list(zip(self.places, self.axis, strict=True))
+        parts = [self._times([axis], self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :]) for j, axis in enumerate(axes)]
+        turns = [self._waves(j, 1) for j in range(self.chain.n)]
+        both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
+        if both:
+            parts.append(self._times([*axes, *self._ends()], np.stack(both)))
+        return self._group("single waves of the joint positions", parts, few=True)
 
     def _ends(self) -> list[tuple[int, int]]:
         """All directions of base and tool."""
@@ -196,16 +214,16 @@ class _Builder:
         out[3:, self.view.pose] = row[3 * N :].reshape(3, -1)
         return out * self.weight
 
-    def _group(self, name: str, parts: list[Array]) -> Group:
+    def _group(self, name: str, parts: list[Array], few: bool = False) -> Group:
         columns = np.concatenate(parts)
         size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
         columns = columns[size > 1e-9 * size.max(initial=1e-300)]
-        if len(columns) > _MOST_COLUMNS:
+        if len(columns) > _MOST_COLUMNS and not few:
             flat = columns.reshape(len(columns), -1)
             flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
             mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
             columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
-        return Group(name, columns)
+        return Group(name, columns, few)
 
 
 def _standard(x: Array) -> Array:

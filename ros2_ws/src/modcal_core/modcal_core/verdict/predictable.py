@@ -24,7 +24,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, derivatives
 from modcal_core.verdict.features import groups
-from modcal_core.verdict.ridge import FOLDS, Layout, Ridge
+from modcal_core.verdict.ridge import FOLDS, Few, Layout, Regressor, Ridge
 from modcal_core.verdict.verdict import Share
 
 _MOST = 700  # samples; a longer recording is thinned evenly
@@ -71,17 +71,18 @@ def predictable(case: Case) -> Predictable:
     r = whiten(residual[None])[0]
     layout = Layout.of(ends, weight > 0.0)
     r = layout.flat(r)
-    tests = []
+    tests: list[Regressor] = []
     for group in groups(case.model, samples, weight):
         columns = layout.flat(whiten(group.columns))
         size = np.linalg.norm(columns, axis=0)
         columns = columns[:, size > 1e-6 * size.max(initial=1e-300)]
         if columns.shape[1]:
-            tests.append(Ridge.of(group.name, columns / np.linalg.norm(columns, axis=0), layout))
+            columns /= np.linalg.norm(columns, axis=0)
+            tests.append(Few(group.name, columns, layout) if group.few else Ridge.of(group.name, columns, layout))
     return _weighed(tests, r, layout, unit)
 
 
-def _weighed(tests: list[Ridge], r: Array, layout: Layout, unit: np.ndarray) -> Predictable:
+def _weighed(tests: list[Regressor], r: Array, layout: Layout, unit: np.ndarray) -> Predictable:
     """The shares of a residual r (R,), by the best of these regressors."""
     predictions = [(test.name, p[:, 0]) for test in tests for p in test.predictions(r[:, None])]
     gains = [float(r @ r - np.sum((r - p) ** 2)) for _, p in predictions]
