@@ -19,7 +19,7 @@ from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
 from modcal_core.calibration.moments import sharpened
-from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.score import Errors, errors, outlying, spread_of
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
@@ -32,6 +32,9 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.case import fitted_case, frozen_case
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.status import judge
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -94,13 +97,14 @@ def calibrate(
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
     steps = (Step("geometry", left["geometric"]), *added)
+    grounds = Grounds()
+    judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, cell.stated)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        noise_floor=noise_floor(samples),
         effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
         left=diagnosis.left,
         identifiability=identifiability(final),
@@ -113,6 +117,8 @@ def calibrate(
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
         searched=look_for_effects,
+        grounds=grounds,
+        judged=judged,
     )
     return Result(report, shipped, final)
 
@@ -183,13 +189,14 @@ def evaluate(
     missed = {stage: errors(model, scored) for stage, model in models.items()}
     wrong = np.zeros(len(samples), bool)
     wrong[sets.held_out[out]] = True
+    grounds = Grounds()
+    case = frozen_case(calibration, models["final"], samples, sets, wrong, missed, refit_base, refit_tool)
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
         errors=missed,
-        noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
@@ -202,6 +209,8 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
+        grounds=grounds,
+        judged=judge(case, grounds, cell.stated),
     )
 
 

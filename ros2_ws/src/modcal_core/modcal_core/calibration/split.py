@@ -35,7 +35,7 @@ def split(samples: Samples, rng: np.random.Generator, block: int | None = None) 
     first = np.unique(samples.station, return_index=True)[1]
     first = first[np.argsort(samples.stamps[first], kind="stable")]
     if block is None:
-        block = block_length(samples, first)
+        block = block_length(samples)
     role_of_station: dict[int, int] = {}
     # Frame by frame, so that no frame is left without a share in each set
     for f in np.unique(samples.frame[first]):
@@ -63,9 +63,10 @@ def _deal(sizes: np.ndarray, total: int) -> np.ndarray:
     return np.searchsorted(np.cumsum(SHARES)[:-1], centre)
 
 
-def block_length(samples: Samples, first: np.ndarray) -> int:
-    """How many stations the split keeps together, 1 where they are not dense. first: a row of each, in time's order."""
-    q = samples.q[first]
+def block_length(samples: Samples) -> int:
+    """Stations that must be kept together; 1 where neighbours in time are no neighbours in posture."""
+    first = np.unique(samples.station, return_index=True)[1]
+    q = samples.q[first[np.argsort(samples.stamps[first], kind="stable")]]
     if len(q) < 200:
         return 1
     near = np.median(np.linalg.norm(np.diff(q, axis=0), axis=1))

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.score import ErrorSize, reading_scatter
+from modcal_core.calibration.score import ErrorSize
 from modcal_core.diagnosis.choice import Choice
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import STAGES, Report
+from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Tolerance
 from modcal_core.verdict.verdict import Row, Share, Verdict
 
@@ -23,7 +24,6 @@ def to_json_data(report: Report) -> dict[str, Any]:
     """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
     seen = report.identifiability
     rest = report.unexplained_mm
-    scatter = reading_scatter(report.samples)
     return {
         "modcal_report": FORMAT,
         "title": report.title,
@@ -39,7 +39,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
         "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
         "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
         **_judged(report),
-        "reading_scatter_mm": None if scatter is None else 1e3 * scatter,
+        "reading_scatter_mm": reading_scatter_mm(report.samples),
         "converged": report.grounds.converged,
         "rejected_rms_mm": _rejection(report),
         "not_applied": [asdict(missing) for missing in report.grounds.not_applied],

@@ -20,7 +20,7 @@ def independent_units(samples: Samples, rows: np.ndarray, blocks: bool) -> np.nd
         return np.empty(0, int)
     _, first, station = np.unique(samples.station, return_index=True, return_inverse=True)
     order = np.argsort(samples.stamps[first], kind="stable")
-    length = block_length(samples, first[order])
+    length = block_length(samples)
     if length == 1 and not blocks:
         return np.asarray(station[rows])
     rank = np.empty(len(order), int)

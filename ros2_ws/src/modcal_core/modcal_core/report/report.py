@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import Errors, ErrorSize, Floor
+from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import Choice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
@@ -56,10 +56,9 @@ class Report:
     """Everything a calibration or an evaluation has to say.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. noise_floor: None where the recording does not show it. effects: what
-    the diagnosis added. left: what stands out from noise still but predicts nothing, None where the rest is noise.
-    parameters: (name, value, standard deviation, unit). left_out: parameters that say the same as others. notes: a
-    sentence each, for a person.
+    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still
+    but predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out:
+    parameters that say the same as others. notes: a sentence each, for a person.
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
@@ -72,7 +71,6 @@ class Report:
     scored: Samples
     rejected: int
     errors: dict[str, Errors]
-    noise_floor: Floor | None
     effects: tuple[Finding, ...] = ()
     left: Choice | None = None
     identifiability: Identifiability | None = None
@@ -175,8 +173,8 @@ class Report:
         kinds = set() if self.judged is None else {reason.kind for reason in self.judged.reasons}
         if self.judged is not None and self.judged.floor_mm is not None and "above_floor" in kinds:
             squares.append(final.rms**2 - self.judged.floor_mm**2)
-        if self.judged is not None and self.judged.predictable is not None and "predictable" in kinds:
-            squares.append(final.rms**2 * self.judged.predictable.share)
+        if self.judged is not None and "predictable" in kinds:
+            squares += [row.value for row in self.judged.account_mm2 or () if row.what == "predictable"]
         most = max(squares, default=0.0)
         return float(np.sqrt(most)) if most > 0.0 else None
 

@@ -70,8 +70,10 @@ class Verdict:
     account_deg2: tuple[Row, ...] | None = None
     predictable: Share | None = None
     predictable_deg: Share | None = None
+    predictable_both: Share | None = None
     repeatability_mm: Repeatability = Repeatability(None, None)
     repeatability_deg: Repeatability = Repeatability(None, None)
+    returns: int = 0
 
     @property
     def open_because(self) -> tuple[str, ...]:
