@@ -59,8 +59,8 @@ class Fit:
     model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
     covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not
     explain, per axis. weights: (N,) in [0, 1], of the samples it was fitted to; 0 is rejected. information: JᵀWJ of the
-    data alone, (P, P). iterations: steps taken. converged: whether they ended because the next would have been too short
-    to matter, not because there were too many.
+    data alone, (P, P). iterations: steps taken. converged: whether they ended because the next would have been too
+    short to matter, not because there were too many.
     """
 
     model: Model
@@ -168,14 +168,13 @@ def _minimum(
 ) -> _Minimum:
     """The least cost that is reached from these values of the parameters.
 
-    limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning; its
-    last step is taken without looking where it leads.
+    limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning;
+    its last step is taken without looking where it leads.
     """
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
     around = start.circumstances(samples)
-    P = len(parameters)
     centre, prior = priors(fitted, parameters, around)
     known = np.diag(prior**-2.0)
     values = np.concatenate([begin, *(e.values for e in fitted)])
@@ -268,7 +267,13 @@ def _known(sigma: Array) -> Array:
 
 
 def _weigh(
-    at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, groups: Groups, parameters: int, limit: float | None
+    at: Linearised,
+    pose: np.ndarray,
+    known_p: Array,
+    known_r: Array,
+    groups: Groups,
+    parameters: int,
+    limit: float | None,
 ) -> tuple[Array, Spread]:
     """Robust weights of the samples and the spread left, at these residuals."""
     square_p, square_r = at.square_position, at.square_rotation

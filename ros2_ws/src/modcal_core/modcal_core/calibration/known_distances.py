@@ -9,7 +9,8 @@ import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, Distance, distance_rows
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.measurements.samples import Samples
 
 CONTRADICTED = 4.0  # combined standard deviations
 _CHECKED = 1e-2  # share of a stated distance's variance that must be left for the data to have a say in it
@@ -44,6 +45,13 @@ class KnownDistance:
         )
 
 
+def distances_of(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -> tuple[KnownDistance, ...]:
+    """Every known distance as a fit to these samples has it."""
+    if not distances:
+        return ()
+    return known_distances(fit, uncertainty(fit.model, samples, fit.parameters, fit, distances), distances)
+
+
 def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[KnownDistance, ...]:
     """Every known distance as a fit has it.
 
@@ -51,8 +59,6 @@ def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistanc
     of a distance, the residual's own variance is s² − J C Jᵀ; what the model leaves unexplained of either end comes on
     top, for it is no noise that many readings average away.
     """
-    if not distances:
-        return ()
     parameters = known.parameters
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in fit.model.effects)])
     rows = distance_rows(fit.model, parameters, values, distances)
@@ -80,5 +86,3 @@ def _name(distance: AnyDistance) -> str:
 def contradictions(known: Sequence[KnownDistance]) -> tuple[str, ...]:
     """A sentence for each distance that the data contradict."""
     return tuple(distance.sentence for distance in known if distance.contradicted)
-
-

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
+from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors, ErrorSize, Floor
 from modcal_core.calibration.split import Split
@@ -17,6 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.rejection import Rejected
 from modcal_core.verdict.verdict import Verdict
 
 FORMAT = 1
@@ -52,7 +54,8 @@ class Report:
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
-    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). grounds: what else the
+    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
+    many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
     verdict has to know. judged: the verdict; None until it was made.
     """
 
@@ -74,6 +77,8 @@ class Report:
     model: Model | None = None
     missed: Array = field(default_factory=lambda: np.empty(0))
     wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    rejection: Rejected | None = None
+    distances: tuple[KnownDistance, ...] = ()
     grounds: Grounds = Grounds()
     judged: Verdict | None = None
 

@@ -14,6 +14,7 @@ from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.diagnosis.evidence import independent_unit
 from modcal_core.measurements.samples import Samples
 
+MOST_SINGLE = 0.05  # share of readings up to which rejected ones are taken for single wrong readings
 LEAST_RUN = 3  # neighbours
 _CHANCE = 0.01  # that as many rejections, scattered at random, make a run as long anywhere
 
