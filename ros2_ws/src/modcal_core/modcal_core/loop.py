@@ -19,13 +19,16 @@ from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
 from modcal_core.calibration.known_distances import contradictions, distances_of
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.moments import sharpened
+from modcal_core.calibration.regimes import find_regimes, moves_of
+from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, usual_scatter
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.diagnosis.loop import Diagnosis, diagnose
+from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
@@ -34,7 +37,8 @@ from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.rejection import MOST_SINGLE, rejected_runs, rejection
+from modcal_core.verdict.regimes import regimes_of
+from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -71,29 +75,31 @@ def calibrate(
     cell = cell.met(samples)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
-    sets = split(samples, rng, block)
+    regimes = find_regimes(samples, chain, cell, inertias)
+    moves = moves_of(regimes) if regimes else ()
+    sets = split(samples, rng, block, [move.at for move in moves])
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
-    nominal = fit_cell(chain, train, cell, inertias)
+    nominal = fit_cell(chain, train, cell, inertias, regimes)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train)
-    diagnosis = Diagnosis(geometric, (), None)
+    diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
     if look_for_effects:
         suspects = (lambda at: ()) if changed is None else partial(load_since, moment=changed)
-        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects)
+        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
     final = diagnosis.fit
     require_plausible(nominal, final, train)
 
     wrong = outlying(final.model, final.spread, samples)
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = ship(samples, chain, choice, cell, inertias, final, wrong)
+    shipped = ship(samples, chain, choice, cell, inertias, final, wrong, regimes)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     left = {
-        "nominal": errors(nominal.model, scored),
-        "geometric": errors(geometric.model, scored),
+        "nominal": errors(nominal.model.with_effects(()), scored),
+        "geometric": errors(geometric.model.with_effects(()), scored),
         "final": errors(final.model, scored),
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
@@ -120,8 +126,9 @@ def calibrate(
         distances=distances,
         grounds=Grounds(
             converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
+            regimes=regimes_of(final.model, samples),
             contradictions=contradictions(distances),
-            rejected_runs=rejected_runs(samples, wrong),
+            rejected_runs=runs_of(samples, wrong),
         ),
     )
     return Result(report, shipped, final)
@@ -135,17 +142,19 @@ def ship(
     inertias: Inertias | None = None,
     scored: Fit | None = None,
     wrong: np.ndarray | None = None,
+    regimes: Model | None = None,
 ) -> Calibration:
     """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
 
     scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
-    (N,): they are left out, and no others; by default the fit decides.
+    (N,): they are left out, and no others; by default the fit decides. regimes: a model to begin from where base or
+    tool moved.
     """
     decided = wrong is not None
     watched = float(samples.stamps.min()), float(samples.stamps.max())
     if wrong is not None and wrong.any():
         samples = samples.select(np.flatnonzero(~wrong))
-    nominal = fit_cell(chain, samples, cell, inertias)
+    nominal = fit_cell(chain, samples, cell, inertias, regimes)
     fit = last = identify(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
     fits = [nominal, fit]
     geometric = fit.model
@@ -236,7 +245,7 @@ def evaluate(
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out),
-        grounds=Grounds(converged=converged, rejected_runs=rejected_runs(samples, wrong)),
+        grounds=Grounds(converged=converged, rejected_runs=runs_of(samples, wrong)),
     )
 
 

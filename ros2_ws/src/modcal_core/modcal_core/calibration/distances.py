@@ -15,11 +15,11 @@ from modcal_core.calibration.linearise import (
     apply_deviations,
     deviations,
     geometry_rows,
-    local_twists,
     model_at,
 )
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.twists import local_twists
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
