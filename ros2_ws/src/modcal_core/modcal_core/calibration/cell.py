@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, StationDistance
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import with_prior
@@ -67,9 +67,19 @@ class Cell:
                     )
 
 
-def fit_cell(chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
-    """The fit of base frames and tool for this arm, from no guess at all."""
-    return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+def fit_cell(
+    chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None, start: Model | None = None
+) -> Fit:
+    """The fit of base frames and tool for this arm, from no guess at all.
+
+    start: where base and tool, and what moved of them, are about; what moved is then fitted too.
+    """
+    if start is None:
+        return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+    cell.require_frames(samples.frames)
+    start = replace(start, arm=place_model(chain, samples.frames, inertias).arm)
+    choice = choose_parameters(start, views_of(samples), cell.kept, cell.distances, among=lambda p: not p.of_arm)
+    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, tolerance=FITTED)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:

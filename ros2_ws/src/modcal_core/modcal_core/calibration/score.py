@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, robust_spread, standard_score
+from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, standard_score
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -89,11 +89,11 @@ def outlying(model: Model, spread: Spread, samples: Samples) -> np.ndarray:
     return _scores(errors(model, samples), samples, spread, bool(model.instruments)) > REJECT_Z
 
 
-def spread_of(model: Model, samples: Samples) -> Spread:
-    """The spread of a model's errors, by medians: what is usual for it on these samples."""
-    e = errors(model, samples)
-    position = e.position if e.lever is None else e.position / e.lever[:, None]
-    return robust_spread(position.T, e.rotation.T, Groups.of(samples, bool(model.instruments)))
+def usual_scatter(samples: Samples) -> tuple[float, float]:
+    """Median deviation of the readings' positions [m, or the kind's unit] and orientations [rad]; 0 where unknown."""
+    known = (samples.sigma_position, samples.sigma_rotation[samples.is_pose])
+    position, rotation = (float(np.median(s[np.isfinite(s)])) if np.isfinite(s).any() else 0.0 for s in known)
+    return position, rotation
 
 
 def squared_misses(e: Errors, samples: Samples, spread: Spread, finest: float = 0.0) -> Array:

@@ -154,7 +154,7 @@ def _share(share: Share | None) -> dict[str, Any] | None:
 
 
 def _rejection(report: Report) -> dict[str, Any] | None:
-    out = report.rejection()
+    out = report.rejection
     return (
         None
         if out is None

@@ -70,8 +70,9 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
         tone=TONES[report.status],
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
         accounts=_accounts(report),
+        counts_rejected=report.counts_rejected,
         data=data,
-        tiles=_tiles(data),
+        tiles=_tiles(report, data),
         stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
         scene=None if drawn is None else as_script_data(drawn.to_data()),
@@ -97,15 +98,16 @@ def _accounts(report: Report) -> list[Account]:
     return [one for one in made if one is not None]
 
 
-def _tiles(data: dict[str, Any]) -> list[tuple[str, str]]:
+def _tiles(report: Report, data: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers that are wanted first."""
     out = []
     before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
     if before and after:
         out += [("nominal model, RMS", f"{before['rms']:.3f} mm"), ("final model, RMS", f"{after['rms']:.3f} mm")]
         rejection = data["rejected_rms_mm"]
-        if rejection and rejection["stations"]:
-            out.append(("with rejected stations, RMS", f"{rejection['with']:.3f} mm"))
+        if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
+            other = "without" if report.counts_rejected else "with"
+            out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
     if data["error_deg"]["final"]:
         out.append(("final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
     floor, recording = data["noise_floor_mm"], data["recording"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.calibration.identifiability import Identifiability
+from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
@@ -19,6 +20,7 @@ from modcal_core.report.intervals import independent_units
 from modcal_core.report.sentence import sentence
 from modcal_core.report.trace import Trace
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.rejection import Rejected
 from modcal_core.verdict.tolerance import Asked, Tolerance, assess, interval
 from modcal_core.verdict.verdict import Status, Verdict
 
@@ -40,18 +42,6 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Rejection:
-    """RMS of the final model on the held-out set [mm], with the rejected samples and without (None: all were), and how
-    many of its stations were rejected.
-    """
-
-    with_mm: float
-    without_mm: float | None
-    stations: int
-    of: int
-
-
-@dataclass(frozen=True)
 class Report:
     """Everything a calibration or an evaluation has to say.
 
@@ -62,7 +52,8 @@ class Report:
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
-    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). grounds: what else the
+    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
+    many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
     verdict has to know. judged: the verdict; None until it was made.
     """
 
@@ -83,6 +74,8 @@ class Report:
     model: Model | None = None
     missed: Array = field(default_factory=lambda: np.empty(0))
     wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    rejection: Rejected | None = None
+    distances: tuple[KnownDistance, ...] = ()
     grounds: Grounds = field(default_factory=Grounds)
     judged: Verdict | None = None
     searched: bool | None = None
@@ -117,7 +110,12 @@ class Report:
         """Numbers of the scored samples, (N,): the same for those whose errors may be alike."""
         rows = self.sets.held_out
         unit = independent_units(self.samples, rows, self.sets.unit == "block")
-        return unit[~self.wrong[rows]] if len(self.wrong) else unit
+        return unit if self.counts_rejected else unit[~self.wrong[rows]]
+
+    @property
+    def counts_rejected(self) -> bool:
+        """Whether the score includes the rejected samples: too many to be single wrong readings, or none are."""
+        return len(self.scored) == len(self.sets.held_out)
 
     def interval_mm(self, stage: str) -> tuple[float, float] | None:
         """95 % interval of the RMS position error of a stage [mm], by drawing held-out units again."""
@@ -142,17 +140,10 @@ class Report:
         """How many stations have a sample that was rejected."""
         return len(np.unique(self.samples.station[self.wrong])) if len(self.wrong) else 0
 
-    def rejection(self) -> Rejection | None:
-        """What the rejected stations of the held-out set do to its RMS; None where nothing was held out."""
+    def held_out_rejected(self) -> int:
+        """How many of the stations held out have a sample that was rejected."""
         rows = self.sets.held_out
-        if not len(rows) or not len(self.wrong) or not len(self.missed):
-            return None
-        missed, out = 1e3 * self.missed[rows], self.wrong[rows]
-        station = self.samples.station[rows]
-        left = float(np.sqrt(np.mean(missed[~out] ** 2))) if not out.all() else None
-        return Rejection(
-            float(np.sqrt(np.mean(missed**2))), left, len(np.unique(station[out])), len(np.unique(station))
-        )
+        return len(np.unique(self.samples.station[rows[self.wrong[rows]]])) if len(self.wrong) else 0
 
     @property
     def status(self) -> Status:

@@ -56,23 +56,27 @@ def _counts(report: Report) -> str:
 
 def _error(report: Report) -> str:
     """The error of the scored stations, with and without those that were rejected."""
-    after, angle = report.size_mm("final"), report.size_deg("final")
-    out = report.rejection()
-    where = _where(report)
-    sizes = []
-    if after is not None:
-        if out is not None and out.stations:
-            rejected, them = ("rejected one", "it") if out.stations == 1 else (f"{out.stations} rejected", "them")
-            said = f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
-            sizes.append(said)
-        else:
-            sizes.append(f"{after.rms:.3f} mm RMS")
+    angle = report.size_deg("final")
+    sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
     if angle is not None:
         sizes.append(f"{angle.rms:.3g}°")
     before = [said for stage, name in _before(report) if (said := _stage(report, stage, name))]
     compared = f" ({', '.join(before)})" if before else ""
-    joint = ", " if out is not None and out.stations else " and "
-    return f"{where} the error is {joint.join(sizes)}{compared}."
+    joint = " and " if report.held_out_rejected() == 0 else ", "
+    return f"{_where(report)} the error is {joint.join(sizes)}{compared}."
+
+
+def _size_mm(report: Report) -> str:
+    """The RMS of the final model, without and with the rejected stations."""
+    after, out, count = report.size_mm("final"), report.rejection, report.held_out_rejected()
+    assert after is not None
+    if not count or out is None or out.with_mm is None:
+        return f"{after.rms:.3f} mm RMS"
+    rejected, them = ("rejected one", "it") if count == 1 else (f"{count} rejected", "them")
+    if not report.counts_rejected:
+        return f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
+    without = "" if out.without_mm is None else f", {out.without_mm:.3f} mm without"
+    return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
 
 
 def _where(report: Report) -> str:

@@ -73,17 +73,20 @@ def frozen_case(
     calibration: Calibration,
     model: Model,
     samples: Samples,
-    sets: Split,
+    unit: str,
+    rows: np.ndarray,
     wrong: np.ndarray,
     left: dict[str, Errors],
     refit_base: bool = False,
     refit_tool: bool = False,
 ) -> Case:
-    """The case of a frozen calibration at another recording. model: its final one, base and tool refitted if asked."""
+    """The case of a frozen calibration at another recording.
+
+    model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
+    """
     known = None if calibration.uncertainty is None else _carried(calibration, model, refit_base, refit_tool)
-    held_out = sets.held_out[~wrong[sets.held_out]]
     missed = errors(model, samples)
-    return Case(samples, wrong, held_out, sets.unit, model, known, calibration.spread, left, missed, fitted=False)
+    return Case(samples, wrong, rows, unit, model, known, calibration.spread, left, missed, fitted=False)
 
 
 def _carried(calibration: Calibration, model: Model, refit_base: bool, refit_tool: bool) -> Uncertainty | None:
