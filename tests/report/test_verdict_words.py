@@ -8,34 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli.recordings import stations
+from report.judged import CANNOT, FLOOR, OPEN, ROWS, WHY, everything
 from report.reports import points, warm_cell
 
-from modcal_core.calibration.score import reading_scatter
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import NOT_SOUGHT, REMEDY
-from modcal_core.report.trace import Trace, iso_date
-from modcal_core.verdict.grounds import Grounds, NotApplied, Regime
+from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
-from modcal_core.verdict.verdict import Reason, Repeatability, Row, Share, Verdict
-
-WHY = (
-    Reason("rejected", "48 of 160 stations were rejected."),
-    Reason("predictable", "A regressor predicts 20 % of the squared error."),
-    Reason("above_floor", "The error is above the floor."),
-)
-FLOOR = Verdict(
-    "at_floor",
-    floor_mm=0.055,
-    floor_deg=0.004,
-    repeatability_mm=Repeatability(0.05, "revisits"),
-    repeatability_deg=Repeatability(0.004, "stated"),
-)
-OPEN = Verdict("open", WHY, floor_mm=0.04, predictable=Share(0.2, (0.1, 0.3), 0.07))
-CANNOT = Verdict("cannot_tell", remedy="Visit six of these postures twice.")
-ROWS = (Row("geometry", 7.5, (7.0, 8.0)), Row("effect:gear_harmonic elbow_joint", 0.25), Row("unaccounted", -0.05))
+from modcal_core.verdict.verdict import Verdict
 
 
 def judged(report: Report, verdict: Verdict) -> Report:
@@ -87,17 +70,7 @@ def test_geometry_only_says_what_was_not_looked_for() -> None:
 
 
 def test_report_json_has_the_fields_of_the_verdict() -> None:
-    report = replace(
-        judged(warm_cell(), replace(OPEN, account_mm2=ROWS)),
-        grounds=Grounds(
-            converged=False,
-            regimes=(Regime(0, 11, "tool"),),
-            not_applied=(NotApplied("compliance at elbow_joint", "effort was not recorded", 0.004),),
-            convention="pose inverted",
-        ),
-        dropped=(("readings outside the time of the joint states", 12),),
-        trace=Trace(date=iso_date(1.7e9), bag_sha256="ab" * 32, robot="ur10", instrument="pose on /tracker/pose"),
-    ).with_tolerance(Asked(0.2))
+    report = everything()
     data = json.loads(json.dumps(to_json_data(report), allow_nan=False))
     assert data["status"] == "open"
     assert data["open_because"] == [reason.sentence for reason in WHY]
@@ -108,10 +81,12 @@ def test_report_json_has_the_fields_of_the_verdict() -> None:
         {"what": "effect:gear_harmonic elbow_joint", "value": 0.25, "ci95": None},
         {"what": "unaccounted", "value": -0.05, "ci95": None},
     ]
-    assert data["account_deg2"] is None
+    assert data["account_deg2"] == data["account_mm2"][:1]
     assert data["predictable"] == {"share": 0.2, "ci95": [0.1, 0.3]}
-    assert data["predictable_deg"] is None
-    assert data["repeatability_mm"] == {"value": None, "source": None}
+    assert data["predictable_deg"] == {"share": 0.01, "ci95": [0.0, 0.02]}
+    assert data["repeatability_mm"] == {"value": 0.05, "source": "revisits"}
+    assert data["repeatability_deg"] == {"value": 0.004, "source": "stated"}
+    assert to_json_data(judged(warm_cell(), OPEN))["repeatability_mm"] == {"value": None, "source": None}
     assert data["not_applied"] == [
         {"effect": "compliance at elbow_joint", "why": "effort was not recorded", "cost_mm2": 0.004}
     ]
@@ -151,8 +126,8 @@ def test_the_scatter_within_stations_is_no_floor() -> None:
         made.readings[0], stamps=(t[:, None] + np.linspace(0.46, 0.94, 10)).ravel(), values=poses, received=None
     )
     recording = replace(made, joints=(joint,), readings=(reading,))
-    scatter = reading_scatter(cut_stations(recording, joint.names))
-    assert scatter == pytest.approx(np.sqrt(3.0) * 2e-5 / np.sqrt(10.0), rel=0.1)
+    scatter = reading_scatter_mm(cut_stations(recording, joint.names))
+    assert scatter == pytest.approx(np.sqrt(3.0) * 2e-2 / np.sqrt(10.0), rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -171,6 +146,6 @@ def test_the_page_shows_the_account_and_the_reasons() -> None:
     for reason in WHY:
         assert f"<li>{reason.sentence}</li>" in page
     assert page.count('<figure id="account-') == 2  # one in mm², one in deg²
-    assert "gear harmonic elbow joint" in page
+    assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
     assert '<b class="warn">CANNOT TELL</b>' in page
     assert "The table is without the rejected stations: final RMS 1.450 mm with them, 0.062 mm without." in page

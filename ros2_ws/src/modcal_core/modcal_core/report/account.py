@@ -9,27 +9,28 @@ import numpy as np
 from modcal_core.report.figures import label, small
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import AFTER, BAD, LIGHT, SOFT, WARN
-from modcal_core.verdict.verdict import Row
+from modcal_core.verdict.verdict import Row, Verdict
 
 EFFECT = "effect:"
 # How a row is called on a page, and its colour: what the model took away, what it leaves though it could be predicted,
 # what no model can take away, and what nobody has a name for.
 _WORDS = {
     "geometry": ("geometry", AFTER),
-    "shared": ("shared by geometry and effects", AFTER),
+    "shared": ("shared among effects", AFTER),
     "predictable": ("predictable, not modelled", BAD),
     "estimation": ("uncertainty of the parameters", SOFT),
     "repeatability": ("repeatability of the arm", SOFT),
     "instrument": ("instrument", SOFT),
     "unaccounted": ("unaccounted for", WARN),
 }
+_OF_FLOOR = ("repeatability", "instrument")
 _MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
 
 
 @dataclass(frozen=True)
 class Line:
     """A row of the account in words. share: of the nominal model's squared error. rms: root of the value, with the
-    value's sign. ci95: the interval of the value.
+    value's sign. ci95: the interval of the value. known: False for a part of the floor where that is not known.
     """
 
     words: str
@@ -38,38 +39,48 @@ class Line:
     share: float
     rms: float
     ci95: tuple[float, float] | None
+    known: bool
 
 
 @dataclass(frozen=True)
 class Account:
-    """One account. unit: mm or deg. total: squared error of the nominal model. drawn: its picture."""
+    """One account. unit: mm or deg. total: squared error of the nominal model."""
 
     unit: str
     total: float
     lines: tuple[Line, ...]
-    drawn: Chart
+
+    def drawn(self) -> Chart:
+        """Its picture."""
+        return _chart(tuple(line for line in self.lines if line.known), self.unit)
 
 
-def account(rows: tuple[Row, ...] | None, unit: str) -> Account | None:
-    """The account for a page; None where there is none. unit: mm or deg."""
-    if not rows:
-        return None
+def account(rows: tuple[Row, ...], unit: str, floor: float | None) -> Account:
+    """The account for a person. unit: mm or deg. floor: None where it is not known."""
     total = sum(row.value for row in rows)
-    lines = tuple(_line(row, total) for row in rows)
-    return Account(unit, total, lines, _chart(lines, unit))
+    lines = tuple(_line(row, total, floor is not None or row.what not in _OF_FLOOR) for row in rows)
+    return Account(unit, total, lines)
+
+
+def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
+    """Those of position and orientation, as far as there are any."""
+    if verdict is None:
+        return ()
+    both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))
+    return tuple(account(rows, unit, floor) for unit, rows, floor in both if rows)
 
 
 def in_words(what: str) -> str:
     """How a row is called for a person."""
     if what.startswith(EFFECT):
-        return what.removeprefix(EFFECT).replace("_", " ")
+        return what.removeprefix(EFFECT)
     return _WORDS.get(what, (what.replace("_", " "), SOFT))[0]
 
 
-def _line(row: Row, total: float) -> Line:
+def _line(row: Row, total: float, known: bool) -> Line:
     colour = AFTER if row.what.startswith(EFFECT) else _WORDS.get(row.what, ("", SOFT))[1]
     rms = float(np.copysign(np.sqrt(abs(row.value)), row.value))
-    return Line(in_words(row.what), colour, row.value, row.value / max(total, 1e-300), rms, row.ci95)
+    return Line(in_words(row.what), colour, row.value, row.value / max(total, 1e-300), rms, row.ci95, known)
 
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:

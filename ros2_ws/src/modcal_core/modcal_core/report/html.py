@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.diagnosis.evidence_map import EvidenceMap
-from modcal_core.report.account import Account, account
+from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.effect_shapes import effect_shapes
 from modcal_core.report.figures import error_histogram, spread_chart, timeline
@@ -69,7 +69,7 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
         verdict=report.verdict,
         tone=TONES[report.status],
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
-        accounts=_accounts(report),
+        accounts=[(one, one.drawn()) for one in accounts(report.judged)],
         counts_rejected=report.counts_rejected,
         data=data,
         tiles=_tiles(report, data),
@@ -89,13 +89,6 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
         files=[file for file in FILES if file.name in beside],
         rivals=any(f["same_as"] for f in data["effects"]),
     )
-
-
-def _accounts(report: Report) -> list[Account]:
-    """The accounts in mm² and deg², as far as there are any."""
-    judged = report.judged
-    made = [] if judged is None else [account(judged.account_mm2, "mm"), account(judged.account_deg2, "deg")]
-    return [one for one in made if one is not None]
 
 
 def _tiles(report: Report, data: dict[str, Any]) -> list[tuple[str, str]]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from modcal_core.report.account import in_words
+from modcal_core.report.account import Account, accounts
 from modcal_core.report.report import STAGES, Report
 from modcal_core.report.sentence import MAX_REASONS
-from modcal_core.verdict.verdict import Row, Status
+from modcal_core.verdict.verdict import Status
 
 STYLES: dict[Status, str] = {"at_floor": "bold green", "open": "bold red", "cannot_tell": "bold yellow"}
 
@@ -36,8 +37,8 @@ def show_report(report: Report, console: Console) -> None:
             console.print(sentence, highlight=False)
     for note in report.notes:
         console.print(note, style="yellow", highlight=False)
-    for unit, rows in _accounts(report):
-        console.print(_account(rows, unit))
+    for one in accounts(report.judged):
+        console.print(_account(one))
     console.print(report.verdict, style=STYLES[report.status], highlight=False, markup=False)
     for reason in report.judged.open_because[MAX_REASONS:] if report.judged is not None else ():
         console.print(f"Open: {reason}", style="red", highlight=False, markup=False)
@@ -46,24 +47,17 @@ def show_report(report: Report, console: Console) -> None:
         console.print(f"{report.tolerance.result}: {report.tolerance.because}", style=style, highlight=False)
 
 
-def _accounts(report: Report) -> list[tuple[str, tuple[Row, ...]]]:
-    judged = report.judged
-    made = [] if judged is None else [("mm²", judged.account_mm2), ("deg²", judged.account_deg2)]
-    return [(unit, rows) for unit, rows in made if rows]
-
-
-def _account(rows: tuple[Row, ...], unit: str) -> Table:
+def _account(one: Account) -> Table:
     """Where the squared error of the nominal model went."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("account of the squared error", overflow="fold")
-    for name in (unit, "95 % interval", "share"):
+    for name in (f"{one.unit}²", "95 % interval", "share"):
         table.add_column(name, justify="right")
-    total = sum(row.value for row in rows)
-    for row in rows:
-        ends = "" if row.ci95 is None else f"{row.ci95[0]:.3g} … {row.ci95[1]:.3g}"
-        share = f"{100.0 * row.value / max(total, 1e-300):.2f} %"
-        table.add_row(in_words(row.what), f"{row.value:.4g}", ends, share)
-    table.add_row("nominal model", f"{total:.4g}", "", "")
+    for line in one.lines:
+        ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
+        numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
+        table.add_row(escape(line.words), *numbers)
+    table.add_row("nominal model", f"{one.total:.4g}", "", "")
     return table
 
 
