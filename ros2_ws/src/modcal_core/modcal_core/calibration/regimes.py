@@ -12,7 +12,7 @@ that the model's base and tool are those that hold in the end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ALL, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
@@ -49,6 +49,8 @@ _CAP = 100.0  # squared standard scores; no sample may rule alone
 _SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
 _BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is enough
 _BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
+_SETTLING = (0.06, 0.25)  # time constants, as shares of the recording
+_FREE = 12.0  # functions of a joint's position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
 # An arm is wrong by no more than this where it is wrong in one posture and right in another
 _OF_AN_ARM_M, _OF_AN_ARM_RAD = 0.01, 0.02
@@ -214,18 +216,19 @@ class _Search:
             only = _place(next(iter(self.places)))
             moves = [replace(m, what=only) for m in moves]
         score = _Score(self, sorted([*moves, *told], key=lambda m: m.at))
-        for move in [m for m in score.moves if m not in told]:
-            if both:
-                score.simplify(move)
-        for move in [m for m in score.moves if m not in told]:
-            score.drop_needless(move)
-        own = [m for m in score.moves if m not in told]
-        if own and score.beaten_by_something_smooth():
-            return list(told)
-        start = self._fit(self.start(score.moves), self.samples).model if own else None
-        for move in own:
-            if start is not None and self._may_be_posture(move, start):
-                score.moves.remove(move)
+        if moves and (score.needless(moves) or score.has_rival(moves)):
+            score = _Score(self, list(told))
+        for move in score.own(told) if both else ():
+            score.simplify(move)
+        for move in score.own(told):
+            if score.needless([move]):
+                score.leave_out([move])
+        if own := score.own(told):
+            if score.has_rival(own):
+                score.leave_out(own)
+            else:
+                start = self._fit(self.start(score.moves), self.samples).model
+                score.leave_out([move for move in own if self._may_be_posture(move, start)])
         return list(score.moves)
 
     def _same(self, a: float, b: float) -> bool:
@@ -251,20 +254,22 @@ class _Score:
         fit = self.search._fit(self.search.start(self.moves), self.search.samples)
         self.spread: Spread = fit.spread
         self.unit = independent_unit(self.search.samples)
+        self._known: dict[str, float] = {}
         self.now = self.of(self.moves)
 
     def of(self, moves: Sequence[Move]) -> np.ndarray | None:
         """Capped squared scores out of fold (N,), or None where the halves are too few for a fit."""
         return self._out_of_fold(lambda part: self.search.start(moves, part))
 
-    def _out_of_fold(self, start) -> np.ndarray | None:  # type: ignore[no-untyped-def]
+    def _out_of_fold(self, start: Model | Callable[[Samples], Model]) -> np.ndarray | None:
         samples = self.search.samples
         half = in_order_of_time(samples.station, samples.stamps) % 2
         out = np.empty(len(samples))
         for h in (0, 1):
             try:
                 part = samples.select(np.flatnonzero(half != h))
-                model = self.search._fit(start(part), part).model
+                begin = start if isinstance(start, Model) else start(part)
+                model = self.search._fit(begin, part).model
             except (ModcalError, np.linalg.LinAlgError, ValueError):
                 return None
             rest = samples.select(np.flatnonzero(half == h))
@@ -284,36 +289,64 @@ class _Score:
         self.moves = [best[1] if m == move else m for m in self.moves]
         self.now = best[2]
 
-    def drop_needless(self, move: Move) -> None:
-        """Leave a move out unless it does better than its absence."""
-        without = [m for m in self.moves if m != move]
-        other = self.of(without)
-        if other is None or self.now is None or not _surely_less(self.now, other, self.unit):
-            self.moves, self.now = without, other
+    def own(self, told: Sequence[Move]) -> list[Move]:
+        """The moves that were found, not told."""
+        return [move for move in self.moves if move not in told]
 
-    def beaten_by_something_smooth(self) -> bool:
-        """Whether a base or a tool that drifts or settles does as well as the moves."""
+    def needless(self, moves: Sequence[Move]) -> bool:
+        """Whether it does as well without these moves."""
+        other = self.of([m for m in self.moves if m not in moves])
+        return self.now is None or (other is not None and not _surely_less(self.now, other, self.unit))
+
+    def leave_out(self, moves: Sequence[Move]) -> None:
+        """Take these moves for none."""
+        if moves:
+            self.moves = [m for m in self.moves if m not in moves]
+            self.now = self.of(self.moves)
+
+    def has_rival(self, moves: Sequence[Move]) -> bool:
+        """Whether something that is smooth in time does as well as all of the moves, or, where these go with a posture,
+        a joint that errs with its position.
+        """
         if self.now is None:
             return True
-        arm = self.search.arm
-        for effects in self._smooth():
-            smooth = self._out_of_fold(lambda _, effects=effects: arm.with_effects(effects))
-            if smooth is not None and float(self.now.sum()) > _BETTER * float(smooth.sum()):
-                return True
-        return False
+        return any(float(self.now.sum()) > _BETTER * total for total in self._rivals(tuple(m.at for m in moves)))
 
-    def _smooth(self) -> Iterator[tuple[Effect, ...]]:
-        stamps = self.search.samples.stamps
-        low, high = float(stamps.min()), float(stamps.max())
-        tool = ALL if self.search.samples.is_pose.all() else SHIFT
-        shapes = [
-            Shape("polynomial", {"degree": 4.0, "low": low, "high": high}),
-            *(Shape("settle", {"since": low, "tau": share * (high - low)}) for share in (0.06, 0.25)),
-        ]
-        for place in sorted(self.search.places):
-            for shape in shapes:
-                effect = Effect("drift", place, tool if place == "tool" else ALL, "time", shape)
-                yield (effect.started(np.zeros((6 if effect.direction == ALL else 3) * shape.size)),)
+    def _rivals(self, at: tuple[float, ...]) -> Iterator[float]:
+        samples, arm = self.search.samples, self.search.arm
+        joints = {joint for t in at for joint in explained_by_posture(samples, t)}
+        for effects in (*_smooth(samples, self.search.places), *_by_posture(samples, sorted(joints))):
+            key = str([(e.place, e.direction, e.shape) for e in effects])
+            if key not in self._known:
+                start = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
+                score = self._out_of_fold(start)
+                self._known[key] = np.inf if score is None else float(score.sum())
+            yield self._known[key]
+
+
+def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
+    """A base or a tool that drifts or settles."""
+    low, high = float(samples.stamps.min()), float(samples.stamps.max())
+    shapes = [
+        Shape("polynomial", {"degree": 4.0, "low": low, "high": high}),
+        *(Shape("settle", {"since": low, "tau": share * (high - low)}) for share in _SETTLING),
+    ]
+    turn = ALL if samples.is_pose.all() else SHIFT
+    for place in sorted(places):
+        for shape in shapes:
+            yield (Effect("drift", place, turn if place == "tool" else ALL, "time", shape),)
+
+
+def _by_posture(samples: Samples, joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
+    """Joints that err with their position, about their axis and across it."""
+    for name in joints:
+        q = samples.q[:, samples.names.index(name)]
+        shape = Shape("spline", {"low": float(q.min()), "high": float(q.max()), "count": _FREE})
+        yield tuple(Effect("unknown", name, turn, f"position:{name}", shape) for turn in (AXIS, ACROSS))
+
+
+def _amplitudes(effect: Effect) -> int:
+    return {ALL: 6, SHIFT: 3, ACROSS: 2, AXIS: 1}[effect.direction] * effect.shape.size
 
 
 def _surely_less(a: np.ndarray, b: np.ndarray, unit: np.ndarray) -> bool:
