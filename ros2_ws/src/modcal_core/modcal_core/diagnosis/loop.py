@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.posture_order import explained_by_posture
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
@@ -50,6 +52,23 @@ class Cause:
     fit: Fit
 
 
+def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
+    """The causes of a fit's moves of base and tool, each with those before it: they were found before all others."""
+    effects = fit.model.effects
+    out = []
+    for i, effect in enumerate(effects):
+        model = fit.model.with_effects(effects[: i + 1])
+        same = tuple(
+            f"{joint} {AXIS} by position:{joint}"
+            for joint in explained_by_posture(samples, effect.shape.settings["at"])
+        )
+        if effect.place == "base":
+            same = (f"tracker all by {effect.public_driver}", *same)
+        size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
+        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
+    return tuple(out)
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
@@ -71,17 +90,23 @@ def diagnose(
     distances: Sequence[AnyDistance] = (),
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
+    known: Sequence[Cause] = (),
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
-    suspects: what to look for besides the vocabulary.
+    suspects: what to look for besides the vocabulary. known: causes of the effects that the fit has already; they stay.
     """
     both = train.join(explain)
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
     scanner = Scanner([*vocabulary(at), *suspects(at)], at)
     search = _Search(
-        fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances)
+        fit,
+        scanner,
+        train.select(_evenly(np.arange(len(train)), _MOST_FITTED)),
+        explain,
+        tuple(distances),
+        tuple(known),
     )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
@@ -124,9 +149,10 @@ class _Search:
     train: Samples
     explain: Samples
     distances: tuple[AnyDistance, ...]
+    known: tuple[Cause, ...] = ()
 
     def __post_init__(self) -> None:
-        self.causes: list[Cause] = []
+        self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
         self._stale = False  # whether the causes' own fits are those of another order
 
@@ -137,7 +163,7 @@ class _Search:
         self.fit = self._with(self.fit, choice.effect)
         self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
         better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
-        if better and len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
+        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.at) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
@@ -157,7 +183,7 @@ class _Search:
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the vocabulary again, with the later ones known."""
-        for i in range(len(self.causes) - 1):
+        for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
             without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
             better = choose(self.scanner.evidence(without), self.scanner, without, set(), incumbent=effects[i])
@@ -179,8 +205,9 @@ class _Search:
                 float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
                 for e in map(_linear, self.fit.model.effects)
             ]
+            size[: len(self.known)] = [np.inf] * len(self.known)
             weakest = int(np.argmin(size))
-            if size[weakest] >= _NEEDLESS or len(size) < 2:
+            if size[weakest] >= _NEEDLESS or len(size) < 2 + len(self.known):
                 return
             del self.causes[weakest]
             effects = self.fit.model.effects
@@ -207,7 +234,7 @@ class _Search:
         if not self._stale:
             return
         effects = self.fit.model.effects
-        for i, cause in enumerate(self.causes):
+        for i, cause in list(enumerate(self.causes))[len(self.known) :]:
             fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
             self.causes[i] = replace(cause, fit=fit)
 

@@ -154,7 +154,7 @@ def _sizes(effect: Effect) -> dict[str, Quantity]:
     if effect.family in ("gear_ratio", "coupling"):
         return {"ratio_error" if effect.family == "gear_ratio" else "coupling": (float(v[0]), float(s[0]), "1")}
     out = _components(effect, unit)
-    if effect.shape.kind == "step":
+    if effect.shape.kind in ("step", "until"):
         out["at"] = (settings["at"], 0.0, "s")
     if effect.shape.kind == "settle":
         out["time_constant"] = (settings["tau"], float(s[-1]), "s")
