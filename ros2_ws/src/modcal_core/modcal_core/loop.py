@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
+from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
@@ -32,6 +33,7 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.grounds import Grounds
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -68,6 +70,7 @@ def calibrate(
     cell = cell.met(samples)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
+    samples, convention = proved(samples, chain)
     sets = split(samples, rng, block)
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
@@ -112,6 +115,7 @@ def calibrate(
         model=final.model,
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
+        grounds=Grounds(convention=convention),
     )
     return Result(report, shipped, final)
 
@@ -165,6 +169,7 @@ def evaluate(
     and the score is that of the rest. Otherwise every sample is scored.
     """
     cell = (cell or Cell()).met(samples)
+    samples, convention = proved(samples, calibration.nominal.chain)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
@@ -201,6 +206,7 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
+        grounds=Grounds(convention=convention),
     )
 
 
