@@ -21,6 +21,7 @@ from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
 from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
@@ -68,6 +69,7 @@ def calibrate(
     cell = cell or Cell()
     cell.require_frames(samples.frames)
     cell = cell.met(samples)
+    samples = with_sockets(samples, cell, chain)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     samples, convention = proved(samples, chain)
@@ -169,6 +171,7 @@ def evaluate(
     and the score is that of the rest. Otherwise every sample is scored.
     """
     cell = (cell or Cell()).met(samples)
+    samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
     if refit_base or refit_tool:

@@ -20,7 +20,7 @@ from modcal_core.robots.delta_file import delta_from_data
 from modcal_nodes.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
-_KEYS = {"distances", "fixed", "known", "own_target"}
+_KEYS = {"distances", "fixed", "known", "own_target", "sockets"}
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
@@ -65,6 +65,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:
         (*(str(f) for f in data.get("fixed") or ()), *fixed),
         tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
         tuple(str(f) for f in data.get("own_target") or ()),
+        tuple(str(f) for f in data.get("sockets") or ()),
     )
 
 

@@ -162,7 +162,7 @@ def _euler(by: str, meant: str, scale: float, other_branch: bool) -> Mistake:
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # where two axes are parallel only their sum is known, which will do
-            angles = Rotation.from_matrix(samples.R).as_euler(by)
+            angles = np.asarray(Rotation.from_matrix(samples.R).as_euler(by))  # type: ignore[call-overload]
         if other_branch:
             middle = -angles[:, 1] if by in TWO_AXES else np.pi - angles[:, 1]
             angles = np.stack([angles[:, 0] + np.pi, middle, angles[:, 2] + np.pi], axis=1)
