@@ -35,6 +35,7 @@ from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.readings import contradictions
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -117,7 +118,7 @@ def calibrate(
         model=final.model,
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
-        grounds=Grounds(convention=convention),
+        grounds=Grounds(contradictions=contradictions(left, scored, samples, chain), convention=convention),
     )
     return Result(report, shipped, final)
 
@@ -209,7 +210,9 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
-        grounds=Grounds(convention=convention),
+        grounds=Grounds(
+            contradictions=contradictions(missed, scored, samples, calibration.nominal.chain), convention=convention
+        ),
     )
 
 
