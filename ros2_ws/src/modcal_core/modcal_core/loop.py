@@ -26,6 +26,7 @@ from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.diagnosis.loop import Diagnosis, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
@@ -35,6 +36,7 @@ from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.not_applied import applicable
 from modcal_core.verdict.readings import contradictions
 
 _MOST_KEPT = 200  # postures that a calibration remembers
@@ -153,7 +155,8 @@ def ship(
     known = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     watched = float(samples.stamps.min()), float(samples.stamps.max())
     return Calibration(
-        nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, known, watched
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, known, watched),
+        *(samples.clock, driver_ranges(tidy, samples), usual_sizes(tidy, samples)),
     )
 
 
@@ -174,7 +177,8 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
-    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
+    applied = applicable(calibration, samples)
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
         train = samples.select(np.union1d(sets.train, sets.explain))
@@ -202,6 +206,7 @@ def evaluate(
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
+            *applied.notes,
         ),
         steps=(
             Step("geometry", missed["geometric"]),
@@ -211,7 +216,9 @@ def evaluate(
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
         grounds=Grounds(
-            contradictions=contradictions(missed, scored, samples, calibration.nominal.chain), convention=convention
+            contradictions=contradictions(missed, scored, samples, calibration.nominal.chain),
+            convention=convention,
+            not_applied=applied.not_applied,
         ),
     )
 

@@ -119,8 +119,9 @@ class Samples:
         station = other.station + self.station.max(initial=-1) + 1
         signals = tuple(tracks.values())
         numbered = replace(other, frames=frames, frame=index[other.frame], station=station, signals=signals)
-        both = {"sockets": tuple(dict.fromkeys((*self.sockets, *other.sockets))), "clock": self.clock and other.clock}
-        return replace(self, frames=frames, signals=signals, **both).join(numbered)
+        sockets = tuple(dict.fromkeys((*self.sockets, *other.sockets)))
+        clock = self.clock and other.clock
+        return replace(self, frames=frames, signals=signals, sockets=sockets, clock=clock).join(numbered)
 
     def is_same_point(self, frame: int) -> bool:
         """Whether this frame is stated to show one fixed point, as of a ball held in a socket."""

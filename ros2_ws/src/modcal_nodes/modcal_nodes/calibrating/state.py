@@ -79,8 +79,9 @@ def _read_samples(path: Path) -> Samples | None:
                 for i, (name, topic) in enumerate(about["signals"])
             )
             arrays = {f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED}
-        stated = {"sockets": tuple(about.get("sockets", ())), "clock": bool(about.get("clock", True))}
-        return Samples(tuple(about["names"]), tuple(about["frames"]), signals=signals, **stated, **arrays)
+        names, frames, sockets = (tuple(about.get(name, ())) for name in ("names", "frames", "sockets"))
+        clock = bool(about.get("clock", True))
+        return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
     except ModcalError:
         raise
     except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing
