@@ -14,20 +14,24 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
+from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
-from modcal_core.calibration.known_distances import contradictions, distances_of
+from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
+from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.regimes import find_regimes, moves_of
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import Errors, errors, outlying, usual_scatter
+from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
@@ -38,6 +42,8 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.case import fitted_case, frozen_case
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.not_applied import applicable
+from modcal_core.verdict.readings import contradictions as contradictions_of_readings
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 from modcal_core.verdict.status import judge
@@ -75,8 +81,10 @@ def calibrate(
     cell = cell or Cell()
     cell.require_frames(samples.frames)
     cell = cell.met(samples)
+    samples = with_sockets(samples, cell, chain)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
+    samples, convention = proved(samples, chain)
     regimes = find_regimes(samples, chain, cell, inertias)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
@@ -109,7 +117,11 @@ def calibrate(
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
-        contradictions=contradictions(distances),
+        contradictions=(
+            *contradictions_of_distances(distances),
+            *contradictions_of_readings(left, scored, samples, chain),
+        ),
+        convention=convention,
         rejected_runs=runs_of(samples, wrong),
     )
     judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, cell.stated)
@@ -179,19 +191,12 @@ def ship(
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
-        nominal.model,
-        tidy,
-        geometric,
-        seen,
-        parameter_table(fit),
-        (),
-        kind,
-        few,
-        fit.spread,
-        covariance,
-        watched,
-        usual_scatter(samples),
-        all(each.converged for each in fits),
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, covariance, watched),
+        scatter=usual_scatter(samples),
+        converged=all(each.converged for each in fits),
+        clock=samples.clock,
+        ranges=driver_ranges(tidy, samples),
+        usual=usual_sizes(tidy, samples),
     )
 
 
@@ -213,8 +218,11 @@ def evaluate(
     wrong readings make up, it is the model that is wrong, and none is left out of the score.
     """
     cell = (cell or Cell()).met(samples)
+    samples = with_sockets(samples, cell, calibration.nominal.chain)
+    samples, convention = proved(samples, calibration.nominal.chain)
+    applied = applicable(calibration, samples)
     converged = True
-    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
         train = samples.select(np.union1d(sets.train, sets.explain))
@@ -231,7 +239,13 @@ def evaluate(
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
     scored = samples.select(rows)
     missed = {stage: errors(model, scored) for stage, model in models.items()}
-    grounds = Grounds(converged=converged, rejected_runs=runs_of(samples, wrong))
+    grounds = Grounds(
+        converged=converged,
+        contradictions=contradictions_of_readings(missed, scored, samples, calibration.nominal.chain),
+        convention=convention,
+        not_applied=applied.not_applied,
+        rejected_runs=runs_of(samples, wrong),
+    )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
     return Report(
         samples=samples,
@@ -243,6 +257,7 @@ def evaluate(
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
+            *applied.notes,
         ),
         steps=(
             Step("geometry", missed["geometric"]),

@@ -29,7 +29,7 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_KEYS = {"distances", "fixed", "known", "own_target", *STATEMENTS}
+_KEYS = {"distances", "fixed", "known", "own_target", "sockets", *STATEMENTS}
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
@@ -80,6 +80,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
         tuple(str(f) for f in data.get("own_target") or ()),
         stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
+        tuple(str(f) for f in data.get("sockets") or ()),
     )
 
 

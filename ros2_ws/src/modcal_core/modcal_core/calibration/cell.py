@@ -29,7 +29,8 @@ class Cell:
 
     distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
-    instrument watches a point of the tool of its own. stated: repeatability and accuracy that were stated.
+    instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
+    stated: repeatability and accuracy that were stated.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -37,6 +38,7 @@ class Cell:
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
     stated: Stated = field(default_factory=Stated)
+    sockets: tuple[str, ...] = ()
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -51,7 +53,9 @@ class Cell:
     def require_frames(self, frames: Sequence[str]) -> None:
         """Raises BadTable for something known of a frame that no reading came in."""
         stated = [(k.frame, k.to) for k in self.known]
-        for name in dict.fromkeys([*(n for pair in stated for n in pair if n != "base"), *self.own_target]):
+        for name in dict.fromkeys(
+            [*(n for pair in stated for n in pair if n != "base"), *self.own_target, *self.sockets]
+        ):
             if name not in frames:
                 said = f"no reading has the frame '{name}'"
                 raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")

@@ -12,6 +12,7 @@ import numpy as np
 from modcal_core.calibration.added import require_known
 from modcal_core.calibration.circumstances import Arm
 from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.held import Held, Usual
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
@@ -43,6 +44,8 @@ class Calibration:
     explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
+    clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
+    depend on. usual: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the spread; 0
     where none was stated. converged: whether every fit reached its minimum.
     """
@@ -60,6 +63,9 @@ class Calibration:
     watched: tuple[float, float] | None = None
     scatter: tuple[float, float] = (0.0, 0.0)
     converged: bool = True
+    clock: bool = True
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    usual: tuple[Usual | None, ...] = ()
 
     def with_scatter(self, samples: Samples) -> Samples:
         """The samples, those that state no deviation of their own with the one that was usual here."""
@@ -73,6 +79,15 @@ class Calibration:
     def robot(self) -> str:
         """Fingerprint of the nominal kinematics."""
         return fingerprint(self.nominal.chain)
+
+    @property
+    def held(self) -> Held:
+        """Where the drivers of its effects stop."""
+        return Held(self.watched, self.clock, self.ranges)
+
+    def usual_of(self, effect: int) -> Usual | None:
+        """What the effect with this number was on average, where that was kept."""
+        return self.usual[effect] if effect < len(self.usual) else None
 
     def rivals_of(self, effect: int) -> tuple[Effect, ...]:
         """Others that explain as much as the effect with this number."""
@@ -130,7 +145,11 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             for name, value, std, unit in calibration.parameters
         ],
         "effects": [
-            {**_effect_to_data(effect), "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)]}
+            {
+                **_effect_to_data(effect),
+                "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)],
+                **_usual_to_data(calibration.usual_of(i)),
+            }
             for i, effect in enumerate(calibration.calibrated.effects)
         ],
         "recorded": {
@@ -141,6 +160,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
+            **({} if calibration.clock else {"clock": False}),
+            **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": _uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
         "arm": _arm_to_data(calibration.calibrated.arm),
@@ -171,6 +192,9 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         known = _uncertainty_from_data(data.get("uncertainty"), calibrated)
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
+        clock = bool(recorded.get("clock", True))
+        ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
+        usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
@@ -178,7 +202,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
-        *(watched, alone, converged),
+        *(watched, alone, converged, clock, ranges, usual),
     )
 
 
@@ -207,6 +231,14 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
     )
     require_known(effect)
     return effect
+
+
+def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
+    return {} if usual is None else {"usual": {"mean": _floats(usual.mean), "cost_m2": float(usual.cost)}}
+
+
+def _usual_from_data(data: Any) -> Usual | None:
+    return None if data is None else Usual(np.array(data["mean"], dtype=float), float(data["cost_m2"]))
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

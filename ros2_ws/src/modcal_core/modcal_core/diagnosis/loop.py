@@ -18,17 +18,19 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.posture_order import explained_by_posture
+from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
+from modcal_core.diagnosis.pruning import LEAST_GAIN, needless
 from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.measurements.samples import Samples
 
 SIGNIFICANT = 0.002
-LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
 MOST_EFFECTS = 30
 _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
@@ -135,6 +137,7 @@ def diagnose(
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
+        final = search.prune(final, train)
     effects = final.model.effects
     causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
@@ -237,6 +240,16 @@ class _Search:
         for i, cause in list(enumerate(self.causes))[len(self.known) :]:
             fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
             self.causes[i] = replace(cause, fit=fit)
+
+    def prune(self, final: Fit, train: Samples) -> Fit:
+        """The fit to all of *train* without effects that it does not need; their causes go with them."""
+        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances)
+        if gone:
+            known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
+            kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
+            nested = (without(pruned.model, known, range(i + 1, len(kept))) for i in range(len(kept)))
+            self.causes = [replace(c, fit=replace(pruned, model=m)) for c, m in zip(kept, nested, strict=True)]
+        return pruned
 
     def _missed(self, fit: Fit) -> float:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""

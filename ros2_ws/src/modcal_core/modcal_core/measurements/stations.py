@@ -104,6 +104,8 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
         acceleration=np.concatenate([p.acceleration for p in pieces]),
         signals=recording.signals,
+        sockets=recording.sockets,
+        clock=recording.has_clock,
     )
     effort = joint_stamps_and(recording, names, "effort")[1][order]
     return replace(samples, approach=_approach(samples, t, q), effort=_held(samples, t, effort, rules))
