@@ -31,6 +31,8 @@ from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded as simulated
 from modcal_nodes.simulation.world import World
 
+pytestmark = pytest.mark.slow
+
 REPEATABILITY = 2e-5  # rad
 COUNT = 160
 Error = Callable[[Array], Array]

@@ -1,4 +1,7 @@
-"""The whole of it live: a cell, a recorder and a calibrator as processes, then the recorded bag once more."""
+"""The whole of it live: a cell, a recorder and a calibrator as processes, then the recorded bag once more.
+
+Longer than 20 s, for stations take time: the one test from messages to files, and of the replay against it.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Something happens to the cell while it runs: it is noticed, named, learned, and the error before and after is told.
 
 The cell runs on simulated time, faster than the wall's, and MuJoCo says where the tool is.
+
+Longer than 20 s each, for stations take time: nowhere else does a running calibrator open the diagnosis by itself.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_nodes.cli.main import run
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def site_file(tmp_path: Path) -> Path:
