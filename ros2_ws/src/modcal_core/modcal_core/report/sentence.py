@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from modcal_core.measurements.dropped import unexpected
 from modcal_core.report.counted import counted
 from modcal_core.verdict.verdict import Repeatability, Status, Verdict
 
@@ -49,8 +50,8 @@ def _counts(report: Report) -> str:
     rejected = report.rejected_stations()
     said = f"{counted(report.samples.stations, 'station')}, "
     said += f"{rejected} of them rejected" if rejected else "none rejected"
-    if lost := sum(count for _, count in report.dropped):
-        said += f"; {counted(lost, 'reading')} did not become part of one"
+    if lost := unexpected(report.dropped):
+        said += f"; {counted(lost, 'reading')} could not be used"
     return said + "."
 
 
