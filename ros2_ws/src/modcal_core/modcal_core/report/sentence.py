@@ -59,12 +59,12 @@ def _error(report: Report) -> str:
     """The error of the scored stations, with and without those that were rejected."""
     angle = report.size_deg("final")
     sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
+    rejected = report.held_out_rejected() > 0
     if angle is not None:
-        sizes.append(f"{angle.rms:.3g}°")
+        sizes.append(f"{'orientation ' if rejected else ''}{angle.rms:.3g}°")
     before = [said for stage, name in _before(report) if (said := _stage(report, stage, name))]
     compared = f" ({', '.join(before)})" if before else ""
-    joint = " and " if report.held_out_rejected() == 0 else ", "
-    return f"{_where(report)} the error is {joint.join(sizes)}{compared}."
+    return f"{_where(report)} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
 
 
 def _size_mm(report: Report) -> str:
