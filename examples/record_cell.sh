@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Records the simulated cell: the nodes run as processes and talk over DDS, as they would with a real arm.
 # The arm's bodies are displaced, and its elbow's gear errs 101 times a turn by 0.2 mrad; no file of the bag says so.
+# Six of the stations are visited twice, so that the noise floor is known.
 # Usage: examples/record_cell.sh FOLDER [STATIONS]     after `make build`
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -19,7 +20,7 @@ recorder=$!
     -p gear_joint:=elbow_joint &
 cell=$!
 trap 'kill $cell $recorder 2>/dev/null || true' EXIT
-sleep "$(python -c "print(5 + 1.2 * $stations)")"
+sleep "$(python -c "print(5 + 1.2 * ($stations + 6))")"
 kill $cell && wait $cell || true
 kill $recorder && wait $recorder
 trap - EXIT
