@@ -10,18 +10,17 @@ from typing import Any
 import numpy as np
 from workcell import Session, Works
 
-STATED = ("--repeatability-mm", "{repeat:.4f}", "--instrument-mm", "{instrument:.4f}")
-
 
 @dataclass(frozen=True)
 class Case:
     """What is recorded, what is done with it, and what is true.
 
-    sessions: by the name of their bag. steps: arguments of modcal, bags by ``{name}`` and the folder of the n-th result
-    by ``{out0}``; the last report is judged. fault: whether something is wrong. must_name: patterns (regular
-    expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will do. floor:
-    whether the recording that is judged tells its floor. shown: whether its data show the fault; ``"if left"``: where
-    more than 1.5 times the floor is left. files: others, by name.
+    sessions: by the name of their bag. steps: arguments of modcal, ``{name}`` being a path in the case's folder and
+    ``{out0}`` the first result; the last report is judged. fault: whether something is wrong. must_name: patterns
+    (regular expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will
+    do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault;
+    ``"if left"``: where more than 1.5 times the floor is left. files: others, by name. tables: sessions that are
+    no bags but files, to be imported.
     """
 
     sessions: dict[str, Session]
@@ -31,17 +30,18 @@ class Case:
     floor: bool = True
     shown: bool | str = True
     files: dict[str, str] = field(default_factory=dict)
+    tables: tuple[str, ...] = ()
 
     @property
     def judged(self) -> Session:
         """The recording that the last step is about."""
-        names = [a[1:-1] for a in self.steps[-1] if a.startswith("{") and a[1:-1] in self.sessions]
-        return self.sessions[names[-1]] if self.steps[-1][0] == "evaluate" else self.sessions[names[0]]
+        return [self.sessions[a[1:-1]] for a in self.steps[-1] if a[1:-1] in self.sessions][-1]
 
     def write(self, folder: Path) -> None:
         """Every bag and file of it below a folder."""
         for name, session in self.sessions.items():
-            session.write(folder / name)
+            if name not in self.tables:
+                session.write(folder / name)
         for name, text in self.files.items():
             (folder / name).write_text(text, encoding="utf-8")
 

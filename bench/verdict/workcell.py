@@ -16,11 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "undeclared"))
-from recordings import Cell  # noqa: E402
-from scenarios import Deviation, Fault, Stations  # noqa: E402
+from recordings import Cell
+from scenarios import Deviation, Fault, Stations
 
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack  # noqa: E402
-from modcal_msgs_py.recording_write import write_recording  # noqa: E402
+from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_msgs_py.recording_write import write_recording
 
 Array = np.ndarray
 Bend = Callable[[Any, Stations, Deviation], None]
@@ -34,9 +34,11 @@ RETURNS = 6
 class Session:
     """One recording as arrays, a row a station.
 
-    q: what the joints report (N, n). p [m], R: what the tracker reads. floor_mm: RMS of what no model can predict. more:
-    joints besides the arm's, by name (N,). values: rows that are written in place of p and R. stationary: whether a
-    station is the second visit of a posture.
+    q: what the joints report (N, n). p [m], R: what the tracker reads. floor_mm: RMS of what no model can predict.
+    again: whether a station is the second visit of a posture (N,). more: joints besides the arm's, by name (N,).
+    values: rows that are written in place of p and R. stated: RMS of what the arm does not repeat and of what the
+    instrument adds, (mm, deg, mm, deg). stream: the rate [Hz] of the readings while the arm stands at each station;
+    0: one reading a station, with the stamp of its joint state.
     """
 
     names: tuple[str, ...]
@@ -53,6 +55,8 @@ class Session:
     signals: tuple[SignalTrack, ...] = ()
     values: Array | None = None
     frame: str = "tracker"
+    stated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    stream: float = 0.0
 
     def __len__(self) -> int:
         return len(self.t)
@@ -80,6 +84,8 @@ class Session:
 
     def recording(self) -> Recording:
         """The session as modcal's own arrays, to be written."""
+        if self.stream:
+            return self._streamed()
         q = np.column_stack([self.q, *self.more.values()])
         unknown = np.full_like(q, np.nan)
         effort = unknown.copy()
@@ -89,6 +95,27 @@ class Session:
         joints = JointTrack((*self.names, *self.more), stamps, q, unknown, effort, stamps)
         reading = ReadingTrack(self.kind, self.frame, stamps, self.raw(), stamps)
         return Recording((joints,), (reading,), self.signals, self.urdf)
+
+    def _streamed(self) -> Recording:
+        """Joint states all the time, readings while the arm stands: the first half of each period it moves."""
+        rng = np.random.default_rng(len(self))
+        half, rate = 0.5 * PERIOD, 25.0
+        u = np.clip(np.arange(0.0, PERIOD, 1.0 / rate) / half, 0.0, 1.0)[:, None]
+        course = 10 * u**3 - 15 * u**4 + 6 * u**5
+        before = np.concatenate([self.q[:1] - 0.1, self.q[:-1]])
+        q = (before[:, None] + course * (self.q - before)[:, None]).reshape(-1, self.q.shape[1])
+        t = (self.t[:, None] - half + np.arange(len(u)) / rate).ravel()
+        when = 0.3 + np.arange(0.0, half - 0.5, 1.0 / self.stream)
+        k = len(when)
+        _, _, mm, deg = self.stated
+        p = np.repeat(self.p, k, axis=0) + rng.normal(0, 1e-3 * mm / np.sqrt(3.0), (k * len(self), 3))
+        turn = Rotation.from_rotvec(np.radians(rng.normal(0, deg / np.sqrt(3.0), (k * len(self), 3))))
+        R = Rotation.from_quat(np.repeat(self.R.as_quat(), k, axis=0)) * turn
+        values = np.concatenate([p, R.as_quat()], axis=1)[:, : 3 if self.kind == POINT else 7]
+        unknown = np.full_like(q, np.nan)
+        stamps, read = BEGIN + np.round(t, 6), BEGIN + np.round((self.t[:, None] + when).ravel() + 1.3e-3, 6)
+        joints = JointTrack(self.names, stamps, q, unknown, unknown, stamps)
+        return Recording((joints,), (ReadingTrack(self.kind, self.frame, read, values, read),), self.signals, self.urdf)
 
     def write(self, folder: Path) -> Path:
         """The bag of it."""
@@ -122,7 +149,7 @@ class Works:
         self.names = self.arm.names
 
     def postures(self, count: int, returns: int = RETURNS, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
-        """(count, n) random postures in a part of the joints' ranges, of which ``returns`` are second visits: (count,)."""
+        """Random postures (count, n) in a part of the joints' ranges, and which are second visits, (count,)."""
         lower, upper = self.arm.range
         q = lower + (upper - lower) * self.rng.uniform(low, high, (count - returns, self.arm.n))
         return self.with_returns(q, returns)
@@ -168,12 +195,15 @@ class Works:
         p = seen.p + rng.normal(0, 1e-3 * noise_mm, (N, 3))
         R = seen.R * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, (N, 3)))
         floor = 1e3 * float(np.sqrt(np.mean(np.sum((p - exact.p) ** 2, axis=1))))
+        missed = 1e3 * float(np.sqrt(np.mean(np.sum((seen.p - exact.p) ** 2, axis=1))))
+        turned = np.degrees(float(np.sqrt(np.mean((exact.R.inv() * seen.R).magnitude() ** 2))))
+        stated = (missed, turned, np.sqrt(3.0) * noise_mm, np.degrees(np.sqrt(3.0) * 1e-3 * noise_mrad))
         torque = None
         if effort:
             zero = np.zeros_like(q)
             torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape)
         again = np.zeros(N, bool) if again is None else again
-        return Session(self.names, self.arm.urdf, t, q.copy(), p, R, floor, again, kind, torque)
+        return Session(self.names, self.arm.urdf, t, q.copy(), p, R, floor, again, kind, torque, stated=stated)
 
     def clean(self, count: int, *bends: Bend, returns: int = RETURNS, **options: Any) -> Session:
         """A recording of random postures, six of them twice."""
