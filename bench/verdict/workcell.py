@@ -155,7 +155,16 @@ class Works:
         return self.with_returns(q, returns)
 
     def with_returns(self, q: Array, returns: int = RETURNS) -> tuple[Array, Array]:
-        """Postures with second visits among them, spread over the run, most joints coming from the other side."""
+        """Postures with second visits among them, spread over the run, two joints or more from the other side."""
+        for _ in range(200):
+            order, again = self._order(q, returns)
+            came = np.sign(np.diff(q[order], axis=0, prepend=self.arm.range.mean(axis=0)[None]))
+            pairs = [(int(np.flatnonzero(order == order[k])[0]), int(k)) for k in np.flatnonzero(again)]
+            if all(k - i > 1 and np.sum(came[i] * came[k] < 0) >= 2 for i, k in pairs):
+                return q[order], again
+        raise ArithmeticError("no tour comes back from other sides")
+
+    def _order(self, q: Array, returns: int) -> tuple[Array, Array]:
         count, rng = len(q), self.rng
         order = list(range(count))
         first = rng.choice(np.arange(1, int(0.7 * count)), returns, replace=False)
@@ -168,7 +177,7 @@ class Works:
             order.insert(best, int(i))
         seen: set[int] = set()
         again = np.array([i in seen or bool(seen.add(i)) for i in order])  # type: ignore[func-returns-value]
-        return q[order], again
+        return np.array(order), again
 
     def observe(
         self,

@@ -75,8 +75,8 @@ def _best(
     Worth is the share of joints that come from the other side, less what the time since the first visit is off the one
     that is wanted, as a share of the tour so far.
     """
-    if m in after:
-        return None
+    if m in after or m + 1 in after.values():
+        return None  # a first visit keeps the side that it was reached from
     i = np.setdiff1d(np.arange(m - 1), list(after.values()))
     other = np.mean(_sides(q[m], q[i]) * came[i] < 0.0, axis=1)
     worth = np.where(other > 0.0, other - np.abs(m - i - wanted) / m, -np.inf)
