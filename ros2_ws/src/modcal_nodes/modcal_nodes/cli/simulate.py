@@ -46,8 +46,9 @@ def simulate_command(
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
 
-    It visits 60 random postures (-p stations=N), six of them twice. What else it does that its model lacks is said
-    with -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others of the node.
+    It visits 60 random postures (-p stations=N), six of them twice. What else it does that its model lacks is
+    said with -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
+    of the node.
     """
     if out.exists():
         raise BadTable(str(out), "exists", "name another folder")
