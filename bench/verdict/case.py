@@ -20,7 +20,7 @@ class Case:
     (regular expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will
     do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault;
     ``"if left"``: where more than 1.5 times the floor is left. files: others, by name. tables: sessions that are
-    no bags but files, to be imported.
+    no bags but files, to be imported. floor_mm: of what is judged, where that is no session of its own.
     """
 
     sessions: dict[str, Session]
@@ -31,6 +31,12 @@ class Case:
     shown: bool | str = True
     files: dict[str, str] = field(default_factory=dict)
     tables: tuple[str, ...] = ()
+    floor_mm: float | None = None
+
+    @property
+    def best_mm(self) -> float:
+        """What the best model leaves of the recording that is judged, RMS [mm]."""
+        return self.judged.floor_mm if self.floor_mm is None else self.floor_mm
 
     @property
     def judged(self) -> Session:

@@ -114,6 +114,8 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
 
 
 def _names(case: Case, text: str) -> bool:
+    """Whether the grounds name what is wrong; options and lists of what might be checked name nothing."""
+    text = re.sub(r"check that [^|]*|--[a-z-]+", "", text)
     return not case.must_name or any(re.search(pattern, text, re.I) for pattern in case.must_name)
 
 
@@ -122,7 +124,7 @@ def _left(case: Case, report: dict[str, Any]) -> float:
     rejected = report.get("rejected_rms_mm") or {}
     sizes = [rejected.get("with"), ((report.get("error_mm") or {}).get("final") or {}).get("rms")]
     sizes = [s for s in sizes if s is not None]
-    floor = case.judged.floor_mm
+    floor = case.best_mm
     return max(sizes) / floor if sizes and floor else float("nan")
 
 
@@ -130,6 +132,8 @@ def grounds(report: dict[str, Any]) -> str:
     """Everything that a report names: why it is open, effects, regimes, what was not applied, the convention."""
     parts = [*(report.get("open_because") or [])]
     for effect in report.get("effects") or []:
+        if effect.get("family") == "outliers":
+            continue  # that readings are wrong is said of every reading that is left out
         parts += [str(effect.get(key)) for key in ("family", "place", "driver")]
         parts += [str(other) for other in effect.get("same_as") or []]
     parts += [str(regime.get("what")) for regime in report.get("regimes") or []]

@@ -31,6 +31,7 @@ import conventions  # noqa: E402, F401 (registers its kinds)
 import good  # noqa: E402, F401
 import numpy as np  # noqa: E402
 import physics  # noqa: E402, F401
+import real  # noqa: E402, F401
 import regimes  # noqa: E402, F401
 import use  # noqa: E402, F401
 from case import KINDS, Case  # noqa: E402
