@@ -110,7 +110,7 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
         return replace(made, outcome=CALM_AND_WRONG)
     if named and not much:
         return replace(made, outcome=FOUND)
-    return replace(made, outcome=SILENT)
+    return replace(made, outcome=SILENT if case.shown else HARMLESS)
 
 
 def _names(case: Case, text: str) -> bool:

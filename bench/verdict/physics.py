@@ -76,8 +76,7 @@ def two_arms(w: Works, rng: np.random.Generator) -> Case:
     return calibrated(replace(session, more=more), ("left_", *BASE))
 
 
-def _mixed(w: Works, heavy: Array, mass: float, **options: float) -> Session:
-    q, again = w.postures(len(heavy))
+def _mixed(w: Works, q: Array, again: Array, heavy: Array, mass: float) -> Session:
     elastic = w.elastic(3e-4)
 
     def payload(arm, stations, deviation) -> None:  # type: ignore[no-untyped-def]
@@ -93,13 +92,24 @@ def _mixed(w: Works, heavy: Array, mass: float, **options: float) -> Session:
 @kind()
 def payload_from_the_middle(w: Works, rng: np.random.Generator) -> Case:
     """An elastic arm picks up some kilograms half way."""
-    return calibrated(_mixed(w, np.arange(160) >= 80, rng.uniform(4.0, 8.0)), (*LOAD, *EITHER, *w.names, "step"))
+    session = _mixed(w, *w.postures(160), np.arange(160) >= 80, rng.uniform(4.0, 8.0))
+    return calibrated(session, (*LOAD, *EITHER, *w.names, "step"))
+
+
+@kind()
+def payload_of_the_posture(w: Works, rng: np.random.Generator) -> Case:
+    """An elastic arm carries a part in some postures, each time it is there, and nothing recorded says which."""
+    q, again = w.postures(160)
+    kinds = np.unique(q, axis=0, return_inverse=True)[1].ravel()
+    heavy = (rng.random(160) < 0.5)[kinds]
+    return calibrated(_mixed(w, q, again, heavy, rng.uniform(6.0, 10.0)), (*LOAD, *w.names))
 
 
 @kind()
 def payload_at_random(w: Works, rng: np.random.Generator) -> Case:
-    """An elastic arm carries a part at some stations and none at others, and nothing recorded says which."""
-    return calibrated(_mixed(w, rng.random(160) < 0.5, rng.uniform(6.0, 10.0)), (*LOAD, *w.names))
+    """An elastic arm carries a part now and then. Nothing is visited twice, so that it may be taken for scatter."""
+    session = _mixed(w, *w.postures(160, 0), rng.random(160) < 0.5, rng.uniform(6.0, 10.0))
+    return calibrated(session, (*LOAD, *w.names), shown=False)
 
 
 def _described(session: Session, change: Callable[[str], str]) -> Session:
