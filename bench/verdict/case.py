@@ -18,9 +18,9 @@ class Case:
     sessions: by the name of their bag. steps: arguments of modcal, ``{name}`` being a path in the case's folder and
     ``{out0}`` the first result; the last report is judged. fault: whether something is wrong. must_name: patterns
     (regular expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will
-    do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault;
-    if not, it is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left. files: others, by name. tables: sessions that are
-    no bags but files, to be imported. floor_mm: of what is judged, where that is no session of its own.
+    do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault; if not, it
+    is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left. files: others, by name.
+    tables: sessions that are no bags but files, to be imported. floor_mm: of what is judged, where that is no session.
     """
 
     sessions: dict[str, Session]
