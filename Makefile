@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test quick lint format bench undeclared closed-loop \
+.PHONY: help setup setup-test build demo test quick lint format bench undeclared verdict closed-loop \
 	soak long-bag doors articulation control-tick synthesis modular planning limits delta docs reference lock clean
 
 help:  ## list the targets
@@ -60,6 +60,9 @@ bench: setup-test build  ## times beside others doing the same; BENCH_ARGS="--on
 
 undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
 	@$(PY) bench/undeclared/run.py $(BENCH_ARGS)
+
+verdict: setup-test build  ## faults nobody planned for, and good arms: is the verdict right? BENCH_ARGS="--only tool --jobs 2"
+	@$(PY) bench/verdict/run.py $(BENCH_ARGS)
 
 closed-loop: setup-test build  ## 50 poses commanded through the corrector in the simulated cell: how near the tool comes
 	@$(PY) bench/closed_loop.py

@@ -58,7 +58,8 @@ def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
     said = report.verdict
     assert said.startswith("120 stations, 3 of them rejected. On the 36 held out from fitting the error is ")
     assert (
-        f"{rms[1]:.3f} mm RMS without the rejected one among these, {rms[0]:.3f} mm with it, {angle.rms:.3g}°" in said
+        f"{rms[1]:.3f} mm RMS without the rejected one among these, {rms[0]:.3f} mm with it; orientation {angle.rms:.3g}°"
+        in said
     )
     assert rms[0] > 20.0 * rms[1]
     assert points().verdict.startswith("60 stations, none rejected. On the 18 held out from fitting the error is ")

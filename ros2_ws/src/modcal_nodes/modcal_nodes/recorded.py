@@ -12,6 +12,7 @@ import numpy as np
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.loop import calibrate
+from modcal_core.measurements.dropped import together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import Prepared, prepare_pieces
@@ -56,7 +57,11 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
     for other in more:
         added = prepare_pieces(read(other, watch), chain, clock_limit=wishes.clock_limit)
-        prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
+        prepared = Prepared(
+            prepared.samples.followed_by(added.samples),
+            (*prepared.notes, *added.notes),
+            together([prepared.dropped, added.dropped]),
+        )
     watch("fitting the geometry")
     result = calibrate(
         prepared.samples,
@@ -99,4 +104,5 @@ def read(bag: Path, watch: Watch) -> Iterator[Piece]:
 
 def named(report: Report, recording: Recording, prepared: Prepared) -> Report:
     """The report with the recording's name, and with what there is to know of its samples."""
-    return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))
+    notes = (*report.notes, *prepared.notes)
+    return replace(report, title=Path(recording.source).name, notes=notes, dropped=prepared.dropped)

@@ -229,7 +229,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
         if len(rows) == 0 or joint_rows.start == joint_rows.stop:
             continue
         position, R = _values(track, rows)
-        keep = _inliers(position)
+        keep = inliers(position)
         position, R = position[keep], R[keep]
         R_mean = so3.mean(R)
         p_mean = position.mean(axis=0)
@@ -251,7 +251,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
     return Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
 
 
-def _inliers(position: Array) -> np.ndarray:
+def inliers(position: Array) -> np.ndarray:
     """Readings of one dwell that are no glitches: within 8 robust deviations of their middle, at least half of them.
 
     The middle is sought about the reading that most others are near: where something was moved half way through, the

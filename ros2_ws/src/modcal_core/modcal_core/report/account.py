@@ -24,6 +24,7 @@ _WORDS = {
     "unaccounted": ("unaccounted for", WARN),
 }
 _OF_FLOOR = ("repeatability", "instrument")
+_ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
 _MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
 
 
@@ -78,9 +79,10 @@ def in_words(what: str) -> str:
 
 
 def _line(row: Row, total: float, known: bool) -> Line:
+    value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
     colour = AFTER if row.what.startswith(EFFECT) else _WORDS.get(row.what, ("", SOFT))[1]
-    rms = float(np.copysign(np.sqrt(abs(row.value)), row.value))
-    return Line(in_words(row.what), colour, row.value, row.value / max(total, 1e-300), rms, row.ci95, known)
+    rms = float(np.copysign(np.sqrt(abs(value)), value))
+    return Line(in_words(row.what), colour, value, value / max(total, 1e-300), rms, row.ci95, known)
 
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
@@ -90,6 +92,8 @@ def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     most = max(abs(line.value) for line in lines) or 1.0
     least = _MIN_DECADE * most
     for k, line in enumerate(lines):
+        if not line.value:
+            continue
         tone = LIGHT[line.colour]
         hatched = line.value < 0.0
         axes.barh(
@@ -109,7 +113,7 @@ def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     axes.set_xscale("log")
     axes.minorticks_off()
     axes.set_yticks(range(len(lines)), [line.words for line in lines], fontsize=7.5)
-    axes.invert_yaxis()
+    axes.set_ylim(len(lines) - 0.5, -0.5)
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
     label(axes, f"squared error, {unit}²", "")

@@ -65,7 +65,7 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
     beside = set(files)
     return render(
         "report.html.j2",
-        title=f"{report.title}: calibration report",
+        title=f"{report.title}: {'evaluation' if report.searched is None else 'calibration'} report",
         verdict=report.verdict,
         tone=TONES[report.status],
         heading=f"Verdict: {STATUS_WORDS[report.status]}",

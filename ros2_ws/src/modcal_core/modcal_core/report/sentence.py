@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from modcal_core.measurements.dropped import unexpected
 from modcal_core.report.counted import counted
 from modcal_core.verdict.verdict import Repeatability, Status, Verdict
 
@@ -15,7 +16,7 @@ REMEDY = (
     "--instrument-mm."
 )
 NOT_SOUGHT = (
-    "Only the geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift, steps and latency "
+    "Only geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift, steps and latency "
     "were not looked for."
 )
 STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "cannot_tell": "cannot tell"}
@@ -49,8 +50,8 @@ def _counts(report: Report) -> str:
     rejected = report.rejected_stations()
     said = f"{counted(report.samples.stations, 'station')}, "
     said += f"{rejected} of them rejected" if rejected else "none rejected"
-    if lost := sum(count for _, count in report.dropped):
-        said += f"; {counted(lost, 'reading')} did not become part of one"
+    if lost := unexpected(report.dropped):
+        said += f"; {counted(lost, 'reading')} could not be used"
     return said + "."
 
 
@@ -58,12 +59,12 @@ def _error(report: Report) -> str:
     """The error of the scored stations, with and without those that were rejected."""
     angle = report.size_deg("final")
     sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
+    rejected = report.held_out_rejected() > 0
     if angle is not None:
-        sizes.append(f"{angle.rms:.3g}°")
+        sizes.append(f"{'orientation ' if rejected else ''}{angle.rms:.3g}°")
     before = [said for stage, name in _before(report) if (said := _stage(report, stage, name))]
     compared = f" ({', '.join(before)})" if before else ""
-    joint = " and " if report.held_out_rejected() == 0 else ", "
-    return f"{_where(report)} the error is {joint.join(sizes)}{compared}."
+    return f"{_where(report)} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
 
 
 def _size_mm(report: Report) -> str:

@@ -26,6 +26,8 @@ Result = Literal["PASS", "FAIL", "CANNOT TELL"]
 STATISTICS: tuple[Statistic, ...] = get_args(Statistic)
 _DRAWS = 2000
 _TAIL = 0.025  # chance outside either end of a 95 % interval
+_NORMAL = 1.96  # deviations that leave as much
+_MANY = 500  # units from which the mean of them is normal enough not to be drawn
 _MIN_UNITS = 8  # of which fewer give no interval worth the name, as seen in tests of its coverage
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 
@@ -106,12 +108,9 @@ def interval(norms: Array, unit: np.ndarray, name: Statistic) -> tuple[float | N
         return None, None
     if name == "p95":
         return _interval_of_p95(np.sort(norms), count)
-    rng = np.random.default_rng(0)  # the same report gives the same bytes
-    times = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
     if name == "mean":
-        return _interval_of_mean(norms, rows_of, times)
-    if name == "rms":
-        low, high = _interval_of_mean(norms**2, rows_of, times)
+        return _interval_of_mean(norms, rows_of)
+    low, high = _interval_of_mean(norms**2, rows_of)
     return float(np.sqrt(low)), float(np.sqrt(high))
 
 
@@ -125,23 +124,27 @@ def tail_factor(count: int) -> float:
     return float(max(ndtri(0.975) / ndtri(0.5 + 0.5 * reached), 1.0))
 
 
-def _interval_of_mean(x: Array, rows_of: np.ndarray, times: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of positive numbers (N,) in units (N,), drawn so many times (draws, units)."""
+def _interval_of_mean(x: Array, rows_of: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of positive numbers (N,) in units numbered from 0, (N,)."""
     size, total = np.bincount(rows_of).astype(float), np.bincount(rows_of, x)
+    count = len(size)
 
     def log_and_error(weights: Array) -> tuple[Array, Array]:
         """Logarithm of the mean and its standard error, of units of unequal size (a ratio of sums), (draws,)."""
         mean = (weights @ total) / (weights @ size)
         square = weights @ total**2 - 2.0 * mean * (weights @ (total * size)) + mean**2 * (weights @ size**2)
-        error = np.sqrt(np.maximum(square, 0.0) * len(size) / (len(size) - 1.0)) / (weights @ size)
+        error = np.sqrt(np.maximum(square, 0.0) * count / (count - 1.0)) / (weights @ size)
         return np.log(np.maximum(mean, 1e-300)), error / np.maximum(mean, 1e-300)
 
-    (own,), (error,) = log_and_error(np.ones((1, len(size))))
-    drawn, errors = log_and_error(times.astype(float))
-    kept = errors > 1e-3 * error  # a draw of one unit again and again has no error
-    if not kept.any():
-        return float(np.exp(own)), float(np.exp(own))
-    t = np.quantile((drawn[kept] - own) / errors[kept], (1.0 - _TAIL, _TAIL))
+    (own,), (error,) = log_and_error(np.ones((1, count)))
+    t = np.array([_NORMAL, -_NORMAL])
+    if count <= _MANY:
+        rng = np.random.default_rng(0)  # the same report gives the same bytes
+        times = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
+        drawn, errors = log_and_error(times)
+        kept = errors > 1e-3 * error  # a draw of one unit again and again has no error
+        if kept.any():
+            t = np.quantile((drawn[kept] - own) / errors[kept], (1.0 - _TAIL, _TAIL))
     low, high = np.exp(own - t * error)
     return float(low), float(high)
 
