@@ -56,12 +56,12 @@ class Baseline:
     """The parameters as regressors with unit variance, prepared for every fold."""
 
     def __init__(self, U: Array, layout: Layout) -> None:
-        """U: (R, K)."""
+        """U: (R, K), of which there may be none."""
         self._U, self._layout = U, layout
         grams = [U[a:b].T @ U[a:b] for a, b in layout.spans]
         whole = np.sum(grams, axis=0) + np.eye(U.shape[1])
-        self._whole = cho_factor(whole, check_finite=False)
-        self._factors = [cho_factor(whole - g, check_finite=False) for g in grams]
+        self._whole = np.linalg.cholesky(whole)
+        self._factors = [np.linalg.cholesky(whole - g) for g in grams]
 
     def trials(self, r: Array) -> Trials:
         """The trials of residuals (R, m)."""
@@ -70,9 +70,9 @@ class Baseline:
         whole = np.sum(products, axis=0)
         train = np.empty((len(r), len(spans), r.shape[1]))
         for k, ((a, b), own, factor) in enumerate(zip(spans, products, self._factors, strict=True)):
-            train[:, k] = r - self._U @ cho_solve(factor, whole - own, check_finite=False)
+            train[:, k] = r - self._U @ cho_solve((factor, True), whole - own, check_finite=False)
             train[a:b, k] = 0.0
-        return Trials(r - self._U @ cho_solve(self._whole, whole, check_finite=False), train)
+        return Trials(r - self._U @ cho_solve((self._whole, True), whole, check_finite=False), train)
 
 
 class Regressor(Protocol):
