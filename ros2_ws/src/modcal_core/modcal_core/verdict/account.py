@@ -37,7 +37,8 @@ def account(
             rows.append(Row(f"effect:{part.label}", value, spread))
     square = float(final.mean())
     rows.append(Row("shared", float(geometric.mean()) - square - sum(r.value for r in rows[1:])))
-    scale = max(square - estimation, 0.0)
+    # the share of a fitted model is one of what its parameters leave, that of a frozen one of everything
+    scale = max(square - estimation, 0.0) if case.fitted else square
     share = Share(0.0, (0.0, 0.0), 0.0) if predictable is None else predictable
     low, high = share.ci95
     repeatability = 0.0 if floor is None else floor.square - floor.instrument

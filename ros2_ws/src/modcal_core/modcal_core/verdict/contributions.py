@@ -44,7 +44,7 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
     changed, without linearising.
     """
     effects = case.model.effects
-    if not effects or case.known is None or not len(case.held_out):
+    if not effects or not len(case.held_out):
         return ()
     rows = case.held_out[np.unique(np.linspace(0, len(case.held_out) - 1, min(len(case.held_out), _MOST)).astype(int))]
     scored = case.samples.select(rows)
@@ -64,7 +64,6 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
 
 def removed(case: Case, effect: int) -> Model:
     """The final model without one of its effects, the rest fitted again by one step."""
-    assert case.known is not None
     P, effects = len(case.known.parameters), case.model.effects
     ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
     own = slice(ends[effect], ends[effect + 1])

@@ -72,13 +72,13 @@ class _Builder:
         self.z = _standard(samples.q.T)
 
     def own_positions(self) -> Group:
-        """Every joint: its axis with waves of its own position, its other directions with the lowest."""
+        """Every joint's axis with waves of its own position, its other directions with the lowest; and constants."""
         parts = []
         for j, (place, axis) in enumerate(zip(self.places, self.axis, strict=True)):
-            waves = self._waves(j, _OWN_WAVES)
+            waves = np.concatenate([np.ones((1, len(self.samples))), self._waves(j, _OWN_WAVES)])
             parts.append(self._times([(place, axis)], waves))
             others = [(place, d) for d in range(6) if d != axis and self._moves(place)]
-            parts.append(self._times(others, waves[:2]))
+            parts.append(self._times(others, waves[:3]))
         return self._group("each joint's own position", parts)
 
     def other_positions(self) -> Group:

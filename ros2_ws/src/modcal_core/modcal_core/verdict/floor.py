@@ -173,15 +173,16 @@ def _median_factor(freedom: Array) -> Array:
 def _interval(square: float, scatter: Array, freedom: Array) -> Interval:
     """95 % interval of F² by χ².
 
-    Its degrees of freedom are between one and three a return: where one joint is what does not repeat, or where some
-    postures scatter more than others, the squares vary more than those of three equal axes (Satterthwaite 1946).
+    Its degrees of freedom are between one and two a return: where one joint is what does not repeat, or where some
+    postures scatter more than others, the squares vary more than those of three equal axes (Satterthwaite 1946), and
+    few returns hardly show how much more.
     """
     from scipy.special import gammaincinv
 
     each = scatter / freedom
     mean = float(np.average(each, weights=freedom))
     variance = float(np.average(freedom * (each - mean) ** 2, weights=freedom))
-    axes = float(np.clip(2.0 * mean**2 / max(variance, 1e-300), 1.0, 3.0)) if mean > 0.0 else 3.0
+    axes = float(np.clip(2.0 * mean**2 / max(variance, 1e-300), 1.0, 2.0)) if mean > 0.0 else 2.0
     half = 0.5 * axes * float(freedom.sum())
     low, high = (half / float(gammaincinv(half, p)) for p in (0.975, 0.025))
     return low * square, high * square
