@@ -52,7 +52,7 @@ _BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is e
 _BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
 _SETTLING = 0.12  # time constant to begin from, as a share of the recording
 _ROUGHLY = 1.0  # standard deviations to which rivals are fitted
-_FREE = 12.0  # functions of a joint's position
+_WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
 # An arm is wrong by no more than this where it is wrong in one posture and right in another
 _OF_AN_ARM_M, _OF_AN_ARM_RAD = 0.01, 0.02
@@ -321,7 +321,7 @@ class _Score:
     def _rivals(self, at: tuple[float, ...]) -> Iterator[float]:
         samples, arm = self.search.samples, self.search.arm
         joints = {joint for t in at for joint in explained_by_posture(samples, t)}
-        for effects in (*_smooth(samples, self.search.places), *_by_posture(samples, sorted(joints))):
+        for effects in (*_smooth(samples, self.search.places), *_by_posture(sorted(joints))):
             key = str([(e.place, e.direction, e.shape) for e in effects])
             if key not in self._known:
                 model = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
@@ -347,12 +347,13 @@ def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
             yield (Effect("drift", place, turn if place == "tool" else ALL, "time", shape),)
 
 
-def _by_posture(samples: Samples, joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
+def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
     """Joints that err with their position, about their axis and across it."""
     for name in joints:
-        q = samples.q[:, samples.names.index(name)]
-        shape = Shape("spline", {"low": float(q.min()), "high": float(q.max()), "count": _FREE})
-        yield tuple(Effect("unknown", name, turn, f"position:{name}", shape) for turn in (AXIS, ACROSS))
+        waves = [Shape("turn", {"cycles": float(k)}) for k in range(1, _WAVES + 1)]
+        across = [Effect("axis_wobble", name, ACROSS, f"position:{name}", wave) for wave in waves]
+        along = [Effect("gear_harmonic", name, AXIS, f"position:{name}", wave) for wave in waves]
+        yield tuple([*along, *across])
 
 
 def _amplitudes(effect: Effect) -> int:
