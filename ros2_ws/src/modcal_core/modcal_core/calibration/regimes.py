@@ -54,8 +54,6 @@ _SETTLING = 0.12  # time constant to begin from, as a share of the recording
 _ROUGHLY = 1.0  # standard deviations to which rivals are fitted
 _WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
-# An arm is wrong by no more than this where it is wrong in one posture and right in another
-_OF_AN_ARM_M, _OF_AN_ARM_RAD = 0.01, 0.02
 
 
 @dataclass(frozen=True)
@@ -226,24 +224,15 @@ class _Search:
         for move in score.own(told):
             if score.needless([move]):
                 score.leave_out([move])
-        if own := score.own(told):
-            if score.has_rival(own):
-                score.leave_out(own)
-            else:
-                start = self.fit(self.start(score.moves), self.samples).model
-                score.leave_out([move for move in own if self._may_be_posture(move, start)])
+        own = score.own(told)
+        if own and score.has_rival(own):
+            score.leave_out(own)
         return list(score.moves)
 
     def _same(self, a: float, b: float) -> bool:
         """Whether no station lies between two times."""
         stamps = self.samples.stamps
         return not ((stamps > min(a, b)) & (stamps < max(a, b))).any()
-
-    def _may_be_posture(self, move: Move, fitted: Model) -> bool:
-        """Whether the posture tells before from after a small move as well, so that an arm's error may be it."""
-        values = [e.values for e in fitted.effects if is_move(e) and e.shape.settings["at"] == move.at]
-        large = any(np.linalg.norm(v[:3]) > _OF_AN_ARM_M or np.linalg.norm(v[3:6]) > _OF_AN_ARM_RAD for v in values)
-        return not large and bool(explained_by_posture(self.samples, move.at))
 
 
 @dataclass
