@@ -132,7 +132,9 @@ def calibrate(
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
+        effects=findings(
+            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, [step.errors for step in steps]
+        ),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
