@@ -99,7 +99,8 @@ def calibrate(
     if look_for_effects:
         suspects = (lambda at: ()) if changed is None else partial(load_since, moment=changed)
         diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
-    final = diagnosis.fit
+    # when something moved is read from all stations: one next to it that was held out belongs to either side
+    final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
     require_plausible(nominal, final, train)
 
     wrong = outlying(final.model, final.spread, samples)
@@ -131,7 +132,9 @@ def calibrate(
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
+        effects=findings(
+            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, [step.errors for step in steps]
+        ),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,

@@ -45,6 +45,7 @@ FITTED = 1e-2  # the same for models with effects, some of which have many value
 _NEAR = 1e-4
 _SHRINKING = 0.3
 _SURE = 0.1  # of the tolerance; what is expected to be left
+_LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
@@ -197,10 +198,10 @@ def _minimum(
             measured = rows.cost
         H, g = H_data + known, g - (values - centre) * prior**-2.0
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        last = length
+        last, share = length, 1.0
         while True:
-            step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
-            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) if damping == 0.0 else np.inf
+            step = share * scale * _solve(H * np.outer(scale, scale), scale * g, damping)
+            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
             following = length * min(length / last, 1.0) if last < np.inf else length  # the next step's, most likely
             ended = length <= tolerance or following <= _SURE * tolerance
             begun = rough and damping == 0.0 and float(np.abs(step).max()) <= _ROUGHLY
@@ -215,7 +216,10 @@ def _minimum(
                 after += distance_cost(start, parameters, trial, distances)
             if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
                 break
-            damping = max(10.0 * damping, 1e-4)
+            if damping == 0.0 and share > _LEAST_SHARE:  # bent, along a direction that is hardly seen
+                share *= 0.5
+            else:
+                damping, share = max(10.0 * damping, 1e-4), 1.0
         looked = new is not at
         values, at = values + step, new
         if ended or begun:

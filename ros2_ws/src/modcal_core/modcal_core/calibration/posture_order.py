@@ -24,6 +24,11 @@ def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
     return tuple(name for j, name in enumerate(samples.names) if _told(samples.q[rows, j], after) >= _RIGHT)
 
 
+def joints_instead(samples: Samples, at: float) -> tuple[str, ...]:
+    """Names, as in ``same_as``, of the joints' errors that may be what seems to have happened at a moment [s]."""
+    return tuple(f"{name} axis by position:{name}" for name in explained_by_posture(samples, at))
+
+
 def _told(q: np.ndarray, after: np.ndarray) -> float:
     """Share of the stations that the nearest others in q (n,) put on the right side, both sides weighing the same."""
     gap = np.abs(q[:, None] - q[None])

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -49,11 +50,10 @@ _CAP = 100.0  # squared standard scores; no sample may rule alone
 _SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
 _BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is enough
 _BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
-_SETTLING = (0.06, 0.25)  # time constants, as shares of the recording
-_FREE = 12.0  # functions of a joint's position
+_SETTLING = 0.12  # time constant to begin from, as a share of the recording
+_ROUGHLY = 1.0  # standard deviations to which rivals are fitted
+_WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
-# An arm is wrong by no more than this where it is wrong in one posture and right in another
-_OF_AN_ARM_M, _OF_AN_ARM_RAD = 0.01, 0.02
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class _Search:
         for _ in range(_ROUNDS):
             if not found:
                 return ()
-            fit = self._fit(self.start([Move(at, "both") for at in found]), self.samples)
+            fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
             sights = Sights.of(fit.model, self.samples)
             again = self._times(stretches(sights), sights)
             if again == found or not again:
@@ -205,8 +205,9 @@ class _Search:
                 effects.append(Effect("step", "tool", turn, "time", shape).with_values(change))
         return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
 
-    def _fit(self, start: Model, samples: Samples) -> Fit:
-        return identify(start, samples, self.parameters, self.cell.distances, tolerance=_TOLERANCE)
+    def fit(self, start: Model, samples: Samples, tolerance: float = _TOLERANCE) -> Fit:
+        """The fit of arm and moves, or of others' effects, to these samples."""
+        return identify(start, samples, self.parameters, self.cell.distances, tolerance=tolerance)
 
     def decided(self, moves: list[Move], told: tuple[Move, ...]) -> list[Move]:
         """The moves that do better on unseen stations than none, each of what it must be of."""
@@ -223,24 +224,15 @@ class _Search:
         for move in score.own(told):
             if score.needless([move]):
                 score.leave_out([move])
-        if own := score.own(told):
-            if score.has_rival(own):
-                score.leave_out(own)
-            else:
-                start = self._fit(self.start(score.moves), self.samples).model
-                score.leave_out([move for move in own if self._may_be_posture(move, start)])
+        own = score.own(told)
+        if own and score.has_rival(own):
+            score.leave_out(own)
         return list(score.moves)
 
     def _same(self, a: float, b: float) -> bool:
         """Whether no station lies between two times."""
         stamps = self.samples.stamps
         return not ((stamps > min(a, b)) & (stamps < max(a, b))).any()
-
-    def _may_be_posture(self, move: Move, fitted: Model) -> bool:
-        """Whether the posture tells before from after a small move as well, so that an arm's error may be it."""
-        values = [e.values for e in fitted.effects if is_move(e) and e.shape.settings["at"] == move.at]
-        large = any(np.linalg.norm(v[:3]) > _OF_AN_ARM_M or np.linalg.norm(v[3:6]) > _OF_AN_ARM_RAD for v in values)
-        return not large and bool(explained_by_posture(self.samples, move.at))
 
 
 @dataclass
@@ -251,30 +243,32 @@ class _Score:
     moves: list[Move]
 
     def __post_init__(self) -> None:
-        fit = self.search._fit(self.search.start(self.moves), self.search.samples)
+        fit = self.search.fit(self.search.start(self.moves), self.search.samples)
         self.spread: Spread = fit.spread
         self.unit = independent_unit(self.search.samples)
+        samples = self.search.samples
+        self.half = in_order_of_time(samples.station, samples.stamps) % 2
         self._known: dict[str, float] = {}
         self.now = self.of(self.moves)
 
     def of(self, moves: Sequence[Move]) -> np.ndarray | None:
         """Capped squared scores out of fold (N,), or None where the halves are too few for a fit."""
-        return self._out_of_fold(lambda part: self.search.start(moves, part))
-
-    def _out_of_fold(self, start: Model | Callable[[Samples], Model]) -> np.ndarray | None:
-        samples = self.search.samples
-        half = in_order_of_time(samples.station, samples.stamps) % 2
-        out = np.empty(len(samples))
+        out = np.empty(len(self.half))
         for h in (0, 1):
-            try:
-                part = samples.select(np.flatnonzero(half != h))
-                begin = start if isinstance(start, Model) else start(part)
-                model = self.search._fit(begin, part).model
-            except (ModcalError, np.linalg.LinAlgError, ValueError):
+            one = self._of_half(h, lambda part: self.search.start(moves, part))
+            if one is None:
                 return None
-            rest = samples.select(np.flatnonzero(half == h))
-            out[half == h] = np.minimum(squared_misses(errors(model, rest), rest, self.spread), _CAP)
+            out[self.half == h] = one
         return out
+
+    def _of_half(self, h: int, start: Callable[[Samples], Model], tolerance: float = _TOLERANCE) -> np.ndarray | None:
+        """Capped squared scores of one half of the stations, every other one, by a fit to the rest."""
+        part, rest = (self.search.samples.select(np.flatnonzero(rows)) for rows in (self.half != h, self.half == h))
+        try:
+            model = self.search.fit(start(part), part, tolerance).model
+        except (ModcalError, np.linalg.LinAlgError, ValueError):
+            return None
+        return np.minimum(squared_misses(errors(model, rest), rest, self.spread), _CAP)
 
     def simplify(self, move: Move) -> None:
         """Let only the tool, or only the base, have moved where that does as well."""
@@ -310,18 +304,23 @@ class _Score:
         """
         if self.now is None:
             return True
-        return any(float(self.now.sum()) > _BETTER * total for total in self._rivals(tuple(m.at for m in moves)))
+        now = float(self.now[self.half == 0].sum())
+        return any(now > _BETTER * total for total in self._rivals(tuple(m.at for m in moves)))
 
     def _rivals(self, at: tuple[float, ...]) -> Iterator[float]:
         samples, arm = self.search.samples, self.search.arm
         joints = {joint for t in at for joint in explained_by_posture(samples, t)}
-        for effects in (*_smooth(samples, self.search.places), *_by_posture(samples, sorted(joints))):
+        for effects in (*_smooth(samples, self.search.places), *_by_posture(sorted(joints))):
             key = str([(e.place, e.direction, e.shape) for e in effects])
             if key not in self._known:
-                start = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
-                score = self._out_of_fold(start)
+                model = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
+                score = self._of_half(0, partial(_itself, model), _ROUGHLY)
                 self._known[key] = np.inf if score is None else float(score.sum())
             yield self._known[key]
+
+
+def _itself(model: Model, _: Samples) -> Model:
+    return model
 
 
 def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
@@ -329,7 +328,7 @@ def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
     low, high = float(samples.stamps.min()), float(samples.stamps.max())
     shapes = [
         Shape("polynomial", {"degree": 4.0, "low": low, "high": high}),
-        *(Shape("settle", {"since": low, "tau": share * (high - low)}) for share in _SETTLING),
+        Shape("settle", {"since": low, "tau": _SETTLING * (high - low)}),
     ]
     turn = ALL if samples.is_pose.all() else SHIFT
     for place in sorted(places):
@@ -337,12 +336,13 @@ def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
             yield (Effect("drift", place, turn if place == "tool" else ALL, "time", shape),)
 
 
-def _by_posture(samples: Samples, joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
+def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
     """Joints that err with their position, about their axis and across it."""
     for name in joints:
-        q = samples.q[:, samples.names.index(name)]
-        shape = Shape("spline", {"low": float(q.min()), "high": float(q.max()), "count": _FREE})
-        yield tuple(Effect("unknown", name, turn, f"position:{name}", shape) for turn in (AXIS, ACROSS))
+        waves = [Shape("turn", {"cycles": float(k)}) for k in range(1, _WAVES + 1)]
+        across = [Effect("axis_wobble", name, ACROSS, f"position:{name}", wave) for wave in waves]
+        along = [Effect("gear_harmonic", name, AXIS, f"position:{name}", wave) for wave in waves]
+        yield tuple([*along, *across])
 
 
 def _amplitudes(effect: Effect) -> int:

@@ -15,9 +15,9 @@ import numpy as np
 from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.posture_order import explained_by_posture
+from modcal_core.calibration.posture_order import joints_instead
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
@@ -60,10 +60,7 @@ def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
     out = []
     for i, effect in enumerate(effects):
         model = fit.model.with_effects(effects[: i + 1])
-        same = tuple(
-            f"{joint} {AXIS} by position:{joint}"
-            for joint in explained_by_posture(samples, effect.shape.settings["at"])
-        )
+        same = joints_instead(samples, effect.shape.settings["at"])
         if effect.place == "base":
             same = (f"tracker all by {effect.public_driver}", *same)
         size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))

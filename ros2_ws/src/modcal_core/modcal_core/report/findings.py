@@ -14,6 +14,8 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.parameters import DIRECTIONS
+from modcal_core.calibration.posture_order import joints_instead
+from modcal_core.calibration.regimes import is_move
 from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.diagnosis.loop import Diagnosis
 from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
@@ -59,13 +61,16 @@ def findings(
     shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
     missed: errors on held-out by geometry alone, then with each effect added.
     """
-    entries: dict[tuple[str, str, str, str], Finding] = {}
+    entries: dict[tuple[object, ...], Finding] = {}
     before = _rms(missed[0])
     for cause, effect, left in zip(diagnosis.causes, shipped.effects, missed[1:], strict=True):
         after = _rms(left)
-        known = entries.get(effect.key)
+        # each move is an entry of its own
+        key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
+        known = entries.get(key)
         effects = (*known.effects, effect) if known else (effect,)
-        entries[effect.key] = Finding(
+        same = (*(known.same_as if known else ()), *_link_name(effect, shipped), *_posture(effect, samples))
+        entries[key] = Finding(
             effect.family,
             effect.place,
             effect.direction,
@@ -74,7 +79,7 @@ def findings(
             min(cause.p_value, known.p_value) if known else cause.p_value,
             known.before if known else before,
             after,
-            tuple(dict.fromkeys((*(known.same_as if known else ()), *_link_name(effect, shipped), *cause.same_as))),
+            tuple(dict.fromkeys((*same, *cause.same_as))),
             effects,
         )
         before = after
@@ -88,6 +93,13 @@ def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
     if effect.direction == AXIS or effect.place not in names or not links:
         return ()
     return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
+
+
+def _posture(effect: Effect, samples: Samples) -> tuple[str, ...]:
+    """Errors of joints that may be what a step is, where the order of the stations goes with the joint's position."""
+    if effect.family != "step":
+        return ()
+    return joints_instead(samples, effect.shape.settings["at"])
 
 
 def _known(model: Model, samples: Samples) -> np.ndarray:
@@ -279,9 +291,26 @@ def _coupling_story(f: Finding) -> str:
     return f"{f.place} moves by {1e6 * f.parameters['coupling'][0]:.0f} ppm of {f.driver.partition(':')[2]}"
 
 
+def _step_story(f: Finding) -> str:
+    shift, turn = (
+        float(np.linalg.norm([f.parameters[d][0] for d in of if d in f.parameters]))
+        for of in (DIRECTIONS[:3], DIRECTIONS[3:])
+    )
+    turned = f" and {np.degrees(turn):.2f}°" if any(d in f.parameters for d in DIRECTIONS[3:]) else ""
+    moved = f"{f.place} moved" + (f" by {1e3 * shift:.2f} mm{turned}" if f.place in ("base", "tool") else "")
+    when = f"at one moment (stamp {f.parameters['at'][0]:.1f} s)"
+    joints = [name.partition(" by position:")[2] for name in f.same_as if " by position:" in name]
+    if not joints:
+        return f"{moved} {when}"
+    return (
+        f"either {moved} {when}, or {joints[0]} errs with its position: the stations before and after differ in it, "
+        "and posture and time cannot be told apart"
+    )
+
+
 def _time_story(f: Finding) -> str:
     if f.family == "step":
-        return f"{f.place} moved at one moment (stamp {f.parameters['at'][0]:.1f} s)"
+        return _step_story(f)
     if "time_constant" in f.parameters:
         return f"{f.place} settles over time, by e every {f.parameters['time_constant'][0]:.0f} s"
     return f"{f.place} moves slowly with {f.driver.replace(':', ' of ')}"
