@@ -109,7 +109,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         noise_floor=noise_floor(samples),
-        effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
+        effects=findings(diagnosis, shipped.calibrated, samples, wrong, train, scored, cell.distances),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,

@@ -42,7 +42,8 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: to *train* with this effect and the ones before it.
+    as well, by name and as effects. fit: to *train* with this effect and the ones before it. sampled: trials with the
+    signs of stations flipped that p_value was compared with; below one in so many it is extrapolated.
     """
 
     effect: Effect
@@ -50,6 +51,7 @@ class Cause:
     same_as: tuple[str, ...]
     rivals: tuple[Effect, ...]
     fit: Fit
+    sampled: int = 0
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,10 @@ def diagnose(
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
+    flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
-        evidence = scanner.evidence(search.fit, rng, FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2)
+        evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:
             left = None
@@ -114,7 +117,7 @@ def diagnose(
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
         final = search.prune(final, train)
     effects = final.model.effects
-    causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True))
+    causes = tuple(replace(c, effect=e, sampled=flips) for c, e in zip(search.causes, effects, strict=True))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
