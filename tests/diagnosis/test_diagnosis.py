@@ -22,8 +22,9 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.findings import Finding
-from modcal_core.report.report import Report, to_json_data
+from modcal_core.report.report import Report
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant

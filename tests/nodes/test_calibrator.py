@@ -104,6 +104,9 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(tmp_path: Pa
         wait(lambda: models and trusted, 20.0)
         assert trusted[-1]
         assert said.value(MODEL, "state") == "trusted" or wait(lambda: said.value(MODEL, "state") == "trusted", 10.0)
+        status = json.loads((tmp_path / "state" / "report.json").read_text())["status"]
+        wait(lambda: said.value(MODEL, "status") == status, 10.0)
+        assert (said.level(MODEL) == 0) == (status == "at_floor")
         # the stations from before the restart are there, too
         assert call(node, wait, "calibrator/solve").success
         assert second.stop() == 0

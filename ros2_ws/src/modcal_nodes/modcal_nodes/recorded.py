@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain as chained
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_tree import document
+from modcal_core.verdict.tolerance import Asked, Statistic
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
-from modcal_nodes.inputs import read_cell
+from modcal_nodes.inputs import read_cell, stated_from
 from modcal_nodes.progress import Watch, silent
 from modcal_nodes.results import calibration_files, delta_files
+from modcal_nodes.tracing import began, trace_of
 from modcal_nodes.wishes import Wishes
 
 
@@ -46,7 +49,8 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
 
     watch: hears of the stages.
     """
-    cell = read_cell(wishes.cell_file, wishes.fixed)
+    asked = tolerance_asked(wishes.tolerance_mm, wishes.tolerance_of)
+    cell = read_cell(wishes.cell_file, wishes.fixed, stated_from(asdict(wishes)))
     recording, pieces = begun(bag, watch)
     chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
@@ -65,14 +69,20 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
         look_for_effects=not wishes.geometry_only,
     )
     watch("writing the report")
-    report = named(result.report, recording, prepared)
+    serial = isinstance(chain, Chain) and text is not None
+    robot = str(document(text).get("name") or "robot") if serial and text is not None else "delta"
+    report = named(result.report, recording, prepared).with_tolerance(asked)
+    report = replace(report, trace=trace_of(bag, recording, robot, prepared.samples.frames))
     if isinstance(chain, Chain) and text is not None:
-        files, robot = calibration_files(result, report, chain, text), str(document(text).get("name") or "robot")
+        files = calibration_files(result, report, chain, text)
     else:
-        files, robot = delta_files(result, report), "delta"
-    stamps = [t.stamps for t in recording.joints] + [t.stamps for t in recording.readings]
-    began = min(float(s.min()) for s in stamps if len(s))
-    return Calibrated(report, result.calibration, prepared.samples, files, robot, began)
+        files = delta_files(result, report)
+    return Calibrated(report, result.calibration, prepared.samples, files, robot, began(recording) or 0.0)
+
+
+def tolerance_asked(mm: float | None, of: str) -> Asked | None:
+    """The tolerance that options ask for; None where they ask for none. Raises BadTable."""
+    return None if mm is None else Asked(mm, cast(Statistic, of))
 
 
 def begun(bag: Path, watch: Watch = silent) -> tuple[Recording, Iterator[Piece]]:

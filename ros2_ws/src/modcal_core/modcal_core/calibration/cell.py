@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, StationDistance
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import with_prior
 from modcal_core.calibration.placing import Known
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
@@ -28,13 +29,15 @@ class Cell:
 
     distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
-    instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
+    instrument watches a point of the tool of its own. stated: repeatability and accuracy that were stated. sockets:
+    frames in which the tool's ball rests at one point.
     """
 
     distances: tuple[AnyDistance, ...] = ()
     fixed: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
+    stated: Stated = field(default_factory=Stated)
     sockets: tuple[str, ...] = ()
 
     @property
@@ -68,9 +71,19 @@ class Cell:
                     )
 
 
-def fit_cell(chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
-    """The fit of base frames and tool for this arm, from no guess at all."""
-    return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+def fit_cell(
+    chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None, start: Model | None = None
+) -> Fit:
+    """The fit of base frames and tool for this arm, from no guess at all.
+
+    start: where base and tool, and what moved of them, are about; what moved is then fitted too.
+    """
+    if start is None:
+        return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+    cell.require_frames(samples.frames)
+    start = replace(start, arm=place_model(chain, samples.frames, inertias).arm)
+    choice = choose_parameters(start, views_of(samples), cell.kept, cell.distances, among=lambda p: not p.of_arm)
+    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, tolerance=FITTED)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:

@@ -18,7 +18,7 @@ def sharpened(model: Model, samples: Samples) -> Model:
     """The model with the moment of every step, and of every load that came, put between the stations that fit best."""
     effects = model.effects
     for i, effect in enumerate(effects):
-        if effect.shape.kind in ("step", "since"):
+        if effect.shape.kind in ("step", "until", "since"):
             effects = (*effects[:i], _sharpened(model, effects, i, samples), *effects[i + 1 :])
     return model if effects is model.effects else model.with_effects(effects)
 

@@ -24,6 +24,7 @@ from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -43,6 +44,8 @@ class Calibration:
     explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
+    scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the spread; 0
+    where none was stated. converged: whether every fit reached its minimum.
     clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
     depend on. usual: for each effect what it was on average, where a recording may lack its driver.
     """
@@ -58,9 +61,19 @@ class Calibration:
     spread: Spread = field(default_factory=lambda: Spread(1e-4, 1e-4))
     uncertainty: Uncertainty | None = None
     watched: tuple[float, float] | None = None
+    scatter: tuple[float, float] = (0.0, 0.0)
+    converged: bool = True
     clock: bool = True
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     usual: tuple[Usual | None, ...] = ()
+
+    def with_scatter(self, samples: Samples) -> Samples:
+        """The samples, those that state no deviation of their own with the one that was usual here."""
+        position, rotation = (
+            np.where(np.isfinite(own), own, usual)
+            for own, usual in zip((samples.sigma_position, samples.sigma_rotation), self.scatter, strict=True)
+        )
+        return replace(samples, sigma_position=position, sigma_rotation=rotation)
 
     @property
     def robot(self) -> str:
@@ -142,6 +155,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         "recorded": {
             "kind": calibration.kind,
             "spread": [calibration.spread.position, calibration.spread.rotation],
+            "scatter": _floats(np.array(calibration.scatter)),
+            "converged": calibration.converged,
             **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
@@ -178,13 +193,16 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         clock = bool(recorded.get("clock", True))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
+        scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
+        alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
     kind = str(recorded["kind"])
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
-        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known, watched),
+        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
+        *(watched, alone, converged),
         *(clock, ranges, usual),
     )
 

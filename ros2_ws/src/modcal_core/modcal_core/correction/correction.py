@@ -20,9 +20,9 @@ import numpy as np
 from modcal_core.calibration.circumstances import Arm, Circumstances
 from modcal_core.calibration.effects import JOINTS, READING, Term, columns, motion, shape_columns
 from modcal_core.calibration.gauge import passing_directions
-from modcal_core.calibration.linearise import error_transform
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.twists import error_transform
 from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array

@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.posture_order import explained_by_posture
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
@@ -54,6 +56,23 @@ class Cause:
     sampled: int = 0
 
 
+def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
+    """The causes of a fit's moves of base and tool, each with those before it: they were found before all others."""
+    effects = fit.model.effects
+    out = []
+    for i, effect in enumerate(effects):
+        model = fit.model.with_effects(effects[: i + 1])
+        same = tuple(
+            f"{joint} {AXIS} by position:{joint}"
+            for joint in explained_by_posture(samples, effect.shape.settings["at"])
+        )
+        if effect.place == "base":
+            same = (f"tracker all by {effect.public_driver}", *same)
+        size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
+        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
+    return tuple(out)
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
@@ -75,17 +94,23 @@ def diagnose(
     distances: Sequence[AnyDistance] = (),
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
+    known: Sequence[Cause] = (),
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
-    suspects: what to look for besides the vocabulary.
+    suspects: what to look for besides the vocabulary. known: causes of the effects that the fit has already; they stay.
     """
     both = train.join(explain)
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
     scanner = Scanner([*vocabulary(at), *suspects(at)], at)
     search = _Search(
-        fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances)
+        fit,
+        scanner,
+        train.select(_evenly(np.arange(len(train)), _MOST_FITTED)),
+        explain,
+        tuple(distances),
+        tuple(known),
     )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
@@ -117,7 +142,8 @@ def diagnose(
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
         final = search.prune(final, train)
     effects = final.model.effects
-    causes = tuple(replace(c, effect=e, sampled=flips) for c, e in zip(search.causes, effects, strict=True))
+    trials = [0] * len(known) + [flips] * len(effects)  # moves of base and tool were found in another way
+    causes = tuple(replace(c, effect=e, sampled=n) for c, e, n in zip(search.causes, effects, trials, strict=False))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
@@ -130,9 +156,10 @@ class _Search:
     train: Samples
     explain: Samples
     distances: tuple[AnyDistance, ...]
+    known: tuple[Cause, ...] = ()
 
     def __post_init__(self) -> None:
-        self.causes: list[Cause] = []
+        self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
         self._stale = False  # whether the causes' own fits are those of another order
 
@@ -143,7 +170,7 @@ class _Search:
         self.fit = self._with(self.fit, choice.effect)
         self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
         better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
-        if better and len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
+        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.at) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
@@ -163,7 +190,7 @@ class _Search:
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the vocabulary again, with the later ones known."""
-        for i in range(len(self.causes) - 1):
+        for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
             without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
             better = choose(self.scanner.evidence(without), self.scanner, without, set(), incumbent=effects[i])
@@ -185,8 +212,9 @@ class _Search:
                 float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
                 for e in map(_linear, self.fit.model.effects)
             ]
+            size[: len(self.known)] = [np.inf] * len(self.known)
             weakest = int(np.argmin(size))
-            if size[weakest] >= _NEEDLESS or len(size) < 2:
+            if size[weakest] >= _NEEDLESS or len(size) < 2 + len(self.known):
                 return
             del self.causes[weakest]
             effects = self.fit.model.effects
@@ -213,13 +241,15 @@ class _Search:
         if not self._stale:
             return
         effects = self.fit.model.effects
-        for i, cause in enumerate(self.causes):
+        for i, cause in list(enumerate(self.causes))[len(self.known) :]:
             fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
             self.causes[i] = replace(cause, fit=fit)
 
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
-        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances)
+        pruned, gone = needless(
+            final, train, self.explain, self._geometric.spread, self.distances, keep=len(self.known)
+        )
         if gone:
             known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]

@@ -7,7 +7,7 @@ everything else fitted again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -140,7 +140,7 @@ def _known_of(fit: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Unc
     """The covariance of the final fit, from a part of *train* where that is long."""
     rows = np.unique(np.linspace(0, len(train) - 1, min(len(train), _MOST_FITTED)).astype(int))
     weights = fit.weights[rows] * (len(train) / max(len(rows), 1))
-    part = Fit(**{**vars(fit), "weights": weights})
+    part = replace(fit, weights=weights)
     return uncertainty(fit.model, train.select(rows), fit.parameters, part, distances)
 
 

@@ -1,0 +1,124 @@
+"""Ridge regression judged out of fold: every part of a vector is predicted from the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from modcal_core.geometry.so3 import Array
+
+FOLDS = 5
+_ALIKE = 0.1  # ridge in units of a column's square; columns that are nearly the same share what they explain
+_EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How components of samples (6, N), sorted by fold, lie in one vector (R,), sample after sample.
+
+    sample, component: of each of the R. spans: first and end of each fold in it.
+    """
+
+    sample: np.ndarray
+    component: np.ndarray
+    spans: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(cls, ends: np.ndarray, seen: np.ndarray) -> Layout:
+        """ends: first sample of each fold, and N. seen: which components there are, (6, N)."""
+        sample, component = np.nonzero(seen.T)
+        folds = np.searchsorted(sample, ends).tolist()
+        return cls(sample, component, tuple(pairwise(folds)))
+
+    def flat(self, x: Array) -> Array:
+        """(D, 6, N) as (R, D), or (6, N) as (R,)."""
+        return np.ascontiguousarray(np.moveaxis(x, (-1, -2), (0, 1))[self.sample, self.component])
+
+
+class Regressor(Protocol):
+    """Anything that predicts parts of residuals from the others. name: what from, for a person."""
+
+    @property
+    def name(self) -> str:
+        """What from, for a person."""
+
+    def predictions(self, r: Array) -> list[Array]:
+        """Out-of-fold predictions (R, m) of residuals (R, m), one for each way to set it."""
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Ridge regression on columns (R, D) of unit length, prepared for every fold and for ridges of several sizes.
+
+    With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
+    coefficient has a variance of s R / D, and the ridge is its inverse.
+    """
+
+    name: str
+    columns: Array
+    layout: Layout
+    factors: list[list[tuple[Array, bool]]]
+
+    @classmethod
+    def of(cls, name: str, columns: Array, layout: Layout) -> Ridge:
+        """name: of the columns, for a person."""
+        R, D = columns.shape
+        parts = [columns[a:b] for a, b in layout.spans]
+        grams = [part.T @ part for part in parts]
+        whole = np.sum(grams, axis=0)
+        ridges = [D / (share * R) for share in _EXPECTED]
+        factors = [[cho_factor(whole - g + ridge * np.eye(D), check_finite=False) for g in grams] for ridge in ridges]
+        return cls(name, columns, layout, factors)
+
+    def predictions(self, r: Array) -> list[Array]:
+        """Out-of-fold predictions (R, m) of residuals (R, m), one for each size of ridge."""
+        products = [self.columns[a:b].T @ r[a:b] for a, b in self.layout.spans]
+        whole = np.sum(products, axis=0)
+        out = []
+        for factors in self.factors:
+            prediction = np.empty_like(r)
+            for (a, b), own, factor in zip(self.layout.spans, products, factors, strict=True):
+                prediction[a:b] = self.columns[a:b] @ cho_solve(factor, whole - own, check_finite=False)
+            out.append(prediction)
+        return out
+
+
+@dataclass(frozen=True)
+class Few:
+    """Least squares on the few of many columns (R, D) of unit length that go best with the other folds, a number of
+    them at a time (sure independence screening; Fan & Lv 2008).
+    """
+
+    name: str
+    columns: Array
+    layout: Layout
+    counts: tuple[int, ...] = (2, 8)
+
+    def predictions(self, r: Array) -> list[Array]:
+        """Out-of-fold predictions (R, m) of residuals (R, m), one for each number of columns."""
+        spans, many = self.layout.spans, r.shape[1]
+        products = [self.columns[a:b].T @ r[a:b] for a, b in spans]
+        whole = np.sum(products, axis=0)
+        out = [np.empty_like(r) for _ in self.counts]
+        most = min(max(self.counts), self.columns.shape[1])
+        trained = np.ones(len(r), bool)
+        for (a, b), own in zip(spans, products, strict=True):
+            trained[a:b] = False
+            size = np.abs(whole - own)
+            top = np.argpartition(-size, most - 1, axis=0)[:most]
+            top = np.take_along_axis(top, np.argsort(-np.take_along_axis(size, top, 0), axis=0), 0)  # (most, m)
+            X = self.columns[:, top.T.ravel()].reshape(len(r), many, most).transpose(1, 0, 2)
+            train = X[:, trained]
+            gram = train.transpose(0, 2, 1) @ train
+            target = np.take_along_axis(whole - own, top, 0).T
+            for prediction, count in zip(out, self.counts, strict=True):
+                n = min(count, most)
+                held = gram[:, :n, :n] + _ALIKE * np.eye(n)
+                solution = np.linalg.solve(held, target[:, :n, None])
+                prediction[a:b] = (X[:, a:b, :n] @ solution)[:, :, 0].T
+            trained[a:b] = True
+        return out
