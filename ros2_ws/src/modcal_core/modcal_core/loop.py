@@ -39,6 +39,7 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.absurd import long_tool, sane_inertias
 from modcal_core.verdict.case import fitted_case, frozen_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.not_applied import applicable
@@ -84,6 +85,7 @@ def calibrate(
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     samples, convention = proved(samples, chain)
+    inertias, absurd = sane_inertias(inertias, chain)
     regimes = find_regimes(samples, chain, cell, inertias)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
@@ -116,7 +118,12 @@ def calibrate(
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
-        contradictions=(*contradictions(distances), *doubtful(left, scored, samples, chain)),
+        contradictions=(
+            *contradictions(distances),
+            *doubtful(left, scored, samples, chain),
+            *absurd,
+            *long_tool(final.model),
+        ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
     )
