@@ -121,7 +121,9 @@ def test_what_the_judge_accepts(bench: dict[str, ModuleType]) -> None:
     assert outcome("cannot_tell", "no floor is known") == judge.SILENT
     assert judge._refused(made, "modcal: bag: the tool moved").outcome == judge.NAMED
     assert judge._refused(made, "modcal: bag: broken").outcome == judge.UNNAMED
-    assert judge._refused(made, "modcal: bag: broken: check that --base, tool and clocks agree").outcome == judge.UNNAMED
+    assert (
+        judge._refused(made, "modcal: bag: broken: check that --base, tool and clocks agree").outcome == judge.UNNAMED
+    )
     outliers = [{"family": "outliers", "place": "tool", "driver": "constant"}]
     assert outcome("open", final=3.0, effects=outliers) == judge.UNNAMED
     fine = case(bench, "clean_poses")

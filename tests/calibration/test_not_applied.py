@@ -11,6 +11,7 @@ from cells import record, samples_of, ur10
 from modcal_core.calibration.effects import AXIS, LENGTH, Effect
 from modcal_core.calibration.held import Held
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
@@ -54,6 +55,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
         clock=clock,
         ranges=driver_ranges(model, samples),
         usual=usual_sizes(model, samples),
+        spread=Spread(1e-3, 1e-3),
     ), samples
 
 

@@ -317,4 +317,6 @@ def test_what_an_arm_does_not_repeat_is_a_floor_only_where_it_is_seen(repeatabil
     assert data["unexplained"] is None
     assert (data["noise_floor_mm"] is not None) == (returns > 0)
     if returns:
-        assert 0.6 * rms < data["noise_floor_mm"] < 1.6 * rms  # of six returns, and of a fit that has an error of its own
+        assert (
+            0.6 * rms < data["noise_floor_mm"] < 1.6 * rms
+        )  # of six returns, and of a fit that has an error of its own

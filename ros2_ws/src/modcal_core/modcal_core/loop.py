@@ -40,10 +40,11 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.absurd import long_tool, sane_inertias
 from modcal_core.verdict.case import fitted_case, frozen_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.not_applied import applicable
-from modcal_core.verdict.readings import contradictions as contradictions_of_readings
+from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 from modcal_core.verdict.status import judge
@@ -85,6 +86,7 @@ def calibrate(
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     samples, convention = proved(samples, chain)
+    inertias, absurd = sane_inertias(inertias, chain)
     regimes = find_regimes(samples, chain, cell, inertias)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
@@ -120,7 +122,9 @@ def calibrate(
         regimes=regimes_of(final.model, samples),
         contradictions=(
             *contradictions_of_distances(distances),
-            *contradictions_of_readings(left, scored, samples, chain),
+            *doubtful(left, scored, samples, chain),
+            *absurd,
+            *long_tool(final.model),
         ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
@@ -133,7 +137,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         effects=findings(
-            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, [step.errors for step in steps]
+            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances
         ),
         left=diagnosis.left,
         identifiability=identifiability(final),
@@ -223,8 +227,8 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
-    applied = applicable(calibration, samples)
     converged = True
+    applied = applicable(calibration, samples)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
@@ -244,9 +248,9 @@ def evaluate(
     missed = {stage: errors(model, scored) for stage, model in models.items()}
     grounds = Grounds(
         converged=converged,
-        contradictions=contradictions_of_readings(missed, scored, samples, calibration.nominal.chain),
-        convention=convention,
         not_applied=applied.not_applied,
+        contradictions=doubtful(missed, scored, samples, calibration.nominal.chain),
+        convention=convention,
         rejected_runs=runs_of(samples, wrong),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)

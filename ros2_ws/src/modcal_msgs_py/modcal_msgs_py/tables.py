@@ -35,6 +35,7 @@ _KEYS = {
     "files", "delimiter", "decimal", "header", "encoding", "time", "joints",
     "pose", "point", "same_point", "temperature",
 }  # fmt: skip
+_MOST_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
 
 
@@ -210,6 +211,8 @@ def _orientation(table: _Table, reading: Mapping[str, Any], where: str) -> Array
     angles = reading[stated[0]]
     scale = _unit(angles, where, ("rad", "deg"))
     values = scale * np.stack([table.column(c) for c in _need(angles, "columns", where)], axis=1)
+    if angles["unit"] == "rad" and (largest := float(np.abs(values).max())) > _MOST_RAD:
+        raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
     if stated[0] == "rotvec":
         return Rotation.from_rotvec(values).as_matrix()
     sequence = str(_need(angles, "sequence", where))

@@ -34,8 +34,8 @@ _INDEPENDENT = 100  # stations that count: errors of a nominal arm are alike in 
 _NOMINAL_ANGLE = 2e-3  # rad per axis; a nominal arm turns its tip by as much too far, so nothing finer decides
 _NOMINAL_SHARE = 1e-3  # of the reach; the same for positions
 _ASTRAY = 0.05  # share of readings that may say anything
-_FEW, _MOST = 100, 400  # stations, evenly along the recording, to look for candidates and to judge them
-_CANDIDATES = 8
+_FEW, _MOST = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
+_CANDIDATES = 6
 _PARTS = (1, 2, 4)  # equal parts with their own base and tool
 _LEAST_PART = 20  # stations
 _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
@@ -48,6 +48,7 @@ _ALTERNATIONS = 20
 class Match:
     """How well readings fit the nominal arm. score: log-likelihood less what parameters cost. angle [rad], position
     [m]: what is left, RMS over space. perfect: nothing could fit better. usual: median of the distances left [m].
+    parts: that the recording was cut into.
     """
 
     score: float
@@ -55,6 +56,7 @@ class Match:
     position: float
     perfect: bool
     usual: float
+    parts: int
 
 
 def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tuple[Samples, str | None]:
@@ -110,7 +112,8 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
         for i, mistake in enumerate(_all(samples.names, stated))
     ]
     found.sort(key=lambda c: (-c[0], c[1]))
-    judged = [(_match(m.undone(more), chain, m.log_volume), i, m) for _, i, m in found[:_CANDIDATES]]
+    parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
+    judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
     judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach()]
     top = max((after.score for after, _, _ in judged), default=-np.inf)
     if top - before.score <= BEYOND_DOUBT:
@@ -165,12 +168,12 @@ def _roughly(samples: Samples, chain: Chain, mistake: Mistake, start: Array) -> 
     return max(each) + len(samples) * mistake.log_volume
 
 
-def _match(samples: Samples, chain: Chain, log_volume: float = 0.0) -> Match:
-    """How well these readings fit, cut into as many parts as pay."""
+def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
+    """How well these readings fit, cut into as many of these numbers of parts as pay."""
     A, size = forward(chain, samples.q), len(samples)
     scale = _Scale.of(chain, samples.position)
     best: Match | None = None
-    for count in _PARTS:
+    for count in parts:
         if count > 1 and size < count * _LEAST_PART:
             continue
         left = [
@@ -182,7 +185,7 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0) -> Match:
         turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
         if best is None or score > best.score:
             usual = float(np.median(np.linalg.norm(gaps, axis=1)))
-            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual)
+            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, count)
         if best.perfect:
             break
     assert best is not None
@@ -206,8 +209,8 @@ def _log_likelihood(residual: Array, floor: float, volume: float) -> float:
     A share of them is spread evenly over the volume.
     """
     square = np.sum(residual**2, axis=1)
-    sigma = floor * 1.5 ** np.arange(40.0)
-    sigma = sigma[sigma <= 1.5 * max(floor, float(np.sqrt(square.max())))][:, None]
+    sigma = floor * 2.0 ** np.arange(24.0)
+    sigma = sigma[sigma <= 2.0 * max(floor, float(np.sqrt(square.max())))][:, None]
     inside = (1.0 - _ASTRAY) * np.exp(-0.5 * square / sigma**2) / (2.0 * np.pi * sigma**2) ** 1.5
     return float(np.log(inside + _ASTRAY / volume).sum(axis=1).max())
 
@@ -238,8 +241,8 @@ def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Sc
         square = np.sum(r**2, axis=2)
         usual = np.maximum(np.median(square, axis=1) / 2.366, np.array([scale.rotation, scale.position]) ** 2)[:, None]
         weight = 1.0 / (usual + square)  # Cauchy
-        H = np.einsum("sn,snki,snkj->ij", weight, G, G)
-        g = np.einsum("sn,snki,snk->i", weight, G, r)
+        flat, weighted = G.reshape(-1, 12), (weight[..., None, None] * G).reshape(-1, 12)
+        H, g = flat.T @ weighted, weighted.T @ r.ravel()
         unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         step = unit * np.linalg.solve(H * np.outer(unit, unit) + 1e-9 * np.eye(12), unit * g)
         if (size := float(np.linalg.norm(step[:6]))) > 1.0:
@@ -280,12 +283,13 @@ def _linear(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
     """(residuals (N, 3), tool point x (3,), base's place t (3,)) of ``p ≈ Y (A x) + t``, robust."""
     G = np.concatenate([Y @ A[:, :3, :3], np.broadcast_to(np.eye(3), (len(A), 3, 3))], axis=2)
     h = position - A[:, :3, 3] @ Y.T
+    flat = G.reshape(-1, 6)
     weight = np.ones(len(A))
     for _ in range(3):
-        H = np.einsum("n,nki,nkj->ij", weight, G, G)
-        g = np.einsum("n,nki,nk->i", weight, G, h)
+        weighted = np.repeat(weight, 3)[:, None] * flat
+        H, g = flat.T @ weighted, weighted.T @ h.ravel()
         solution = np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)
-        gap = h - G @ solution
+        gap = h - (flat @ solution).reshape(-1, 3)
         square = np.sum(gap**2, axis=1)
         weight = 1.0 / (square + max(float(np.median(square)), 1e-18))  # Cauchy
         weight = weight / weight.max()

@@ -8,6 +8,7 @@ from modcal_core.calibration.held import Usual, averaged, outside_drivers
 from modcal_core.calibration.model import Model
 from modcal_core.measurements.samples import Samples
 
+_MOVES = ("step", "until")
 _HEARD = ("temperature:", "signal:")
 
 
@@ -19,14 +20,19 @@ def driver_ranges(model: Model, samples: Samples) -> dict[str, tuple[float, floa
 
 
 def usual_sizes(model: Model, samples: Samples) -> tuple[Usual | None, ...]:
-    """For each effect its average and what it costs to hold it there; None where no recording lacks its driver."""
+    """For each effect its average, of a step its end, and what it costs to hold it there.
+
+    None where no recording lacks its driver.
+    """
     out: list[Usual | None] = []
     at, effects = model.circumstances(samples), model.effects
     for i, effect in enumerate(effects):
         if not outside_drivers(effect):
             out.append(None)
             continue
-        mean = effect.shape.basis(at.driver(effect.driver, effect.lag)).mean(axis=1)
+        basis = effect.shape.basis(at.driver(effect.driver, effect.lag))
+        # what moved stays where it was in the end: between two places it never stood
+        mean = basis[:, int(np.argmax(samples.stamps))] if effect.shape.kind in _MOVES else basis.mean(axis=1)
         without = model.with_effects((*effects[:i], averaged(effect, mean), *effects[i + 1 :]))
         gap = model.predict_samples(samples)[:, :3, 3] - without.predict_samples(samples)[:, :3, 3]
         out.append(Usual(mean, float(np.mean(np.sum(gap**2, axis=1)))))

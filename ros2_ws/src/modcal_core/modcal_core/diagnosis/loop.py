@@ -44,7 +44,8 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: to *train* with this effect and the ones before it.
+    as well, by name and as effects. fit: to *train* with this effect and the ones before it. sampled: trials with the
+    signs of stations flipped that p_value was compared with; below one in so many it is extrapolated.
     """
 
     effect: Effect
@@ -52,6 +53,7 @@ class Cause:
     same_as: tuple[str, ...]
     rivals: tuple[Effect, ...]
     fit: Fit
+    sampled: int = 0
 
 
 def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
@@ -110,9 +112,10 @@ def diagnose(
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
+    flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
-        evidence = scanner.evidence(search.fit, rng, FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2)
+        evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:
             left = None
@@ -136,7 +139,8 @@ def diagnose(
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
         final = search.prune(final, train)
     effects = final.model.effects
-    causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True))
+    trials = [0] * len(known) + [flips] * len(effects)  # moves of base and tool were found in another way
+    causes = tuple(replace(c, effect=e, sampled=n) for c, e, n in zip(search.causes, effects, trials, strict=False))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
@@ -240,7 +244,9 @@ class _Search:
 
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
-        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances)
+        pruned, gone = needless(
+            final, train, self.explain, self._geometric.spread, self.distances, keep=len(self.known)
+        )
         if gone:
             known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]

@@ -99,6 +99,10 @@ def _effect(finding: Finding) -> dict[str, Any]:
         "p_value": finding.p_value,
         "rms_mm_before": 1e3 * finding.before,
         "rms_mm_after": 1e3 * finding.after,
+        "gain_mm2": finding.gain_mm2,
+        "gain_ci95_mm2": None if finding.ci95 is None else list(finding.ci95),
+        "tool_rms_mm": None if finding.tool is None else 1e3 * finding.tool,
+        "chance": finding.chance,
         "same_as": list(finding.same_as),
     }
 

@@ -24,9 +24,7 @@ _REPEATED = 3  # readings in a row that are the same to the last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
 
 
-def contradictions(
-    errors: Mapping[str, Errors], scored: Samples, samples: Samples, chain: Mechanism
-) -> tuple[str, ...]:
+def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
     """A sentence for each thing that makes the readings doubtful.
 
     errors: of the scored samples by stage (nominal, geometric, final). samples: all of the recording.
