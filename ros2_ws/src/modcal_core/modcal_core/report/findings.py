@@ -81,7 +81,7 @@ class Finding:
         said = f"{self.place} {added.story}" if added and added.story else told
         if self.family == "step" and (joints := [n for n in self.same_as if " by position:" in n]):
             said = (
-                f"either {said}, or {joints[0].partition(' by position:')[2]} has an error that depends on its position: "
+                f"either {said}, or {joints[0].partition(' by position:')[2]} errs with its position: "
                 "the stations before and after differ in it, and posture and time cannot be told apart"
             )
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
