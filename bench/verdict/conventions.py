@@ -9,7 +9,8 @@ from case import Case, calibrated, kind
 from scipy.spatial.transform import Rotation
 from workcell import Session, Works
 
-ORIENTATION = ("quaternion", "euler", "sequence", "convention", "orientation", "rotation", "x y z w|w x y z|wxyz")
+QUATERNION = ("quaternion", r"\borientation", "rotation")
+ORIENTATION = ("euler", "sequence", "convention", r"\borientation", "rotation")
 UNIT = (r"\bmm\b", "millimet", r"\bunits?\b", "1000")
 
 
@@ -23,19 +24,19 @@ def quaternions(session: Session, columns: tuple[int, ...], sign: tuple[float, .
 @kind()
 def quaternion_w_first(w: Works, rng: np.random.Generator) -> Case:
     """Quaternions are written w x y z."""
-    return calibrated(quaternions(w.clean(120), (3, 0, 1, 2)), ORIENTATION)
+    return calibrated(quaternions(w.clean(120), (3, 0, 1, 2)), QUATERNION)
 
 
 @kind()
 def quaternion_conjugate(w: Works, rng: np.random.Generator) -> Case:
     """Orientations are those of the tracker in the tool, positions those of the tool in the tracker."""
-    return calibrated(quaternions(w.clean(120), (0, 1, 2, 3), (-1, -1, -1, 1)), (*ORIENTATION, "conjugate", "inver"))
+    return calibrated(quaternions(w.clean(120), (0, 1, 2, 3), (-1, -1, -1, 1)), (*QUATERNION, "conjugate", "inver"))
 
 
 @kind()
 def quaternion_reversed(w: Works, rng: np.random.Generator) -> Case:
     """Quaternions are written w z y x."""
-    return calibrated(quaternions(w.clean(120), (3, 2, 1, 0)), ORIENTATION)
+    return calibrated(quaternions(w.clean(120), (3, 2, 1, 0)), QUATERNION)
 
 
 def _euler(w: Works, written: str, read: str, degrees: float = 1.0) -> Session:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from case import Case, calibrated, frozen, kind
-from conventions import ORIENTATION, UNIT
+from conventions import ORIENTATION, QUATERNION, UNIT
 from regimes import BASE, LEFT_OUT, TOOL, shifted
 from scipy.spatial.transform import Rotation
 from workcell import Session, Works
@@ -75,7 +75,7 @@ def cubes_w_first(w: Works, rng: np.random.Generator) -> Case:
     session = cubes()[0]
     values = session.raw().copy()
     values[:, 3:] = values[:, [6, 3, 4, 5]]
-    return calibrated(replace(session, values=values), ORIENTATION)
+    return calibrated(replace(session, values=values), QUATERNION)
 
 
 @real
