@@ -29,6 +29,7 @@ from typing import Any  # noqa: E402
 
 import conventions  # noqa: E402, F401 (registers its kinds)
 import good  # noqa: E402, F401
+import later  # noqa: E402, F401
 import numpy as np  # noqa: E402
 import physics  # noqa: E402, F401
 import real  # noqa: E402, F401
