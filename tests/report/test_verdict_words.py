@@ -45,6 +45,12 @@ def test_the_sentence_by_status(verdict: Verdict, words: str) -> None:
     assert words in judged(warm_cell(), verdict).verdict
 
 
+def test_the_source_of_a_floor_is_said_once_where_it_is_one() -> None:
+    assert "(0.055 mm, from postures visited again and 0.004°, as stated)" in judged(warm_cell(), FLOOR).verdict
+    both = replace(FLOOR, repeatability_deg=FLOOR.repeatability_mm)
+    assert "(0.055 mm and 0.004°, from postures visited again)" in judged(warm_cell(), both).verdict
+
+
 def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
     """Three of the 120 stations are 8.7 mm off; how many of them were held out is up to the split."""
     report = warm_cell()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from modcal_core.measurements.dropped import unexpected
 from modcal_core.report.counted import counted
-from modcal_core.verdict.verdict import Repeatability, Status, Verdict
+from modcal_core.verdict.verdict import Status, Verdict
 
 if TYPE_CHECKING:
     from modcal_core.report.report import Report
@@ -117,14 +117,14 @@ def _reasons(verdict: Verdict) -> str:
 
 
 def _floor(verdict: Verdict) -> str:
-    sizes = []
-    if verdict.floor_mm is not None:
-        sizes.append(f"{verdict.floor_mm:.3f} mm{_source(verdict.repeatability_mm)}")
+    """What the floor is, and how it is known."""
+    known = [(f"{verdict.floor_mm:.3f} mm", verdict.repeatability_mm.source)] if verdict.floor_mm is not None else []
     if verdict.floor_deg is not None:
-        sizes.append(f"{verdict.floor_deg:.3g}°{_source(verdict.repeatability_deg)}")
-    floor = f" ({' and '.join(sizes)})" if sizes else ""
-    return f"what is left is as small as this arm and this instrument can be{floor}."
+        known.append((f"{verdict.floor_deg:.3g}°", verdict.repeatability_deg.source))
+    if len({source for _, source in known}) == 1:
+        known = [(" and ".join(size for size, _ in known), known[0][1])]
+    sizes = " and ".join(f"{size}{_SOURCES[source]}" for size, source in known)
+    return f"what is left is as small as this arm and this instrument can be{f' ({sizes})' if sizes else ''}."
 
 
-def _source(known: Repeatability) -> str:
-    return {"revisits": ", from postures visited again", "stated": ", as stated"}.get(known.source or "", "")
+_SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
