@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
@@ -94,11 +94,6 @@ def moves_of(model: Model) -> tuple[Move, ...]:
         if is_move(effect):
             at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
     return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
-
-
-def is_move(effect: Effect) -> bool:
-    """Whether an effect is a move of base or tool at one moment."""
-    return effect.family == "step" and effect.place in ("base", "tool") and effect.shape.kind in ("step", "until")
 
 
 def _place(name: str) -> What:
