@@ -149,8 +149,7 @@ def test_a_regime_is_a_step_with_its_size_and_the_last_one_holds() -> None:
     np.testing.assert_allclose(tool, [0.0, 0.01, 0.0, 0.0, 0.3, 0.0], atol=2e-4)
     base = np.linalg.norm([steps["base"].parameters[d][0] for d in "xyz"])
     assert base == pytest.approx(np.hypot(0.01, 0.02), abs=2e-4)
-    assert "10.0" in steps["tool"].sentence
-    assert "17.19°" in steps["tool"].sentence
+    assert "10 mm and 300 mrad" in steps["tool"].sentence
     # all stations are met, and the model without its steps is that of the end
     assert report.rejection is not None
     assert report.rejection.stations == 0
