@@ -87,7 +87,7 @@ def calibrate(
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     samples, convention = proved(samples, chain)
     inertias, absurd = sane_inertias(inertias, chain)
-    regimes = find_regimes(samples, chain, cell, inertias)
+    regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
@@ -273,7 +273,7 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
-        rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out),
+        rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judge(case, grounds, cell.stated),
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.moves import WHATS, Move, What
 from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, from_data
@@ -29,10 +30,11 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_KEYS = {"distances", "fixed", "known", "own_target", "sockets", *STATEMENTS}
+_KEYS = {"distances", "fixed", "known", "own_target", "sockets", "moved", "own_in_recordings", *STATEMENTS}
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
+_AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
 
@@ -74,6 +76,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
                 f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
                 "give metres",
             )
+    own = data.get("own_in_recordings")
     return Cell(
         distances,
         (*(str(f) for f in data.get("fixed") or ()), *fixed),
@@ -81,6 +84,8 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(str(f) for f in data.get("own_target") or ()),
         stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
         tuple(str(f) for f in data.get("sockets") or ()),
+        tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
+        None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
     )
 
 
@@ -95,6 +100,17 @@ def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: 
         return read(data)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise BadTable(f"{path}: {what}", f"{data!r} is not {expected}: {error!r}", _REMEDY) from error
+
+
+def _move(data: Mapping[str, Any]) -> Move:
+    return Move(float(data["stamp"]), _what(data["what"]))
+
+
+def _what(said: Any) -> What:
+    for what in WHATS:
+        if said == what:
+            return what
+    raise ValueError(f"{said!r} is none of {', '.join(WHATS)}")
 
 
 def _distance(data: Mapping[str, Any]) -> AnyDistance:

@@ -10,11 +10,13 @@ from typing import cast
 
 import numpy as np
 
+from modcal_core.calibration.moves import Move
 from modcal_core.calibration.store import Calibration
 from modcal_core.loop import calibrate
 from modcal_core.measurements.dropped import together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.sequence import after, between
 from modcal_core.prepare import Prepared, prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
@@ -57,8 +59,14 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
     for other in more:
         added = prepare_pieces(read(other, watch), chain, clock_limit=wishes.clock_limit)
+        samples, late = after(added.samples, prepared.samples)
+        if late:
+            said = f"{other.name} overlaps the recordings before it in time: its stamps were put {late:.1f} s later."
+            added = replace(added, notes=(*added.notes, said))
+        if cell.own_in_recordings:
+            cell = cell.with_move(Move(between(prepared.samples, samples), cell.own_in_recordings))
         prepared = Prepared(
-            prepared.samples.followed_by(added.samples),
+            prepared.samples.followed_by(samples),
             (*prepared.notes, *added.notes),
             together([prepared.dropped, added.dropped]),
         )

@@ -11,6 +11,7 @@ from modcal_core.calibration.distances import AnyDistance, StationDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.moves import Move, What
 from modcal_core.calibration.parameters import with_prior
 from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import Stated
@@ -30,7 +31,8 @@ class Cell:
     distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
     instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
-    stated: repeatability and accuracy that were stated.
+    stated: repeatability and accuracy that were stated. moved: when base or tool are known to have been moved.
+    own_in_recordings: what each of several recordings has of its own.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -39,11 +41,17 @@ class Cell:
     own_target: tuple[str, ...] = ()
     stated: Stated = field(default_factory=Stated)
     sockets: tuple[str, ...] = ()
+    moved: tuple[Move, ...] = ()
+    own_in_recordings: What | None = None
 
     @property
     def kept(self) -> tuple[str, ...]:
         """Patterns of parameters that must not change: those fixed, and frames that are known in the base."""
         return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base"))
+
+    def with_move(self, move: Move) -> Cell:
+        """The same with one more move that is known of."""
+        return replace(self, moved=tuple(sorted((*self.moved, move), key=lambda m: m.at)))
 
     def met(self, samples: Samples) -> Cell:
         """The same with the stations found that distances are known between; raises BadTable where one is not there."""

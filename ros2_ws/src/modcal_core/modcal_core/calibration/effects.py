@@ -192,6 +192,16 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
     return np.array([*out, *(effect.shape.expected(name) for name in effect.refined)])
 
 
+def is_move(effect: Effect) -> bool:
+    """Whether an effect is a move of base or tool at one moment."""
+    return effect.family == "step" and effect.place in ("base", "tool") and effect.shape.kind in ("step", "until")
+
+
+def is_large_move(effect: Effect) -> bool:
+    """Whether it is a move by more than is expected of an effect: a linearised step tells nothing of it."""
+    return is_move(effect) and bool(np.abs(effect.amplitudes).max(initial=0.0) > EXPECTED_LENGTH)
+
+
 def place_index(place: str, chain: Mechanism) -> int:
     """0 … for base, joints and tool; READING for the tracker."""
     if place in chain.names:

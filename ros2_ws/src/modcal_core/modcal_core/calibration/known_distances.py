@@ -13,35 +13,35 @@ from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.measurements.samples import Samples
 
 CONTRADICTED = 4.0  # combined standard deviations
-_CHECKED = 1e-2  # share of a stated distance's variance that must be left for the data to have a say in it
+_ROUNDING = 1e-9  # share of a stated distance's variance; where less is left, nothing but the statement tells it
 
 
 @dataclass(frozen=True)
 class KnownDistance:
-    """A known distance: its ends by name, as stated with its deviation, and as the fit has it [m].
+    """A known distance: its ends by name, as stated with its deviation [m], and what the readings make of it.
 
-    std: deviation of the found distance. allowed: deviation of stated minus found, what the model does not explain
-    included; None where nothing but the statement itself tells the distance.
+    residual: stated minus that of the fit [m]. found, std: what the readings say of it by themselves, without this
+    statement, and its deviation, with what the model does not explain of the two ends [m].
     """
 
     name: str
     stated: float
     stated_std: float
+    residual: float
     found: float
     std: float
-    allowed: float | None
 
     @property
     def contradicted(self) -> bool:
         """Whether stated and found differ by more than their deviations allow."""
-        return self.allowed is not None and abs(self.stated - self.found) > CONTRADICTED * self.allowed
+        return abs(self.stated - self.found) > CONTRADICTED * float(np.hypot(self.stated_std, self.std))
 
     @property
     def sentence(self) -> str:
         """What a person should know of a contradiction."""
         return (
             f"The known distance {self.name} is stated as {1e3 * self.stated:.3f} ± {1e3 * self.stated_std:.3f} mm, "
-            f"the readings have {1e3 * self.found:.3f} mm"
+            f"the readings say {1e3 * self.found:.3f} ± {1e3 * self.std:.3f} mm"
         )
 
 
@@ -55,26 +55,22 @@ def distances_of(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -
 def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[KnownDistance, ...]:
     """Every known distance as a fit has it.
 
-    known: the uncertainty of the fit's model, the distances included in it. With the stated variance s² and the row J
-    of a distance, the residual's own variance is s² − J C Jᵀ; what the model leaves unexplained of either end comes on
-    top, for it is no noise that many readings average away.
+    known: the uncertainty of the fit's model, the distances included in it. With the stated variance s², the residual r
+    and the row J of a distance, its leverage is h = J C Jᵀ / s²; without it the residual were r / (1 − h) and the
+    variance of the modelled distance h s² / (1 − h). What the model leaves unexplained of either end comes on top, for
+    it is no noise that many readings average away.
     """
     parameters = known.parameters
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in fit.model.effects)])
     rows = distance_rows(fit.model, parameters, values, distances)
     of_found = np.einsum("kd,kl,ld->d", rows.J, known.covariance, rows.J)
-    return tuple(
-        _known(d, float(r), float(v), fit.spread.position, rows.std[i])
-        for i, (d, r, v) in enumerate(zip(distances, rows.residual, of_found, strict=True))
-    )
-
-
-def _known(distance: AnyDistance, residual: float, variance: float, unexplained: float, stated: float) -> KnownDistance:
-    free = stated**2 - variance
-    # both ends are off by what the model does not explain, along the line between them
-    allowed = float(np.sqrt(free + 2.0 * unexplained**2)) if free > _CHECKED * stated**2 else None
-    found = distance.distance - residual
-    return KnownDistance(_name(distance), distance.distance, stated, found, float(np.sqrt(max(variance, 0.0))), allowed)
+    out = []
+    for distance, r, v in zip(distances, rows.residual.tolist(), of_found.tolist(), strict=True):
+        free = max(1.0 - v / distance.std**2, _ROUNDING)
+        std = float(np.sqrt(max(v, 0.0) / free + 2.0 * fit.spread.position**2))
+        found = distance.distance - r / free
+        out.append(KnownDistance(_name(distance), distance.distance, distance.std, r, found, std))
+    return tuple(out)
 
 
 def _name(distance: AnyDistance) -> str:

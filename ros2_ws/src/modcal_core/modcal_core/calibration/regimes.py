@@ -16,14 +16,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.moves import Move as Move
+from modcal_core.calibration.moves import What
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.posture_order import explained_by_posture
@@ -40,8 +41,6 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-What = Literal["base", "tool", "both"]
-
 _MOST = 3000  # samples; a longer recording is thinned evenly
 _ROUNDS = 3  # of stretches and a fit of the arm
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
@@ -56,14 +55,6 @@ _WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
 
 
-@dataclass(frozen=True)
-class Move:
-    """Base, tool or both moved at a time [s] between two stations."""
-
-    at: float
-    what: What
-
-
 def find_regimes(
     samples: Samples, chain: Mechanism, cell: Cell, inertias: Inertias | None = None, told: Sequence[Move] = ()
 ) -> Model | None:
@@ -74,6 +65,7 @@ def find_regimes(
     places = _movable(samples, cell)
     if not places:
         return None
+    told = [move for move in told if samples.stamps.min() < move.at < samples.stamps.max()]
     if len(samples) > _MOST:
         samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST).astype(int)))
     nominal = fit_cell(chain, samples, cell, inertias)
@@ -94,11 +86,6 @@ def moves_of(model: Model) -> tuple[Move, ...]:
         if is_move(effect):
             at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
     return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
-
-
-def is_move(effect: Effect) -> bool:
-    """Whether an effect is a move of base or tool at one moment."""
-    return effect.family == "step" and effect.place in ("base", "tool") and effect.shape.kind in ("step", "until")
 
 
 def _place(name: str) -> What:

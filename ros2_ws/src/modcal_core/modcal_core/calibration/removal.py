@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modcal_core.calibration.effects import is_large_move
 from modcal_core.calibration.linearise import apply_deviations, deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.uncertainty import Uncertainty
@@ -18,6 +19,8 @@ from modcal_core.calibration.uncertainty import Uncertainty
 def without(model: Model, known: Uncertainty, gone: Sequence[int]) -> Model:
     """The model without the effects of these numbers. known: covariance of its parameters and effects' values."""
     P, effects = len(known.parameters), model.effects
+    if any(is_large_move(effects[i]) for i in gone):  # no small step of the others stands in for it
+        return model.with_effects(tuple(e for i, e in enumerate(effects) if i not in set(gone)))
     ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
     values = np.concatenate([np.zeros(P), *(e.values for e in effects)])
     # their settings mean nothing without their amplitudes

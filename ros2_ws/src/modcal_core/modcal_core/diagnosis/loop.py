@@ -244,14 +244,14 @@ class _Search:
 
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
-        pruned, gone = needless(
-            final, train, self.explain, self._geometric.spread, self.distances, keep=len(self.known)
-        )
+        stay = len(self.known)
+        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances, stay)
         if gone:
             known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
-            nested = (without(pruned.model, known, range(i + 1, len(kept))) for i in range(len(kept)))
-            self.causes = [replace(c, fit=replace(pruned, model=m)) for c, m in zip(kept, nested, strict=True)]
+            nested = (without(pruned.model, known, range(i + 1, len(kept))) for i in range(stay, len(kept)))
+            later = [replace(c, fit=replace(pruned, model=m)) for c, m in zip(kept[stay:], nested, strict=True)]
+            self.causes = [*kept[:stay], *later]
         return pruned
 
     def _missed(self, fit: Fit) -> float:

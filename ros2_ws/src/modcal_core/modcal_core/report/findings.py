@@ -14,12 +14,11 @@ import numpy as np
 from modcal_core.calibration.added import added_effects
 from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import ALL, AXIS, Effect
+from modcal_core.calibration.effects import ALL, AXIS, Effect, is_move
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.posture_order import joints_instead
-from modcal_core.calibration.regimes import is_move
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty

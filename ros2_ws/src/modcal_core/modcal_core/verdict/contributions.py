@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modcal_core.calibration.effects import is_large_move
 from modcal_core.calibration.linearise import model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors, errors
@@ -65,6 +66,8 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
 def removed(case: Case, effect: int) -> Model:
     """The final model without one of its effects, the rest fitted again by one step."""
     P, effects = len(case.known.parameters), case.model.effects
+    if is_large_move(effects[effect]):  # no small step of the others stands in for it
+        return case.model.with_effects(effects[:effect] + effects[effect + 1 :])
     ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
     own = slice(ends[effect], ends[effect + 1])
     gone = np.zeros(ends[effect + 1] - ends[effect])
