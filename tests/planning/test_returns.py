@@ -9,7 +9,8 @@ import pytest
 from cells import ur10
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.inspection import inspect, revisited
+from modcal_core.measurements.inspection import inspect
+from modcal_core.measurements.returns import returns
 from modcal_core.planning.returns import RETURNS, with_returns
 from modcal_core.planning.route import route
 from modcal_msgs_py.mcap_read import read_bag
@@ -42,8 +43,8 @@ def test_six_distinct_postures_left_in_between_and_come_back_to_from_another_sid
     assert max(lags) > 0.5
     seconds = np.sort([second for _, second in found.pairs])
     assert seconds[-1] - seconds[0] > 0.6 * count
-    assert revisited(stops) == RETURNS
-    assert revisited(q) == 0
+    assert len(returns(stops)) == RETURNS
+    assert returns(q) == []
 
 
 def test_a_short_tour_and_one_that_is_not_to_return_have_none() -> None:
@@ -67,11 +68,15 @@ def test_a_way_that_cannot_be_gone_is_not_gone() -> None:
         assert second + 1 == len(stops) or passable(stops[second], stops[second + 1])
 
 
-def test_visits_of_the_same_posture_count_once_and_standing_still_is_no_visit() -> None:
+def test_what_is_a_return_and_what_is_none() -> None:
     q = postures(5)
-    assert revisited(q[[0, 0, 0, 1, 2]]) == 0
-    assert revisited(q[[0, 1, 0, 2, 0]]) == 1
-    assert revisited(q[[0, 1, 0, 1, 2, 2]] + 1e-5 * postures(6, 1)) == 2
+    assert returns(q[[0, 0, 0, 1, 2]]) == []  # standing still
+    assert returns(q[[3, 0, 4, 0]])[0].tolist() == [1, 3]
+    assert returns(q[[3, 0, 3, 0]]) == []  # from the same side again
+    assert returns(q[[0, 1, 0]]) == []  # from where the first one was reached is not known
+    assert returns(q[[3, 0, 0, 4, 0]] + 1e-5 * postures(5, 1))[0].tolist() == [1, 4]
+    never_left = q[[3, 0, 0, 0]] + 1e-2 * np.array([0.0, 0.0, 1.0, 0.0])[:, None]
+    assert returns(never_left) == []
 
 
 def test_the_way_of_a_plan_comes_back() -> None:

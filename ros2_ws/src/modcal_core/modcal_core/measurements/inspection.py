@@ -5,21 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from modcal_core.errors import ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.returns import LEAST_RETURNS, returns
 from modcal_core.measurements.stations import StationRules, find_dwells
 from modcal_core.robots.mechanism import Mechanism
 
 _GAP = 10.0  # times the usual period that make a silence worth saying
-_SAME = 1e-3  # rad or m; joints that differ by less, in all, are in the same posture
-_RETURNS = 6  # postures visited again from which a verdict takes a floor
 _STUCK = 5  # identical readings in a row, of an instrument with noise
 
 
@@ -136,18 +132,6 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
     ]
 
 
-def revisited(q: Array) -> int:
-    """How many of these postures (N, n), in order of time, were left for another one and come back to later."""
-    if len(q) < 3:
-        return 0
-    q = q[np.r_[True, np.abs(np.diff(q, axis=0)).max(axis=1) > _SAME]]
-    pairs = cKDTree(q).query_pairs(_SAME, p=np.inf, output_type="ndarray")
-    graph = csr_matrix((np.ones(len(pairs)), pairs.T), shape=(len(q),) * 2)
-    posture = connected_components(graph, directed=False)[1]
-    stays = posture[np.r_[True, np.diff(posture) != 0]]
-    return int((np.bincount(stays) > 1).sum())
-
-
 def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
     """Without postures that are visited twice nobody knows how well the arm repeats, so no fit can be called good."""
     t, q = joint_stamps_and_positions(recording, chain.names)
@@ -158,13 +142,13 @@ def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
         q = q[np.searchsorted(t, dwells.mean(axis=1)).clip(max=len(t) - 1)]
     elif not sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings):
         return []  # readings in motion have no posture to come back to
-    count = revisited(q)
-    if count >= _RETURNS:
+    count = len(returns(q))
+    if count >= LEAST_RETURNS:
         return []
     few = "No posture is visited twice" if not count else f"Only {count} postures are visited twice"
     return [
-        f"{few}: the noise floor will be unknown; visit {_RETURNS} postures again, each from another side, or state "
-        "--repeatability-mm and --instrument-mm."
+        f"{few}: the noise floor will be unknown; visit {LEAST_RETURNS} postures again, each from another side, or "
+        "state --repeatability-mm and --instrument-mm."
     ]
 
 

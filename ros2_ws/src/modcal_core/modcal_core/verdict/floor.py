@@ -18,13 +18,10 @@ from modcal_core.calibration.score import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.returns import LEAST_RETURNS, returns
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.verdict import Interval, Repeatability
 
-LEAST_RETURNS = 6  # to as many distinct postures; a spread of 18 degrees of freedom is known to about a sixth
-SAME_RAD = 1e-3  # rad or m; controllers come back to some 1e-4, and the model corrects for what is left
-LEFT_RAD = 2e-2  # rad or m; what a joint must move in between, far beyond play and settling
-_TRAVEL = 5e-4  # rad or m; see measurements.approach
 _MOST_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
 
 
@@ -81,9 +78,7 @@ def floors(missed: Errors, samples: Samples, wrong: np.ndarray, stated: Stated |
 def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """For each posture that was come back to the rows of its visits, one a visit, in order of time.
 
-    A visit counts when a joint was more than LEFT_RAD away since the one before it, and when at least one joint arrives
-    the other way than at the first visit. Where the recording does not know how joints arrived, it is taken from where
-    the arm stood before: arms go from one station to the next.
+    What counts as one, see :mod:`modcal_core.measurements.returns`.
     """
     keep = ~samples.moving if wrong is None else ~(samples.moving | wrong)
     found: list[np.ndarray] = []
@@ -91,49 +86,8 @@ def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.nd
         rows = np.flatnonzero(keep & (samples.frame == f))
         rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
         if len(rows) > LEAST_RETURNS:
-            found += _returns_in_order(samples, rows)
+            found += [rows[visits] for visits in returns(samples.q[rows], samples.approach[rows])]
     return tuple(found)
-
-
-def _returns_in_order(samples: Samples, rows: np.ndarray) -> list[np.ndarray]:
-    """Visits among rows in order of time."""
-    q = samples.q[rows]
-    stood = np.r_[False, np.abs(np.diff(q, axis=0)).max(axis=1) <= SAME_RAD]
-    first = np.flatnonzero(~stood)  # of each dwell
-    if len(first) < 2:
-        return []
-    from scipy.spatial import cKDTree  # at the top, it would keep every node waiting
-
-    pairs = cKDTree(q[first]).query_pairs(SAME_RAD, p=np.inf, output_type="ndarray")
-    if not len(pairs):
-        return []
-    side = _sides(samples.approach[rows][first], q[first])
-    groups: dict[int, list[int]] = {}
-    leader: dict[int, int] = {}
-    for a, b in sorted(map(tuple, np.sort(pairs, axis=1).tolist())):
-        head = leader.get(a, a)
-        if b not in leader and (head == a or np.abs(q[first[head]] - q[first[b]]).max() <= SAME_RAD):
-            leader[b] = head
-            groups.setdefault(head, [head]).append(b)
-    out = []
-    for visits in groups.values():
-        used = [visits[0]]
-        for visit in visits[1:]:
-            between = q[first[used[-1]] : first[visit]]
-            left = np.abs(between - q[first[visit]]).max() > LEFT_RAD
-            if left and (side[visit] * side[used[0]] < 0).any():
-                used.append(visit)
-        if len(used) > 1:
-            out.append(rows[first[used]])
-    return out
-
-
-def _sides(approach: Array, q: Array) -> Array:
-    """Which way each joint arrives, −1, 0 or 1, (V, n): as recorded, else as it comes from the visit before."""
-    step = np.diff(q, axis=0, prepend=q[:1])
-    come = np.where(np.abs(step) > _TRAVEL, np.sign(step), 0.0)
-    known = (approach != 0.0).any(axis=1)
-    return np.where(known[:, None], approach, come)
 
 
 def _of_returns(residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None) -> Floor | None:

@@ -7,11 +7,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from modcal_core.calibration.stated import Stated
+from modcal_core.measurements.returns import LEAST_RETURNS
 from modcal_core.verdict.account import account
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.contributions import Contribution, contributions, mean_square, resampled
 from modcal_core.verdict.estimation import estimation
-from modcal_core.verdict.floor import LEAST_RETURNS, Floor, Floors, floors
+from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
