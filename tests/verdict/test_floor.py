@@ -130,3 +130,34 @@ def test_scatter_within_a_dwell_is_no_floor() -> None:
     assert report.judged.floor_mm is None
     assert reading_scatter_mm(samples) == pytest.approx(1e3 * np.sqrt(3.0) * NOISE_M)
     assert report.judged.status == "cannot_tell"
+
+
+def test_returns_that_jump_are_no_repeatability() -> None:
+    samples = visited(3, 40, 8)
+    good = np.zeros(len(samples), bool)
+    missed = noise(samples, np.random.default_rng(5))
+    assert floors(missed, samples, good, None).contradictions == ()
+    for rows in returns_of(samples)[::2]:
+        missed.position[rows[1]] += [0.0, 5e-3, 0.0]
+    (said,) = floors(missed, samples, good, None).contradictions
+    assert "4 agree" in said
+    assert "jump" in said
+
+
+def test_noise_along_a_line_does_not_jump() -> None:
+    samples = visited(3, 40, 8)
+    rng = np.random.default_rng(6)
+    count = 0
+    for _ in range(300):
+        missed = noise(samples, rng)
+        line = replace(missed, position=missed.position * [1.0, 0.0, 0.0])
+        count += bool(floors(line, samples, np.zeros(len(samples), bool), None).contradictions)
+    assert count <= 3
+
+
+def test_returns_that_differ_by_more_than_was_stated() -> None:
+    samples = visited(3, 40, 8)
+    missed, good = noise(samples, np.random.default_rng(5)), np.zeros(len(samples), bool)
+    assert floors(missed, samples, good, Stated(repeatability_mm=0.02, instrument_mm=0.01)).contradictions == ()
+    (said,) = floors(missed, samples, good, Stated(repeatability_mm=0.004, instrument_mm=0.001)).contradictions
+    assert "0.00412 mm was stated" in said

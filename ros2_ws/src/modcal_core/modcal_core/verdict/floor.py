@@ -22,6 +22,8 @@ from modcal_core.measurements.returns import LEAST_RETURNS, returns
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.verdict import Interval, Repeatability
 
+_JUMP = 30.0  # times; six Gaussian differences along one line leave such a gap among their sizes once in some 700
+_MORE_THAN_STATED = 1.44  # times the square, as for the error itself
 _MOST_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
 
 
@@ -46,13 +48,16 @@ class Floor:
 
 @dataclass(frozen=True)
 class Floors:
-    """Floors of position [mm²] and of orientation [deg²]; None where not known. returns: how many postures were come
-    back to, known or not.
+    """Floors of position [mm²] and of orientation [deg²]; None where not known.
+
+    returns: how many postures were come back to, known or not. contradictions: a sentence for each thing that returns
+    contradict: what was stated, or each other.
     """
 
     position: Floor | None = None
     rotation: Floor | None = None
     returns: int = 0
+    contradictions: tuple[str, ...] = ()
 
 
 def floors(missed: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None) -> Floors:
@@ -62,17 +67,53 @@ def floors(missed: Errors, samples: Samples, wrong: np.ndarray, stated: Stated |
     """
     stated = stated or Stated()
     visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
-    position = _of_returns(1e3 * missed.position, visits, stated.instrument_mm)
-    rotation = None
+    residual = 1e3 * missed.position
+    position = _of_returns(residual, visits, stated.instrument_mm)
+    told = _stated(stated.rms_mm, stated.instrument_mm)
+    against = (*_jumps(residual, visits, "mm"), *_beyond(position, told, "mm"))
+    rotation = turned = None
     if samples.is_pose.any():
         angles = np.full((len(samples), 3), np.nan)
         angles[samples.is_pose] = np.degrees(missed.rotation)
-        turned = tuple(rows[samples.is_pose[rows]] for rows in visits)
-        turned = tuple(rows for rows in turned if len(rows) > 1)
-        rotation = _of_returns(angles, turned, stated.instrument_deg) or _stated(
-            stated.repeatability_deg, stated.instrument_deg
-        )
-    return Floors(position or _stated(stated.rms_mm, stated.instrument_mm), rotation, len(visits))
+        posed = tuple(rows[samples.is_pose[rows]] for rows in visits)
+        posed = tuple(rows for rows in posed if len(rows) > 1)
+        rotation = _of_returns(angles, posed, stated.instrument_deg)
+        turned = _stated(stated.repeatability_deg, stated.instrument_deg)
+        against = (*against, *_jumps(angles, posed, "°"), *_beyond(rotation, turned, "°"))
+    return Floors(position or told, rotation or turned, len(visits), against)
+
+
+def _scatter(residual: Array, visits: tuple[np.ndarray, ...]) -> tuple[Array, Array]:
+    """Sums of squares about the mean of each posture's visits, and their numbers of differences."""
+    scatter = np.array([np.sum((residual[rows] - residual[rows].mean(axis=0)) ** 2) for rows in visits])
+    return scatter, np.array([len(rows) - 1.0 for rows in visits])
+
+
+def _jumps(residual: Array, visits: tuple[np.ndarray, ...], unit: str) -> tuple[str, ...]:
+    """A sentence where some returns agree and several others differ by far more: that is no repeatability."""
+    if len(visits) < LEAST_RETURNS:
+        return ()
+    scatter, freedom = _scatter(residual, visits)
+    size = np.sort(np.sqrt(scatter / freedom))
+    first, last = len(size) // 4, len(size) - 2  # one alone is a wrong reading
+    ratio = size[first + 1 : last + 1] / np.maximum(size[first:last], 1e-12)
+    if ratio.max() < _JUMP:
+        return ()
+    k = first + int(np.argmax(ratio)) + 1
+    return (
+        f"Of {len(size)} postures that were visited again, {k} agree to {size[k - 1]:.2g} {unit} and {len(size) - k} "
+        f"differ by {size[k]:.2g} to {size[-1]:.2g} {unit}: readings or the arm jump.",
+    )
+
+
+def _beyond(seen: Floor | None, stated: Floor | None, unit: str) -> tuple[str, ...]:
+    """A sentence where returns show more than was stated."""
+    if seen is None or stated is None or seen.interval[0] <= _MORE_THAN_STATED * stated.square:
+        return ()
+    return (
+        f"{stated.rms:.3g} {unit} was stated for the arm and the instrument together, and postures that were visited "
+        f"again differ by {seen.rms:.3g} {unit}.",
+    )
 
 
 def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
@@ -94,8 +135,7 @@ def _of_returns(residual: Array, visits: tuple[np.ndarray, ...], instrument: flo
     """The floor of residuals (N, 3) [mm or deg] by these visits, None where they are too few."""
     if len(visits) < LEAST_RETURNS:
         return None
-    freedom = np.array([len(rows) - 1.0 for rows in visits])
-    scatter = np.array([np.sum((residual[rows] - residual[rows].mean(axis=0)) ** 2) for rows in visits])
+    scatter, freedom = _scatter(residual, visits)
     each = scatter / freedom
     # one wrong reading among them must not set the floor
     usual = float(np.median(each / _median_factor(freedom))) + 1e-30

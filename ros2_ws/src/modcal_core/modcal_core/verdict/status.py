@@ -46,7 +46,7 @@ def judge(
         *_reasons("not_converged", _not_reached(grounds)),
         *_reasons("rejected", _rejected(case, grounds)),
         *_reasons("not_applied", _not_applied(case, grounds)),
-        *_reasons("contradiction", grounds.contradictions),
+        *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
         *_reasons("predictable", _predictable(seen)),
         *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
         *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
