@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration.added import added_effects
 from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import ALL, AXIS, Effect, is_move
+from modcal_core.calibration.effects import ALL, AXIS, Effect, is_large_move, is_move
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
@@ -62,7 +62,8 @@ class Finding:
     @property
     def shown(self) -> bool:
         """Whether held-out stations show that it brings something."""
-        return self.ci95 is None or self.ci95[0] > 0.0
+        # large moves were let in by what positions and orientations of unseen stations gain together
+        return self.ci95 is None or self.ci95[0] > 0.0 or any(is_large_move(effect) for effect in self.effects)
 
     @property
     def chance(self) -> str:
