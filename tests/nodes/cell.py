@@ -8,7 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from nodes.processes import SLOWER
+from nodes.processes import SLOWER, meet
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -137,10 +137,10 @@ class Said:
 def call(node: Node, wait: Wait, name: str, seconds: float = 120.0) -> Trigger.Response:
     """The answer of a Trigger service.
 
-    A server that has just been found may not have found the caller yet, and its answer is then lost: it is asked again.
+    On a busy machine the answer may be lost all the same, and it is asked again.
     """
     client = node.create_client(Trigger, name)
-    wait(client.service_is_ready, 60.0)
+    meet(wait, client)
     answers = []
     asked = -_ASK_AGAIN
     end = time.monotonic() + SLOWER * seconds

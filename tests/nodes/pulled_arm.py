@@ -16,6 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes.cell import Health
 from nodes.polling import Polled
+from nodes.processes import meet
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -156,7 +157,7 @@ class PulledArm:
         return self._call(wait, self._asks[what], Trigger.Request())
 
     def _call(self, wait: Wait, client: Any, request: Any) -> Any:
-        wait(client.service_is_ready, 60.0)
+        meet(wait, client)
         for _ in range(5):
             future = client.call_async(request)
             with contextlib.suppress(AssertionError):

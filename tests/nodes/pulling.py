@@ -14,7 +14,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes.plain_pulls import Pull
 from nodes.polling import Polled
-from nodes.processes import ROOT, Process, fresh_domain, listener, running
+from nodes.processes import ROOT, Process, fresh_domain, listener, meet, running
 from nodes.talking import RELIABLE, Diagnostics
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -75,7 +75,7 @@ class Opening:
 def call(node: Node, wait: Wait, kind: type, name: str, request: Any, patience: float = 30.0) -> Any:
     """The answer of a service; asked again where the question was lost."""
     client = node.create_client(kind, name)
-    wait(client.service_is_ready, patience)
+    meet(wait, client)
     for _ in range(3):
         answer = client.call_async(request)
         with contextlib.suppress(AssertionError):
