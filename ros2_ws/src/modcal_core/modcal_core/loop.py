@@ -116,6 +116,8 @@ def calibrate(
         "final": errors(final.model, scored),
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
+    if added:
+        added[-1] = replace(added[-1], errors=left["final"])  # what the final model leaves, its moments sharpened
     steps = (Step("geometry", left["geometric"]), *added)
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
