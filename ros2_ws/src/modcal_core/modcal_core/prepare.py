@@ -18,6 +18,7 @@ from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.other_joints import other_joints
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import StationRules, cut_stations
@@ -61,6 +62,7 @@ def prepare(
         if not stood:
             said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
             notes = (said, *notes)
+    samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     return Prepared(samples, recording.warnings + notes, dropped(aligned, samples, rules, since, until))
 
 

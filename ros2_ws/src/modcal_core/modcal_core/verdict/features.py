@@ -17,6 +17,7 @@ from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
 
 _OWN_WAVES = 6  # waves a turn of a joint's own position
@@ -26,6 +27,7 @@ _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enou
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
 _MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
+_MOST_NAMED = 6  # signals that a sentence names
 _MOST_SIGNALS = 40
 
 
@@ -163,7 +165,10 @@ class _Builder:
         if not len(numbers):
             return None
         where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
-        return self._group("recorded signals", [self._times(where, numbers)])
+        called = [spoken_name(name) for name in names]
+        more = f" and {len(called) - _MOST_NAMED} more" if len(called) > _MOST_NAMED else ""
+        said = f"what was recorded of {', '.join(called[:_MOST_NAMED])}{more}"
+        return self._group(said, [self._times(where, numbers)])
 
     def single_waves(self) -> Group:
         """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints."""

@@ -18,7 +18,8 @@ from modcal_core.calibration.score import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.returns import LEAST_RETURNS, returns
+from modcal_core.measurements.other_joints import others_at
+from modcal_core.measurements.returns import LEAST_RETURNS, SAME, returns
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.verdict import Interval, Repeatability
 
@@ -122,12 +123,19 @@ def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.nd
     What counts as one, see :mod:`modcal_core.measurements.returns`.
     """
     keep = ~samples.moving if wrong is None else ~(samples.moving | wrong)
+    others = others_at(samples)
     found: list[np.ndarray] = []
     for f in range(len(samples.frames)):
         rows = np.flatnonzero(keep & (samples.frame == f))
         rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
         if len(rows) > LEAST_RETURNS:
-            found += [rows[visits] for visits in returns(samples.q[rows], samples.approach[rows])]
+            for visits in returns(samples.q[rows], samples.approach[rows]):
+                # what else moves may weigh on the arm: only where it stands as before is it the same posture
+                same = rows[visits][
+                    np.abs(others[rows[visits]] - others[rows[visits[0]]]).max(axis=1, initial=0.0) <= SAME
+                ]
+                if len(same) > 1:
+                    found.append(same)
     return tuple(found)
 
 
