@@ -23,6 +23,7 @@ from modcal_core.calibration.known_distances import contradictions as contradict
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moments import sharpened
+from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.regimes import find_regimes, moves_of
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import Errors, errors, outlying, usual_scatter
@@ -94,7 +95,7 @@ def calibrate(
 
     nominal = fit_cell(chain, train, cell, inertias, regimes)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
-    geometric = identify(nominal.model, train, choice.parameters, cell.distances)
+    geometric = identify_moved(nominal.model, train, choice.parameters, cell.distances)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train)
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
@@ -181,7 +182,7 @@ def ship(
     if wrong is not None and wrong.any():
         samples = samples.select(np.flatnonzero(~wrong))
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
-    fit = last = identify(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
+    fit = last = identify_moved(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
     fits = [nominal, fit]
     geometric = fit.model
     if scored is None or not scored.model.effects:

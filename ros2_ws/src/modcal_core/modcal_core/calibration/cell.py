@@ -11,7 +11,7 @@ from modcal_core.calibration.distances import AnyDistance, StationDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.calibration.moves import Move, What
+from modcal_core.calibration.moves import Move, What, identify_moved
 from modcal_core.calibration.parameters import with_prior
 from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import Stated
@@ -91,7 +91,7 @@ def fit_cell(
     cell.require_frames(samples.frames)
     start = replace(start, arm=place_model(chain, samples.frames, inertias).arm)
     choice = choose_parameters(start, views_of(samples), cell.kept, cell.distances, among=lambda p: not p.of_arm)
-    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, tolerance=FITTED)
+    return identify_moved(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, FITTED)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:

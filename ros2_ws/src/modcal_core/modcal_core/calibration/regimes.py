@@ -24,7 +24,7 @@ from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, E
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import Move as Move
-from modcal_core.calibration.moves import What
+from modcal_core.calibration.moves import What, identify_moved
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.posture_order import explained_by_posture
@@ -194,7 +194,7 @@ class _Search:
 
     def fit(self, start: Model, samples: Samples, tolerance: float = _TOLERANCE) -> Fit:
         """The fit of arm and moves, or of others' effects, to these samples."""
-        return identify(start, samples, self.parameters, self.cell.distances, tolerance=tolerance)
+        return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
 
     def decided(self, moves: list[Move], told: tuple[Move, ...]) -> list[Move]:
         """The moves that do better on unseen stations than none, each of what it must be of."""

@@ -28,7 +28,7 @@ _FAR = 3.0  # usual misses beyond which a station is missed altogether
 _CHANGE = 4.0 * _FAR**2  # a change must be worth as much as four stations that are missed altogether
 _ROUNDS = 3
 _TURNS = 12  # of tool and base in turn, each in closed form
-MOST_STRETCHES = 6  # more are no moves, but a motion
+MOST_STRETCHES = 10  # more are no moves, but a motion
 
 Stretches = list[tuple[int, int]]  # first, end, in order of time
 
