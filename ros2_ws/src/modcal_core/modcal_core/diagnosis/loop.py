@@ -37,6 +37,7 @@ _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fit
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3
+_MOST_REFUSED_OF_MANY = 1  # where each one costs seconds; with none, one that ties by chance ends the search
 _SURE = 5.0  # standard deviations from which a mass is believed
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
@@ -113,7 +114,7 @@ def diagnose(
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
     flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
-    patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
+    patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else _MOST_REFUSED_OF_MANY
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
         evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]

@@ -1,4 +1,4 @@
-"""Joints that are recorded beside the arm's own: another arm, a gantry, a gripper. What they do may move the tool too."""
+"""Joints that are recorded beside the arm's own: another arm, a gantry, a gripper. They may move the tool too."""
 
 from __future__ import annotations
 
