@@ -73,15 +73,17 @@ def predictable(case: Case) -> Predictable:
     r = layout.flat(_drawn_in(residual * weight))
     U = _parameters(J * weight, case)
     free = U if case.fitted else U[:0]
-    baseline, project = Baseline(layout.flat(free), layout), _Projection(free)
+    baseline, project = Baseline(layout.flat(free), layout), _Projection(layout.flat(free))
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
     for group in groups(case.model, samples, weight):
-        columns, raw = layout.flat(project(group.columns)), layout.flat(group.columns)
-        size = np.linalg.norm(columns, axis=0)
-        keep = size > _LEAST_NEW * np.linalg.norm(raw, axis=0)
+        columns = layout.flat(group.columns)
+        before = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        columns = project(columns)
+        size = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        keep = size > _LEAST_NEW * before
         if keep.any():
-            columns = columns[:, keep] / size[keep]
+            columns = columns / size if keep.all() else columns[:, keep] / size[keep]
             tests.append(Few(group.name, columns, layout) if group.few else Ridge.of(group.name, columns, layout))
     return _weighed(tests, baseline, r, own, layout, unit)
 
@@ -164,19 +166,15 @@ class _Projection:
     """What is left of columns when a regression on U is taken out of them."""
 
     def __init__(self, U: Array) -> None:
-        """U: regressors (K, 6, N) of unit variance, of which there may be none."""
-        flat = U.reshape(len(U), U.shape[1] * U.shape[2])
-        value, vector = np.linalg.eigh(flat @ flat.T)
+        """U: regressors (R, K) of unit variance, of which there may be none."""
+        value, vector = np.linalg.eigh(U.T @ U)
         keep = value > 1e-12 * value.max(initial=1e-300)
-        self._Q = (vector[:, keep].T @ flat) / np.sqrt(value[keep])[:, None]
+        self._Q = (U @ vector[:, keep]) / np.sqrt(value[keep])
         self._out = (value[keep] / (1.0 + value[keep]))[:, None]
 
     def __call__(self, x: Array) -> Array:
-        """Columns (D, 6, N) less what U predicts of them."""
-        if not len(self._Q):
-            return x
-        flat = x.reshape(len(x), -1)
-        return np.asarray(flat - ((self._out * (self._Q @ flat.T)).T @ self._Q)).reshape(x.shape)
+        """Columns (R, D) less what U predicts of them."""
+        return np.asarray(x - self._Q @ (self._out * (self._Q.T @ x))) if self._Q.shape[1] else x
 
 
 def _drawn_in(residual: Array) -> Array:
