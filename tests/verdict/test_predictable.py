@@ -95,7 +95,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
         ("backlash", "arrived"),
         ("payload", "load"),
         ("two joints", "waves of the joint positions"),
-        ("signal", "recorded signals"),
+        ("signal", "what was recorded of"),
         ("drift", "order of the stations"),
     ],
 )
