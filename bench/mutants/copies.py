@@ -15,8 +15,8 @@ from pathlib import Path
 from fragments import SOURCES
 
 PROBE = Path(__file__).with_name("probe.py")
-# another ROS that is sourced would put its modules before those of .venv
 _MADE = re.compile(r"__pycache__|\.egg-info")
+# another ROS that is sourced would put its modules before those of .venv
 _FOREIGN = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "VIRTUAL_ENV"}
 
 

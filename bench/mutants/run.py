@@ -11,6 +11,7 @@ import hashlib
 import json
 import queue
 import shlex
+import signal
 import sys
 import tempfile
 import threading
@@ -155,7 +156,7 @@ class Bench:
     def map(self) -> Map:
         """The map, after as much of the marked run as is still to do."""
         finished = self.kept / "finished"
-        if not finished.exists():
+        if not finished.exists() and not self.options.so_far:
             print(f"marked run of the tests, into {self.kept}", flush=True)
             self._run_marked()
             if not self.options.paths:
@@ -339,10 +340,13 @@ def main() -> None:
     parse.add_argument(
         "--keep", action="store_true", help="take over from the last map what test files say that have not changed"
     )
+    parse.add_argument("--so-far", action="store_true", help="no marked run: judge by what has been marked already")
     parse.add_argument("--again", action="store_true", help="also those whose outcome is known")
     parse.add_argument("--most", type=float, default=400.0, help="seconds of tests that one mutant is shown to")
     parse.add_argument("--prefix", type=shlex.split, default=[], help="words before each command, such as 'nice -n 10'")
     options = parse.parse_args()
+    for number in (signal.SIGINT, signal.SIGTERM):  # also in the background: what was started is ended, files put back
+        signal.signal(number, signal.default_int_handler)
     mutants = [m for m in SAMPLE if not options.only or any(_meant(m, pattern) for pattern in options.only)]
     if options.list:
         for mutant in mutants:
