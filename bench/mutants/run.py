@@ -17,15 +17,15 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from copies import Copy, digests
 from fragments import Mutant, NotApplicable, Place, find, functions, marked
+from maps import Map, Test, lines_of
 from probe import RECORD, SKIP, TESTS
 from sample import SAMPLE
 
@@ -33,73 +33,6 @@ ROOT = Path(__file__).resolve().parents[2]
 _FIRST, _MORE = 15.0, 4.0  # s of tests in the first round, and how many times as many in the next
 _LEAST_LIMIT, _PATIENCE = 60.0, 8.0  # s that any test may take, and how many times as long as it usually does
 KILLED, SURVIVED, GONE, UNSEEN = "killed", "survived", "not applicable", "reached by no test"
-
-
-@dataclass
-class Test:
-    """A test of the marked run. waits: whether it starts nodes, which a busy machine may keep waiting."""
-
-    name: str
-    seconds: float
-    waits: bool
-    fixtures: frozenset[str]
-
-    @property
-    def file(self) -> str:
-        """The file it stands in."""
-        return self.name.split("::")[0]
-
-
-@dataclass
-class Map:
-    """Tests that pass without any fault, by name, and which of them come by each mutant."""
-
-    tests: dict[str, Test] = field(default_factory=dict)
-    reach: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-
-    @classmethod
-    def read(cls, lines: Iterable[dict[str, Any]]) -> Map:
-        """The map that a record makes."""
-        lines = list(lines)
-        out = cls()
-        for line in lines:
-            if "done" in line and line["outcome"] == "passed":
-                name = line["done"]
-                out.tests[name] = Test(name, line["seconds"], line["waits"], frozenset(line["fixtures"]))
-        users: dict[str, set[str]] = defaultdict(set)  # those that call a cached helper
-        for _ in range(2):  # a helper may call another
-            for line in lines:
-                if "uses" in line:
-                    users[line["uses"]] |= out._behind(line, users)
-        seen: dict[tuple[str | None, ...], set[str]] = {}
-        for line in lines:
-            if "mutant" in line:
-                key = line["test"], line["shared"], line["file"]
-                seen[key] = seen.get(key) or out._behind(line, users)
-                out.reach[line["mutant"]] |= seen[key]
-        return out
-
-    def _behind(self, line: dict[str, Any], users: dict[str, set[str]]) -> set[str]:
-        """The tests that depend on what was going on."""
-        name = (line["test"] or "").rpartition(" (")[0]
-        file = line["file"] or name.split("::")[0]
-        kind, _, what = (line["shared"] or "").partition(" ")
-        found = {name} & self.tests.keys()
-        if kind == "helper":
-            return found | users[what]
-        if kind:
-            anywhere = kind in ("session", "package")
-            return found | {t.name for t in self.tests.values() if what in t.fixtures and (anywhere or t.file == file)}
-        return found | {t.name for t in self.tests.values() if line["file"] and t.file == file}
-
-    def order(self, mutant: Mutant) -> list[Test]:
-        """The tests for a mutant: cheap files first, and last what else stands in the files that it reaches."""
-        reached = [self.tests[name] for name in self.reach.get(mutant.name, ()) if name in self.tests]
-        files: dict[str, float] = defaultdict(float)
-        for test in reached:
-            files[test.file] += test.seconds
-        others = [t for t in self.tests.values() if t.file in files and t not in reached]
-        return [t for part in (reached, others) for t in sorted(part, key=lambda t: (files[t.file], t.file, t.seconds))]
 
 
 class Bench:
@@ -139,7 +72,7 @@ class Bench:
             return test.split("::")[0] in same
 
         for name in ("record.jsonl", "results.jsonl"):
-            lines = [line for line in _lines(before / name) if stands(line)]
+            lines = [line for line in lines_of(before / name) if stands(line)]
             (self.kept / name).write_text("".join(json.dumps(line) + "\n" for line in lines))
         (self.kept / "sample.json").write_text((before / "sample.json").read_text())
 
@@ -161,7 +94,7 @@ class Bench:
             self._run_marked()
             if not self.options.paths:
                 finished.touch()
-        return Map.read(_lines(self.record))
+        return Map.read(lines_of(self.record))
 
     def _run_marked(self) -> None:
         copy = self.copy("marked")
@@ -178,7 +111,7 @@ class Bench:
             for folder in self.options.paths or _folders(copy.root / "tests"):
                 begun = time.monotonic()
                 self._marked_part(copy, [*parallel, folder])
-                lines = [line for line in _lines(self.record) if line.get("done", "").startswith(folder)]
+                lines = [line for line in lines_of(self.record) if line.get("done", "").startswith(folder)]
                 failed = [line["done"] for line in lines if line["outcome"] == "failed"]
                 print(f"  {folder}: {len(lines)} tests in {time.monotonic() - begun:.0f} s", flush=True)
                 if failed:  # once more, one after the other: what fails by itself says nothing of a mutant
@@ -190,11 +123,11 @@ class Bench:
 
     def _marked_part(self, copy: Copy, arguments: list[str]) -> None:
         done = self.kept / "done.json"
-        done.write_text(json.dumps([line["done"] for line in _lines(self.record) if "done" in line]))
+        done.write_text(json.dumps([line["done"] for line in lines_of(self.record) if "done" in line]))
         copy.pytest(arguments, {RECORD: str(self.record), SKIP: str(done)}, 4 * 3600.0, self.options.prefix)
 
     def _forget(self, failed: list[str]) -> None:
-        lines = [line for line in _lines(self.record) if line.get("done") not in failed]
+        lines = [line for line in lines_of(self.record) if line.get("done") not in failed]
         self.record.write_text("".join(json.dumps(line) + "\n" for line in lines))
 
     # what they find
@@ -202,7 +135,7 @@ class Bench:
     def judge_all(self, tests: Map) -> dict[str, dict[str, Any]]:
         """Outcome of every mutant by name, what is known already included."""
         marked_ones = set(json.loads((self.kept / "sample.json").read_text()))
-        known = {line["name"]: line for line in _lines(self.results)}
+        known = {line["name"]: line for line in lines_of(self.results)}
         found: dict[str, dict[str, Any]] = {}
         left: list[Mutant] = []
         for mutant in self.mutants:
@@ -282,7 +215,7 @@ class Bench:
         arguments = ["-n0", "-x", f"--timeout={each:.0f}", *dict.fromkeys(t.file for t in part)]
         seconds = _LEAST_LIMIT + _PATIENCE * sum(t.seconds for t in part) + each
         code = copy.pytest(arguments, {RECORD: str(record), TESTS: str(names)}, seconds, self.options.prefix)
-        done = {line["done"]: line["outcome"] for line in _lines(record) if "done" in line}
+        done = {line["done"]: line["outcome"] for line in lines_of(record) if "done" in line}
         for test in part:
             if done.get(test.name) == "failed":
                 return test
@@ -294,16 +227,6 @@ class Bench:
 
 def _short(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:8]
-
-
-def _lines(path: Path) -> list[dict[str, Any]]:
-    out = []
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            out.append(json.loads(line))
-        except json.JSONDecodeError:  # the last one, where a run was interrupted
-            continue
-    return out
 
 
 def _folders(tests: Path) -> list[str]:
