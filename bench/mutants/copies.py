@@ -17,7 +17,10 @@ from fragments import SOURCES
 PROBE = Path(__file__).with_name("probe.py")
 _MADE = re.compile(r"__pycache__|\.egg-info")
 # another ROS that is sourced would put its modules before those of .venv
-_FOREIGN = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "VIRTUAL_ENV"}
+_FOREIGN = {
+    "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH",
+    "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+}  # fmt: skip
 
 
 def files_of(root: Path) -> list[Path]:
@@ -40,6 +43,7 @@ class Copy:
     def __init__(self, folder: Path, root: Path, tests: Path | None = None) -> None:
         """Make it, or take one that stands there already. tests: a folder in place of the checkout's own."""
         self.root = folder / "main"
+        self._process: subprocess.Popen[bytes] | None = None
         if not (folder / "ready").exists():
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
@@ -96,7 +100,7 @@ class Copy:
         command = [*prefix, str(self.root / ".venv/bin/python"), "-m", "pytest", "-q", "-p", "mutants_probe"]
         log = self.root.parent / "pytest.log"
         with log.open("ab") as stream:
-            process = subprocess.Popen(
+            self._process = process = subprocess.Popen(
                 [*command, "-p", "no:cacheprovider", *arguments],
                 cwd=self.root,
                 env=environment(settings),
@@ -109,10 +113,14 @@ class Copy:
             except subprocess.TimeoutExpired:
                 return -1
             finally:
-                if process.poll() is None:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.killpg(process.pid, signal.SIGKILL)
-                    process.wait()
+                self.end()
+
+    def end(self) -> None:
+        """End what is running, with all that it has started."""
+        if self._process is not None and self._process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
 
 
 def environment(settings: Mapping[str, str]) -> dict[str, str]:

@@ -40,6 +40,7 @@ class Bench:
 
     def __init__(self, options: argparse.Namespace, mutants: Sequence[Mutant]) -> None:
         self.options, self.mutants = options, mutants
+        self.ended = False  # interrupted: what still comes in says nothing
         self.places: dict[str, Place] = {}
         self.gone: dict[str, str] = {}
         for mutant in SAMPLE:  # all are marked, whichever are asked for this time
@@ -153,27 +154,36 @@ class Bench:
                 left.append(mutant)
         if left:
             print(f"{len(left)} mutants, on {self.options.jobs} copies", flush=True)
+            everyone = [self.copy(str(number)) for number in range(self.options.jobs)]
             copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
-            for number in range(self.options.jobs):
-                copies.put(self.copy(str(number)))
+            for copy in everyone:
+                copies.put(copy)
             lock = threading.Lock()
 
             def work(mutant: Mutant) -> None:
-                copy = copies.get()
-                begun = time.monotonic()
+                copy, begun = copies.get(), time.monotonic()
                 try:
                     line = self._judge(mutant, tests, copy)
                 finally:
                     copies.put(copy)
                 line |= {"name": mutant.name, "new": mutant.new, "took": round(time.monotonic() - begun, 1)}
                 with lock, self.results.open("a") as stream:
+                    if self.ended:
+                        return
                     stream.write(json.dumps(line) + "\n")
                     found[mutant.name] = line
                     print(f"  {line['outcome']:8} {line['took']:5.0f} s  {mutant.name}  {line['by']}", flush=True)
 
             with ThreadPoolExecutor(self.options.jobs) as pool:
-                for done in [pool.submit(work, mutant) for mutant in left]:
-                    done.result()
+                try:
+                    for done in [pool.submit(work, mutant) for mutant in left]:
+                        done.result()
+                except BaseException:
+                    self.ended = True
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    for copy in everyone:
+                        copy.end()
+                    raise
         return found
 
     def _judge(self, mutant: Mutant, tests: Map, copy: Copy) -> dict[str, Any]:
@@ -191,7 +201,7 @@ class Bench:
     def _shown(self, order: list[Test], copy: Copy) -> dict[str, Any]:
         spent, size, ran = 0.0, _FIRST, 0
         waiting = list(order)
-        while waiting and spent < self.options.most:
+        while waiting and spent < self.options.most and not self.ended:
             part: list[Test] = []
             while waiting and (not part or sum(t.seconds for t in part) < size):
                 part.append(waiting.pop(0))
