@@ -16,8 +16,8 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test quick mutants lint format bench undeclared closed-loop \
-	soak long-bag doors articulation control-tick synthesis modular planning limits delta docs reference lock clean
+.PHONY: help setup setup-test build demo test quick mutants lint format bench undeclared verdict closed-loop \
+	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms docs reference lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -64,6 +64,9 @@ bench: setup-test build  ## times beside others doing the same; BENCH_ARGS="--on
 undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
 	@$(PY) bench/undeclared/run.py $(BENCH_ARGS)
 
+verdict: setup-test build  ## faults nobody planned for, and good arms: is the verdict right? BENCH_ARGS="--only tool --jobs 2"
+	@$(PY) bench/verdict/run.py $(BENCH_ARGS)
+
 closed-loop: setup-test build  ## 50 poses commanded through the corrector in the simulated cell: how near the tool comes
 	@$(PY) bench/closed_loop.py
 
@@ -87,6 +90,9 @@ synthesis: setup-test build  ## the published task: genetic search, search as pr
 
 modular: setup-test build  ## calibration after re-assembly, with and without what is known of the modules
 	@$(PY) bench/modular.py $(BENCH_ARGS)
+
+real-arms: setup-test build  ## whole recordings of real arms, as in the README's table; needs ../shared/data
+	@$(PY) bench/real_arms.py $(BENCH_ARGS)
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
 	@$(PY) bench/pose_planning.py $(BENCH_ARGS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -10,6 +11,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
+
+# A shell that runs the tests in the background may have them ignore Ctrl-C, which tests send to what they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Set before NumPy or rclpy is imported, and inherited by every process that a test starts.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

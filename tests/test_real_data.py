@@ -1,4 +1,7 @@
-"""Real arms: figures that others reached, or that a plain fit must reach, on data beside the checkout."""
+"""Real arms: figures that others reached, or that a plain fit must reach, on data beside the checkout.
+
+`make real-arms` has the whole recordings and the README's figures; here they are as long as it takes to show the same.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,34 @@ from modcal_nodes.cli.main import run
 ROOT = Path(__file__).resolve().parents[1]
 
 
+FEWER = 3  # times as few poses of the long series
+
+
 @pytest.fixture(scope="session")
-def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     folder = tmp_path_factory.mktemp("bags")
 
-    def make(name: str) -> Path:
-        bag = folder / name
-        if not bag.exists():
+    def make(name: str, data: Path = shared_data, bag: str = "") -> Path:
+        out = folder / (bag or name)
+        if not out.exists():
             mapping = ROOT / "examples" / "import" / f"{name}.yaml"
-            assert run(["import", str(mapping), "--data", str(shared_data), "--out", str(bag)]) == 0
-        return bag
+            assert run(["import", str(mapping), "--data", str(data), "--out", str(out)]) == 0
+        return out
 
     return make
+
+
+@pytest.fixture(scope="session")
+def thinned_series_a(
+    shared_data: Path, imported: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Every third pose of the long series: the diagnosis of all of it takes half a minute more."""
+    name = Path("ipa_ur10") / "series_a_grid.csv"
+    head, *rows = (shared_data / name).read_text().splitlines(keepends=True)
+    thinned = tmp_path_factory.mktemp("data")
+    (thinned / name).parent.mkdir()
+    (thinned / name).write_text(head + "".join(row for i, row in enumerate(rows) if i % FEWER == 0))
+    return imported("ipa_ur10_series_a", thinned, "thinned_series_a")
 
 
 def report_of(out: Path, *arguments: str) -> dict[str, Any]:
@@ -33,10 +52,11 @@ def report_of(out: Path, *arguments: str) -> dict[str, Any]:
     return json.loads((out / "report.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "nominal", "geometric"), [("ipa_ur10_series_a", 0.838, 0.445), ("ipa_ur10_series_d", 0.772, 0.418)]
 )
-def test_ur10(name: str, nominal: float, geometric: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
+def test_ur10(name: str, nominal: float, geometric: float, imported: Callable[..., Path], tmp_path: Path) -> None:
     """Random stations, as in the published figures, averaged over three splits; 190 stations scatter by about 5 %."""
     bag = imported(name)
     fixed = ("calibrate", str(bag), "--geometry-only", "--block", "1")
@@ -48,9 +68,13 @@ def test_ur10(name: str, nominal: float, geometric: float, imported: Callable[[s
     assert all(r["effects"] == [] for r in reports)
 
 
-def test_ur10_what_nobody_declared(imported: Callable[[str], Path], tmp_path: Path) -> None:
-    """Blocks of 200 poses; then another tracker place and another tool, found again on a part of the second series."""
-    first = report_of(tmp_path / "a", "calibrate", str(imported("ipa_ur10_series_a")), "--block", "200")
+@pytest.mark.slow
+def test_ur10_what_nobody_declared(thinned_series_a: Path, imported: Callable[..., Path], tmp_path: Path) -> None:
+    """Blocks of 200 poses; then another tracker place and another tool, found again on a part of the second series.
+
+    Longer than most: the only real arm whose unmodelled effects are known from elsewhere.
+    """
+    first = report_of(tmp_path / "a", "calibrate", str(thinned_series_a), "--block", str(200 // FEWER))
     assert first["split"]["unit"] == "block"
     assert first["error_mm"]["geometric"]["rms"] > 0.4
     assert first["error_mm"]["final"]["rms"] < 0.13
@@ -65,12 +89,12 @@ def test_ur10_what_nobody_declared(imported: Callable[[str], Path], tmp_path: Pa
     assert any("outside the joint ranges" in note for note in frozen["notes"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "scatter"), [("panda_3", 0.22), ("panda_4", 0.25), ("kuka_14", 0.25)])
-def test_ball_in_sockets(name: str, scatter: float, imported: Callable[[str], Path], tmp_path: Path) -> None:
+def test_ball_in_sockets(name: str, scatter: float, imported: Callable[..., Path], tmp_path: Path) -> None:
     cell = ROOT / "examples" / "import" / f"mukca_{name}_cell.yaml"
     arguments = ["calibrate", str(imported(f"mukca_{name}")), "--tip", "ball_link", "--cell", str(cell)]
-    reports = [report_of(tmp_path / f"{k}", *arguments, "--block", "1", "--seed", str(k)) for k in range(2)]
-    assert all(r["recording"]["measurement"] == "same_point" for r in reports)
-    mean = sum(r["error_mm"]["final"]["rms"] for r in reports) / 2
-    assert mean < scatter
-    assert all(r["error_mm"]["nominal"]["rms"] > 2.5 * r["error_mm"]["final"]["rms"] for r in reports)
+    report = report_of(tmp_path, *arguments, "--block", "1", "--seed", "0")
+    assert report["recording"]["measurement"] == "same_point"
+    assert report["error_mm"]["final"]["rms"] < scatter
+    assert report["error_mm"]["nominal"]["rms"] > 2.5 * report["error_mm"]["final"]["rms"]

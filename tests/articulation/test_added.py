@@ -21,6 +21,8 @@ from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending" / "cell_extras" / "folding_door.py"
 DEGREE = np.pi / 180.0
 # As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood.

@@ -10,6 +10,8 @@ from modcal_core.articulation.choice import choose
 from modcal_core.articulation.joints import Kind
 from modcal_core.articulation.track import Track
 
+pytestmark = pytest.mark.slow
+
 DEGREE = np.pi / 180.0
 
 

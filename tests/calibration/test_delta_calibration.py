@@ -16,7 +16,7 @@ from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRobot, NotReachable
 from modcal_core.loop import calibrate
-from modcal_core.report.report import to_json_data
+from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.delta import Delta
 
 FLOOR_MM = 1e3 * NOISE_M * np.sqrt(3.0)

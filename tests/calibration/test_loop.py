@@ -12,7 +12,7 @@ from modcal_core.calibration.split import split
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate, evaluate
-from modcal_core.report.report import to_json_data
+from modcal_core.report.as_json import to_json_data
 
 
 @pytest.mark.parametrize("block", [1, 7, None])

@@ -16,6 +16,8 @@ from modcal_msgs_py.bag_files import appearing
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.files import write_folder
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 MODCAL = ROOT / ".venv" / "bin" / "modcal"
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -20,6 +20,8 @@ from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 MODCAL = ROOT / ".venv" / "bin" / "modcal"
 BAG = ROOT / "bags" / "ur10_cell"

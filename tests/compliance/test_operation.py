@@ -18,6 +18,8 @@ from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward
 
+pytestmark = pytest.mark.slow
+
 PEAK, MEAN, ABORT = 40.0, 12.0, 60.0  # N
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
 TASK = Task(direction=BACK)

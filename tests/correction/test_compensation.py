@@ -237,10 +237,12 @@ def test_drifts_are_not_continued_for_ever_and_not_before_they_were_seen(rng: np
     for name in ("ramp", "settling"):
         correction = Correction(calibration_of(true_model(started(name))))
         at = {
-            t: correction.pose(q, Conditions.at_rest(q, t), "tool", "tracker") for t in (5.0, T0, T0 + 600.0, T0 + 1e6)
+            t: correction.pose(q, Conditions.at_rest(q, t), "tool", "tracker")
+            for t in (5.0, T0, T0 + 300.0, T0 + 600.0, T0 + 1e6)
         }
         assert np.array_equal(at[5.0], at[T0]), "a clock that began at zero"
-        assert np.array_equal(at[T0 + 600.0], at[T0 + 1e6])
+        assert np.array_equal(at[T0 + 300.0], at[T0 + 1e6]), "days later it is as it was when the recording ended"
+        assert not np.array_equal(at[T0 + 300.0], at[T0 + 600.0]), "the session goes on"
         assert correction.unwatched(5.0)
         assert not correction.unwatched(T0 + 500.0)
         assert correction.unwatched(T0 + 1e6)

@@ -22,6 +22,8 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
 from modcal_nodes.files import to_yaml
 
+pytestmark = pytest.mark.slow
+
 WRIST_1, WRIST_2 = 3, 4
 RATIO, COUPLING = ("gear_ratio", "position:wrist_2_joint"), ("coupling", "position:wrist_1_joint")
 

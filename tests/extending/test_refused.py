@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PACKAGE = """
 from modcal_core.calibration.added import AddedEffect, AddedShape
 from modcal_core.calibration.effects import AXIS, Effect

@@ -19,6 +19,8 @@ from modcal_nodes.fleet.task import DONE, REFUSED, Task
 from modcal_nodes.fleet.work import do
 from modcal_nodes.wishes import Wishes
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:

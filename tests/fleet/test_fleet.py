@@ -26,6 +26,8 @@ from modcal_nodes.fleet.run import plan
 from modcal_nodes.fleet.run import run as run_fleet
 from modcal_nodes.wishes import Wishes
 
+pytestmark = pytest.mark.slow
+
 Row = dict[str, Any]
 GOOD = {"robot_1/week_0", "robot_1/week_1", "robot_1/week_3", "robot_2/week_0", "robot_2/week_2"}
 REPORT = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml"}

@@ -125,7 +125,9 @@ def test_core_needs_only_numpy_and_scipy() -> None:
 
 def test_messages_know_no_node() -> None:
     roots = {
-        (place, i.module.split(".")[0]) for place in files("modcal_msgs_py") for i in imports_of("modcal_msgs_py", place)
+        (place, i.module.split(".")[0])
+        for place in files("modcal_msgs_py")
+        for i in imports_of("modcal_msgs_py", place)
     }
     assert len({place for place, _ in roots}) > 10
     assert not {(place, root) for place, root in roots if root in ("rclpy", "modcal_nodes")}

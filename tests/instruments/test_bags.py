@@ -122,7 +122,7 @@ own_target: [wire_0]
         ("known: [{frame: a}]", "KeyError"),
         ("distances: [{stamps: [1.0], distance_m: 0.2}]", "is not {between"),
         ("distances: [{stamps: [1.0, 2.0], distance_m: 200}]", "distance 1.0 to 2.0: 200 ± 5e-05 m, 0 to 50 m is"),
-        ("planes: []", "must have the keys distances, fixed, known, own_target only"),
+        ("planes: []", "own_target, repeatability_deg, repeatability_iso, repeatability_mm, sockets only"),
     ],
 )
 def test_a_cell_file_that_cannot_be_is_refused(

@@ -14,7 +14,8 @@ from instruments.test_recovery import CELLS
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import Report, to_json_data
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import Report
 
 REPEATABILITY = 2e-5  # rad
 COUNT = 120

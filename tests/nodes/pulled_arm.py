@@ -9,16 +9,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import rclpy
 from compliance.toy import PANDA, PERIOD, READY, ROOT, Toy, door
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes.cell import Health
+from nodes.polling import Polled
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -30,7 +29,6 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.stamps import seconds, set_seconds
-from modcal_nodes.waiting import waiting
 
 URDF = (ROOT / "examples" / "robots" / "panda.urdf").read_text()
 WHO = "impedance_setpoint"
@@ -66,9 +64,7 @@ class PulledArm:
         self.object = node.create_publisher(String, "object_description", LATCHED)
         self.status = node.create_publisher(DiagnosticArray, "object_status", 10)
         self.tool = node.create_publisher(PoseWithCovarianceStamped, "tool_pose", 10)
-        # on a node that nothing spins: by way of an executor each message costs ten times as much
-        self._ears = rclpy.create_node("test_ears", context=node.context)
-        self._heard: list[tuple[Subscription, Callable[[Any], None]]] = []
+        self._polled = Polled(node, period=None)
         for kind, topic, hear in (
             (JointTrajectoryPoint, "joint_references", self._follow),
             (JointTrajectory, "joint_trajectory", self.trajectories.append),
@@ -76,8 +72,7 @@ class PulledArm:
             (WrenchStamped, "target_wrench", self.wrenches.append),
             (WrenchStamped, "target_stiffness", self.stiffnesses.append),
         ):
-            ear = self._ears.create_subscription(kind, f"{WHO}/{topic}", hear, 1000)
-            self._heard.append((ear, hear))
+            self._polled.subscribe(kind, f"{WHO}/{topic}", hear)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self._changes = node.create_client(ChangeState, f"{WHO}/change_state")
         self._asks = {name: node.create_client(Trigger, f"{WHO}/{name}") for name in ("pull", "stop")}
@@ -102,9 +97,7 @@ class PulledArm:
                 self.health[part] = status
 
     def speak(self) -> None:
-        for ear, hear in self._heard:
-            for message, _ in waiting(ear, 100):
-                hear(message)
+        self._polled.look()
         waits = PERIOD < self._time - self._answered < _UNANSWERED * PERIOD
         if waits and time.monotonic() - self._stepped < _PATIENCE:
             return

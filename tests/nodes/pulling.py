@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes.plain_pulls import Pull
+from nodes.polling import Polled
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
 from nodes.talking import RELIABLE, Diagnostics
 from rclpy.node import Node
@@ -24,13 +24,11 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from modcal_core.geometry.so3 import Array
 from modcal_msgs_py.stamps import seconds
 from modcal_nodes.simulation.furniture import Furniture
-from modcal_nodes.waiting import waiting
 
 PANDA = ROOT / "examples" / "robots" / "panda.urdf"
 WORLD, ESTIMATOR, SETPOINT = "simulated_furniture", "articulation_estimator", "impedance_setpoint"
 PULL = f"/{SETPOINT}: pull"
 Wait = Callable[[Callable[[], Any], float], Any]
-_LOOK = 0.02  # s
 
 
 @dataclass
@@ -42,23 +40,10 @@ class Told:
     setpoints: list[float] = field(default_factory=list)
 
     def listen(self, node: Node) -> None:
-        """Look every now and then what has come: by way of an executor each message costs ten times as much."""
-        self._ears = rclpy.create_node("test_ears", context=node.context)  # which nothing spins
-        heard: list[tuple[Any, Callable[[Any], None]]] = [
-            (self._ears.create_subscription(kind, topic, take, RELIABLE), take)
-            for kind, topic, take in (
-                (WrenchStamped, f"{WORLD}/contact_force", self._force),
-                (JointState, f"{WORLD}/object_truth", self._truth),
-                (JointTrajectoryPoint, "joint_references", self._setpoint),
-            )
-        ]
-
-        def look() -> None:
-            for ear, take in heard:
-                for message, _ in waiting(ear, RELIABLE.depth):
-                    take(message)
-
-        node.create_timer(_LOOK, look)
+        polled = Polled(node)
+        polled.subscribe(WrenchStamped, f"{WORLD}/contact_force", self._force, RELIABLE.depth)
+        polled.subscribe(JointState, f"{WORLD}/object_truth", self._truth, RELIABLE.depth)
+        polled.subscribe(JointTrajectoryPoint, "joint_references", self._setpoint, RELIABLE.depth)
 
     def _force(self, message: WrenchStamped) -> None:
         f = message.wrench.force
@@ -131,10 +116,16 @@ def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any]
     )
 
 
-def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: float = 60.0, **setpoint: Any) -> Opening:
-    """Pull at the object of a scene, which ``world`` (parameters of the world) must draw, until setpoints end."""
+def open_it(
+    folder: Path, scene: Furniture, world: dict[str, Any], patience: float = 60.0, share: float = 1.0, **setpoint: Any
+) -> Opening:
+    """Pull at the object of a scene, which ``world`` (parameters of the world) must draw, until setpoints end.
+
+    share: of the scene's goal, how far it is to be opened.
+    """
     domain = fresh_domain()
-    made = processes(folder, domain, scene, world, setpoint)
+    goal = share * float(scene.goal)
+    made = processes(folder, domain, scene, world, {"goal": goal, **setpoint})
     with running(*made), listener(domain) as (node, wait):
         told, health = Told(), Diagnostics(node)
         told.listen(node)
@@ -161,7 +152,7 @@ def open_it(folder: Path, scene: Furniture, world: dict[str, Any], patience: flo
     # a message holds the largest force since the one before, so this mean is never too small; while the tool is tared
     # nothing pulls
     pulled = forces[forces[:, 0] >= (moving[0] - begun if moving else 0.0), 1]
-    pull = Pull(float(forces[:, 1].max()), float(pulled.mean()), float(opened[:, 1].max()), float(scene.goal), said)
+    pull = Pull(float(forces[:, 1].max()), float(pulled.mean()), float(opened[:, 1].max()), goal, said)
     return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)))
 
 

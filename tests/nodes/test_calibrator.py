@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,32 @@ def beside_a_cell(
         assert calibrator.stop() == 0
 
 
+class Shared:
+    """One calibrator for the tests that need nothing special of it. Each begins with nothing heard, and later stamps."""
+
+    def __init__(self, calibrator: Process, node: Node, wait: Wait, cell: PlayedCell, said: Said, out: Path) -> None:
+        self.calibrator, self.node, self.wait, self.cell, self.said, self.out = calibrator, node, wait, cell, said, out
+        self._begin = START
+
+    def again(self) -> float:
+        """The stamp [s] to begin at."""
+        shutil.rmtree(self.out, ignore_errors=True)
+        assert call(self.node, self.wait, "calibrator/reset").success
+        self._begin += 10_000.0
+        return self._begin
+
+    def counted(self, what: str) -> int:
+        """A count that the calibrator keeps of its samples."""
+        return int(self.said.value(SAMPLES, what) or 0)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shared]:
+    folder = tmp_path_factory.mktemp("shared")
+    with beside_a_cell(folder, effects=False, out=folder / "out") as made:
+        yield Shared(*made, folder / "out")
+
+
 def latched(node: Any, topic: str, kind: type = String) -> list[Any]:
     heard: list[Any] = []
     node.create_subscription(kind, topic, lambda m: heard.append(m.data), LATCHED)
@@ -104,6 +131,9 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(tmp_path: Pa
         wait(lambda: models and trusted, 20.0)
         assert trusted[-1]
         assert said.value(MODEL, "state") == "trusted" or wait(lambda: said.value(MODEL, "state") == "trusted", 10.0)
+        status = json.loads((tmp_path / "state" / "report.json").read_text())["status"]
+        wait(lambda: said.value(MODEL, "status") == status, 10.0)
+        assert (said.level(MODEL) == 0) == (status == "at_floor")
         # the stations from before the restart are there, too
         assert call(node, wait, "calibrator/solve").success
         assert second.stop() == 0
@@ -173,7 +203,8 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
         assert [(e["family"], e["place"]) for e in found] == [("step", "tool")]
 
 
-def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
+def test_joints_in_any_order_with_others_between_them(shared: Shared) -> None:
+    begin = shared.again()
 
     def shuffled(i: int, message: Any) -> Any:
         if hasattr(message, "name"):
@@ -182,11 +213,10 @@ def test_joints_in_any_order_with_others_between_them(tmp_path: Path) -> None:
             message.name, message.position = [names[k] for k in order], [positions[k] for k in order]
         return message
 
-    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "out") as (_, node, wait, cell, _):
-        cell.play(stations(), shuffled)
-        wait(cell.taken, 60.0)
-        assert call(node, wait, "calibrator/solve").success
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    shared.cell.play(stations(begin=begin), shuffled)
+    shared.wait(shared.cell.taken, 60.0)
+    assert call(shared.node, shared.wait, "calibrator/solve").success
+    report = json.loads((shared.out / "report.json").read_text())
     assert report["recording"]["stations"] == STATIONS
     assert report["error_mm"]["final"]["rms"] < 0.2
 
@@ -312,7 +342,9 @@ def test_two_robots_in_one_domain(tmp_path: Path) -> None:
         assert np.abs(model.calibrated.predict(q)[:, :3, 3] - other[:, :3, 3]).max() > 1e-2
 
 
-def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -> None:
+def test_spoiled_messages_are_refused_counted_and_harm_nothing(shared: Shared) -> None:
+    begin = shared.again()
+    before = shared.counted("messages refused")
 
     def spoiled(i: int, message: Any) -> Any:
         if hasattr(message, "name") and i % 10 == 3:
@@ -321,26 +353,17 @@ def test_spoiled_messages_are_refused_counted_and_harm_nothing(tmp_path: Path) -
             return None  # the beam was broken
         return message
 
-    with beside_a_cell(tmp_path, effects=False, out=tmp_path / "out") as (calibrator, node, wait, cell, said):
-        cell.play(stations(60), spoiled)
-        wait(cell.taken, 60.0)
-        wait(lambda: said.value(SAMPLES, "messages refused") == "6", 20.0)
-        assert said.level(SAMPLES) == 1
-        assert call(node, wait, "calibrator/solve").success
-    assert "4 positions for 6 names" in calibrator.output
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["recording"]["stations"] == 48
+    shared.cell.play(stations(60, begin=begin), spoiled)
+    shared.wait(shared.cell.taken, 60.0)
+    shared.wait(lambda: shared.counted("messages refused") == before + 6, 20.0)
+    assert shared.said.level(SAMPLES) == 1
+    assert call(shared.node, shared.wait, "calibrator/solve").success
+    assert "4 positions for 6 names" in shared.calibrator.output
+    assert json.loads((shared.out / "report.json").read_text())["recording"]["stations"] == 48
 
 
-@pytest.mark.parametrize(
-    ("fault", "said"),
-    [
-        ("nan", "not a number"),
-        ("millimetres", "millimetres"),
-        ("degrees", "degrees"),
-        ("robot", "does not name panda_joint1"),
-    ],
-)
-def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str, tmp_path: Path) -> None:
+def spoiling(fault: str) -> Callable[[int, Any], Any]:
+    """What makes every message, or one, of a recording useless."""
 
     def spoiled(i: int, message: Any) -> Any:
         joints = hasattr(message, "name")
@@ -353,20 +376,31 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str,
             message.position = [float(np.degrees(p)) for p in message.position]
         return message
 
-    with beside_a_cell(tmp_path, urdf=PANDA if fault == "robot" else URDF, effects=False, out=tmp_path / "out") as (
-        _,
-        node,
-        wait,
-        cell,
-        _,
-    ):
-        cell.play(stations(), spoiled)
+    return spoiled
+
+
+def assert_refused(node: Node, wait: Wait, said: str, out: Path) -> None:
+    answer = call(node, wait, "calibrator/solve")
+    assert not answer.success
+    assert said in answer.message
+    assert "\n" not in answer.message
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"), [("nan", "not a number"), ("millimetres", "millimetres"), ("degrees", "degrees")]
+)
+def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str, shared: Shared) -> None:
+    shared.cell.play(stations(begin=shared.again()), spoiling(fault))
+    shared.wait(shared.cell.taken, 60.0)
+    assert_refused(shared.node, shared.wait, said, shared.out)
+
+
+def test_joints_of_another_robot_are_refused_in_one_line(tmp_path: Path) -> None:
+    with beside_a_cell(tmp_path, urdf=PANDA, effects=False, out=tmp_path / "out") as (_, node, wait, cell, _):
+        cell.play(stations())
         wait(cell.taken, 60.0)
-        answer = call(node, wait, "calibrator/solve")
-        assert not answer.success
-        assert said in answer.message
-        assert "\n" not in answer.message
-    assert not (tmp_path / "out").exists()
+        assert_refused(node, wait, "does not name panda_joint1", tmp_path / "out")
 
 
 def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""The whole way round: record, calibrate, correct, command; the true tool comes as near as the arm repeats."""
+"""The whole way round: record, calibrate, correct, command; the true tool comes as near as the arm repeats.
+
+Longer than 20 s, for an arm takes time to go anywhere: the one test of what all the rest is for, against MuJoCo's truth.
+"""
 
 from __future__ import annotations
 

@@ -29,13 +29,14 @@ def test_recorded_over_dds_and_calibrated(tmp_path: Path) -> None:
     topics = ["joint_states", "tracker/point"]
     cell = Process(
         "simulated_cell", domain, tmp_path, delta=FILE, measurement="point", seed=SEED, stations=45, dwell_s=0.4,
-        travel_s=0.2, start_delay_s=6.0, joint_rate_hz=100.0, tracker_rate_hz=40.0,
+        travel_s=0.2, start_delay_s=18.0, joint_rate_hz=100.0, tracker_rate_hz=40.0,
+        publish_clock="true", clock_rate_hz=50.0, time_factor=3.0,
     )  # fmt: skip
-    recorder = Process("recorder", domain, tmp_path, out=bag, topics=json.dumps(topics))
+    recorder = Process("recorder", domain, tmp_path, out=bag, topics=json.dumps(topics), use_sim_time="true")
     heard: list[PointStamped] = []
     with running(cell, recorder), listener(domain) as (node, wait):
         node.create_subscription(PointStamped, "tracker/point", heard.append, 1000)
-        wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 6.0 + 45 * 0.6, 60.0)
+        wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 18.0 + 45 * 0.6, 60.0)
         assert cell.stop() == 0
         assert recorder.stop() == 0
     out = tmp_path / "out"

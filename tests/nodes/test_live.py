@@ -1,4 +1,7 @@
-"""The whole of it live: a cell, a recorder and a calibrator as processes, then the recorded bag once more."""
+"""The whole of it live: a cell, a recorder and a calibrator as processes, then the recorded bag once more.
+
+Longer than 20 s, for stations take time: the one test from messages to files, and of the replay against it.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,7 @@ from modcal_nodes.simulation.world import World
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 SEED = 11
 POSTURES = 36
+FACTOR = 3.0  # times as fast as the wall's clock
 TOPICS = ("joint_states", "tracker/pose", "robot_description")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -53,8 +57,8 @@ def miss(model: Model, world: World) -> float:
 @pytest.mark.slow
 def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
     domain = fresh_domain()
-    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag")
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "live")
+    recorder = Process("recorder", domain, tmp_path, out=tmp_path / "bag", use_sim_time="true")
+    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "live", use_sim_time="true")
     with running(recorder, calibrator), listener(domain) as (node, wait):
         states: list[JointState] = []
         heard: dict[str, object] = {}
@@ -66,14 +70,17 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         # the calibrator's subscription, and our own
         wait(lambda: node.count_subscribers("joint_states") >= 2 and "recording into" in recorder.output, 60.0)
         # the others are there before the cell speaks, so both hear all of it
-        cell = Process("simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED, start_delay_s=3.0)
+        cell = Process(
+            "simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED,
+            start_delay_s=3.0 * FACTOR, publish_clock="true", clock_rate_hz=50.0, time_factor=FACTOR,
+        )  # fmt: skip
         with running(cell):
             wait(lambda: states and drive.get_subscription_count() == 1, 60.0)
             wait(lambda: all(f"recording /{t}" in recorder.output for t in TOPICS), 10.0)
             assert len(states[0].name) == 6
             program = tour(list(states[0].name)[::-1])
             drive.publish(program)
-            wait(lambda: _reached(states[-1], program), 1.3 * POSTURES + 20.0)
+            wait(lambda: _reached(states[-1], program), 1.3 * POSTURES / FACTOR + 20.0)
             assert cell.stop() == 0
 
         answer = call(node, wait, "calibrator/solve")

@@ -14,6 +14,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_nodes.cli.main import run
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def site_file(tmp_path: Path) -> Path:
@@ -28,12 +30,16 @@ def test_stations_in_every_form(site_file: Path, tmp_path: Path, capfd: pytest.C
     assert run(["plan", str(IRB1410), "--site", str(site_file), *arguments, "--out", str(out)]) == 0
     told = " ".join(capfd.readouterr().out.split())
     assert "24 stations: expected" in told
+    assert "6 of them are visited twice, from different sides: 30 stops in all" in told
     assert "drawn at random" in told
     written = {"plan.yaml", "stations.csv", "trajectory.yaml", "stations.svg", "report.html"}
     assert {p.name for p in out.iterdir()} == written
     plan = yaml.safe_load((out / "plan.yaml").read_text())
     q = np.array([s["position"] for s in plan["stations"]])
-    assert q.shape == (24, 6)
+    assert q.shape == (30, 6)  # six of them a second time
+    assert len(np.unique(q, axis=0)) == 24
+    assert len(plan["returns"]) == 6
+    assert all(np.array_equal(q[first - 1], q[second - 1]) for first, second in plan["returns"])
     assert ((q > irb1410().lower) & (q < irb1410().upper)).all()
     assert 0.0 < plan["ratio_to_random"]["model_rms"] < 1.0
     rows = list(csv.DictReader((out / "stations.csv").read_text().splitlines()))
@@ -56,7 +62,7 @@ def check_trajectory(data: dict, plan: dict, q: np.ndarray) -> None:
     visited = at[:-1][still]
     assert np.array_equal(visited, q[: len(visited)])
     if not plan["blocked_ways"]:
-        assert len(visited) == 24
+        assert len(visited) == 30
 
 
 def test_the_plan_is_taken_by_sensitivity(site_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,8 @@ from modcal_core.geometry import se3
 from modcal_core.robots.cpc import to_cpc
 from modcal_nodes.cli.main import run
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = IRB1410.parent
 
 

@@ -10,6 +10,8 @@ from report.browser import Page, browser
 from report.reports import REPORTS
 from report.test_page import page
 
+pytestmark = pytest.mark.slow
+
 HIDDEN = "getComputedStyle(document.querySelector({0!r})).display === 'none'"
 
 

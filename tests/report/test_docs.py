@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from report.judged import everything
 from report.reports import delta, warm_cell
 
-from modcal_core.calibration.score import Floor
 from modcal_core.diagnosis.choice import Choice
-from modcal_core.report.report import STAGES, to_json_data
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import STAGES
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 
@@ -21,7 +22,7 @@ TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 def paths(data: Any, at: str = "") -> set[str]:
     """Where the numbers and texts of nested data stand, in the notation of the document."""
     if isinstance(data, dict):
-        if at.endswith(".parameters"):
+        if at.endswith((".parameters", ".dropped")):
             return {path for value in data.values() for path in paths(value, f"{at}.NAME")}
         return {path for key, value in data.items() for path in paths(value, f"{at}.{key}" if at else key)}
     if isinstance(data, list):
@@ -40,8 +41,8 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
         notes=("A note.",),
     )
     named = tuple(replace(f, same_as=("another",)) for f in report.effects)
-    rivals = replace(report, noise_floor=Floor(1e-5, whole=True), effects=named)
-    found = set.union(*(paths(to_json_data(r)) for r in (report, open_ended, rivals, delta())))
+    rivals = replace(report, effects=named)
+    found = set.union(*(paths(to_json_data(r)) for r in (report, open_ended, rivals, everything(), delta())))
     documented = re.findall(r"^\| `([^`]+)` \|", TEXT, re.MULTILINE)
     assert len(documented) == len(set(documented))
     assert set(documented) == found

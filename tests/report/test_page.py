@@ -11,10 +11,10 @@ import pytest
 from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
 from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, to_html
 from modcal_core.report.page import as_script_data
 from modcal_core.report.palette import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN
-from modcal_core.report.report import to_json_data
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -124,7 +124,7 @@ def test_stations_that_were_left_out_are_named_with_their_errors() -> None:
     assert {row["station"] for row in listed} == set(WRONG)
     # 5 mm along each axis were put in
     assert [row["miss_mm"] for row in listed] == pytest.approx([5.0 * np.sqrt(3.0)] * 3, rel=0.05)
-    table = page("warm")[page("warm").index("Stations that were left out") :]
+    table = page("warm")[page("warm").index("Rejected stations") :]
     rows = re.findall(r'<tr><th scope="row">(\d+)</th>', table)
     assert {int(r) for r in rows[: len(WRONG)]} == set(WRONG)
 

@@ -14,17 +14,25 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
+from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import FITTED, Fit, identify, require_enough
+from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
+from modcal_core.calibration.known_distances import distances_of
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.moments import sharpened
-from modcal_core.calibration.score import Errors, errors, noise_floor, outlying, spread_of
+from modcal_core.calibration.regimes import find_regimes, moves_of
+from modcal_core.calibration.runs import runs_of
+from modcal_core.calibration.score import Errors, errors, outlying, usual_scatter
+from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, hold_out_all, split
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.diagnosis.loop import Diagnosis, diagnose
+from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
@@ -32,6 +40,14 @@ from modcal_core.report.findings import findings
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.absurd import long_tool, sane_inertias
+from modcal_core.verdict.case import fitted_case, frozen_case
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.not_applied import applicable
+from modcal_core.verdict.readings import doubtful
+from modcal_core.verdict.regimes import regimes_of
+from modcal_core.verdict.rejection import MOST_SINGLE, rejection
+from modcal_core.verdict.status import judge
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -66,42 +82,63 @@ def calibrate(
     cell = cell or Cell()
     cell.require_frames(samples.frames)
     cell = cell.met(samples)
+    samples = with_sockets(samples, cell, chain)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
-    sets = split(samples, rng, block)
+    samples, convention = proved(samples, chain)
+    inertias, absurd = sane_inertias(inertias, chain)
+    regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
+    moves = moves_of(regimes) if regimes else ()
+    sets = split(samples, rng, block, [move.at for move in moves])
     train, explain, held_out = (samples.select(rows) for rows in (sets.train, sets.explain, sets.held_out))
 
-    nominal = fit_cell(chain, train, cell, inertias)
+    nominal = fit_cell(chain, train, cell, inertias, regimes)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     geometric = identify(nominal.model, train, choice.parameters, cell.distances)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train)
-    diagnosis = Diagnosis(geometric, (), None)
+    diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
     if look_for_effects:
         suspects = (lambda at: ()) if changed is None else partial(load_since, moment=changed)
-        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects)
-    final = diagnosis.fit
+        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
+    # when something moved is read from all stations: one next to it that was held out belongs to either side
+    final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
     require_plausible(nominal, final, train)
 
     wrong = outlying(final.model, final.spread, samples)
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = ship(samples, chain, choice, cell, inertias, final)
+    shipped = ship(samples, chain, choice, cell, inertias, final, wrong, regimes)
+    distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     left = {
-        "nominal": errors(nominal.model, scored),
-        "geometric": errors(geometric.model, scored),
+        "nominal": errors(nominal.model.with_effects(()), scored),
+        "geometric": errors(geometric.model.with_effects(()), scored),
         "final": errors(final.model, scored),
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
     steps = (Step("geometry", left["geometric"]), *added)
+    grounds = Grounds(
+        converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
+        regimes=regimes_of(final.model, samples),
+        contradictions=(
+            *contradictions_of_distances(distances),
+            *doubtful(left, scored, samples, chain),
+            *absurd,
+            *long_tool(final.model),
+        ),
+        convention=convention,
+        rejected_runs=runs_of(samples, wrong),
+    )
+    judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, cell.stated)
     report = Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        noise_floor=noise_floor(samples),
-        effects=findings(diagnosis, shipped.calibrated, samples, wrong, [step.errors for step in steps]),
+        effects=findings(
+            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances
+        ),
         left=diagnosis.left,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
@@ -112,6 +149,11 @@ def calibrate(
         model=final.model,
         missed=errors(final.model, samples).position_norm,
         wrong=wrong,
+        searched=look_for_effects,
+        rejection=rejection(errors(final.model, held_out), wrong, samples, sets.held_out),
+        distances=distances,
+        grounds=grounds,
+        judged=judged,
     )
     return Result(report, shipped, final)
 
@@ -123,30 +165,45 @@ def ship(
     cell: Cell,
     inertias: Inertias | None = None,
     scored: Fit | None = None,
+    wrong: np.ndarray | None = None,
+    regimes: Model | None = None,
 ) -> Calibration:
-    """The calibration fitted to every sample, written with the least change to the nominal arm.
+    """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
 
-    scored: the fit whose effects it has, and which it begins from.
+    scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
+    (N,): they are left out, and no others; by default the fit decides. regimes: a model to begin from where base or
+    tool moved.
     """
-    nominal = fit_cell(chain, samples, cell, inertias)
-    fit = last = identify(nominal.model, samples, choice.parameters, cell.distances)
+    decided = wrong is not None
+    watched = float(samples.stamps.min()), float(samples.stamps.max())
+    if wrong is not None and wrong.any():
+        samples = samples.select(np.flatnonzero(~wrong))
+    nominal = fit_cell(chain, samples, cell, inertias, regimes)
+    fit = last = identify(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
+    fits = [nominal, fit]
     geometric = fit.model
     if scored is None or not scored.model.effects:
         tidy = least_change(fit.model, chain)
     else:
         start = nominal.model.with_effects(sharpened(scored.model, samples).effects)
-        fit = identify(start, samples, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values)
+        fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)
+        fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
         # places moved by what was passed through the joints: effects settle where they are now
         tidy = least_change(fit.model, chain)
-        settled = identify(tidy, samples, choice.parameters, cell.distances, tolerance=10.0 * FITTED)
+        settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
         tidy, last = least_change(settled.model, chain), settled
+        fits += [fit, settled]
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
-    known = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
-    watched = float(samples.stamps.min()), float(samples.stamps.max())
+    covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
-        nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, known, watched
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, covariance, watched),
+        scatter=usual_scatter(samples),
+        converged=all(each.converged for each in fits),
+        clock=samples.clock,
+        ranges=driver_ranges(tidy, samples),
+        usual=usual_sizes(tidy, samples),
     )
 
 
@@ -163,36 +220,51 @@ def evaluate(
 
     Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
     and the score is that of the rest. Otherwise every sample is scored.
+
+    Readings are judged by the spread that the calibration has of itself. Where more of them lie outside than single
+    wrong readings make up, it is the model that is wrong, and none is left out of the score.
     """
     cell = (cell or Cell()).met(samples)
-    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": calibration.calibrated}
+    samples = with_sockets(samples, cell, calibration.nominal.chain)
+    samples, convention = proved(samples, calibration.nominal.chain)
+    converged = True
+    applied = applicable(calibration, samples)
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
     if refit_base or refit_tool:
         sets = split(samples, rng, block)
         train = samples.select(np.union1d(sets.train, sets.explain))
         fits = {stage: refit_cell(model, train, cell, refit_base, refit_tool) for stage, model in models.items()}
         models = {stage: fit.model for stage, fit in fits.items()}
-        spread = fits["final"].spread
+        converged = all(fit.converged for fit in fits.values())
     else:
         sets = hold_out_all(samples)
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
-        spread = spread_of(models["final"], samples)
     held_out = samples.select(sets.held_out)
-    out = outlying(models["final"], spread, held_out)
-    scored = held_out.select(~out)
-    missed = {stage: errors(model, scored) for stage, model in models.items()}
     wrong = np.zeros(len(samples), bool)
-    wrong[sets.held_out[out]] = True
+    wrong[sets.held_out] = outlying(models["final"], calibration.spread, calibration.with_scatter(held_out))
+    single = wrong[sets.held_out].mean() <= MOST_SINGLE
+    rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
+    scored = samples.select(rows)
+    missed = {stage: errors(model, scored) for stage, model in models.items()}
+    grounds = Grounds(
+        converged=converged,
+        not_applied=applied.not_applied,
+        contradictions=doubtful(missed, scored, samples, calibration.nominal.chain),
+        convention=convention,
+        rejected_runs=runs_of(samples, wrong),
+    )
+    case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
         errors=missed,
-        noise_floor=noise_floor(samples),
         parameters=calibration.parameters,
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
+            *applied.notes,
         ),
         steps=(
             Step("geometry", missed["geometric"]),
@@ -201,6 +273,9 @@ def evaluate(
         model=models["final"],
         missed=errors(models["final"], samples).position_norm,
         wrong=wrong,
+        rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
+        grounds=grounds,
+        judged=judge(case, grounds, cell.stated),
     )
 
 

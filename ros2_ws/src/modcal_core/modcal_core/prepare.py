@@ -16,6 +16,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
@@ -31,16 +32,25 @@ LONGEST_LATENCY = 0.025
 
 @dataclass(frozen=True)
 class Prepared:
-    """Samples of a recording, and what a person should know of how they came about."""
+    """Samples of a recording, what a person should know of how they came about, and how many readings are in none."""
 
     samples: Samples
     notes: tuple[str, ...]
+    dropped: Dropped = ()
 
 
 def prepare(
-    recording: Recording, chain: Mechanism, rules: StationRules | None = None, clock_limit: float = LIMIT
+    recording: Recording,
+    chain: Mechanism,
+    rules: StationRules | None = None,
+    clock_limit: float = LIMIT,
+    since: float = -np.inf,
+    until: float = np.inf,
 ) -> Prepared:
-    """The samples of a recording for this arm. Raises BadRecording for what cannot be used."""
+    """The samples of a recording for this arm. Raises BadRecording for what cannot be used.
+
+    since, until: stamps [s] between which dropped readings are counted.
+    """
     require_usable(recording, chain)
     aligned, notes = align(recording, chain.names, lambda q: forward(chain, q)[:, :3, 3], clock_limit)
     samples = cut_stations(aligned, chain.names, rules)
@@ -51,7 +61,7 @@ def prepare(
         if not stood:
             said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
             notes = (said, *notes)
-    return Prepared(samples, recording.warnings + notes)
+    return Prepared(samples, recording.warnings + notes, dropped(aligned, samples, rules, since, until))
 
 
 def prepare_pieces(
@@ -67,19 +77,22 @@ def prepare_pieces(
     """
     samples, refused = before, None
     notes: dict[str, None] = {}
+    lost: list[Dropped] = []
     for piece in pieces:
         try:
-            prepared = prepare(piece.recording, chain, rules, clock_limit)
+            prepared = prepare(piece.recording, chain, rules, clock_limit, piece.since, piece.until)
         except BadRecording as error:
             refused = error
             notes[f"One stretch was left out: {error}."] = None
+            lost.append(((UNUSABLE, sum(len(track.stamps) for track in piece.recording.readings)),))
             continue
         notes.update(dict.fromkeys(prepared.notes))
+        lost.append(prepared.dropped)
         own = prepared.samples.between(piece.since, piece.until)
         samples = own if samples is None else samples.followed_by(own) if len(own) else samples
     if samples is None:
         raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
-    return Prepared(samples, tuple(notes))
+    return Prepared(samples, tuple(notes), together(lost))
 
 
 def _settle_delays(

@@ -20,6 +20,7 @@ from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare_pieces
 from modcal_core.report.report import Report
+from modcal_core.report.trace import Trace, iso_date
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -97,7 +98,8 @@ def resolve(job: Job) -> Resolved:
         look_for_effects=job.effects,
         changed=job.changed,
     )
-    report = replace(result.report, title="live", notes=(*result.report.notes, *notes))
+    trace = Trace(date=iso_date(float(samples.stamps.min())))
+    report = replace(result.report, title="live", notes=(*result.report.notes, *notes), trace=trace)
     return Resolved(result, report, _compare(job, result))
 
 

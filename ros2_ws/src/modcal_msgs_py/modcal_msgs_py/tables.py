@@ -19,13 +19,23 @@ from scipy.spatial.transform import Rotation
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.measurements.recording import (
+    ORDER_ONLY,
+    POINT,
+    POSE,
+    SOCKETS,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    SignalTrack,
+)
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "m": 1.0, "mm": 1e-3}
 _KEYS = {
     "files", "delimiter", "decimal", "header", "encoding", "time", "joints",
     "pose", "point", "same_point", "temperature",
 }  # fmt: skip
+_MOST_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
 
 
@@ -83,6 +93,7 @@ def import_tables(
     readings: list[ReadingTrack] = []
     signals: list[SignalTrack] = []
     notes: list[str] = []
+    sockets: list[str] = []
     clock = 0.0
     for e, entry in enumerate(mapping["tables"]):
         unknown = set(entry) - _KEYS
@@ -99,10 +110,12 @@ def import_tables(
             notes += [note] if note and note not in notes else []
             joints.append(_joints(table, entry, stamps, source))
             readings.append(_reading(table, entry, stamps, source))
+            sockets += [readings[-1].frame] if "same_point" in entry else []
             for frame, column in (entry.get("temperature") or {}).items():
                 signals.append(
                     SignalTrack(f"temperature:{frame}", stamps, table.column(column)[:, None], "/temperature")
                 )
+    notes += [f"{SOCKETS}{', '.join(dict.fromkeys(sockets))}."] if sockets else []
     return Recording(_merged_joints(joints), _merged(readings), tuple(signals), None, source, tuple(notes))
 
 
@@ -138,8 +151,7 @@ def _stamps(table: _Table, entry: Mapping[str, Any], clock: float, source: str) 
     time = _need(entry, "time", source)
     if "order" in time:
         period = float(_need(time["order"], "period_s", source))
-        note = "The table has lost its clock: stamps say the order of the rows only, not when they were taken."
-        return clock + period * np.arange(1.0, len(table.rows) + 1), note
+        return clock + period * np.arange(1.0, len(table.rows) + 1), ORDER_ONLY
     if "format" in time:
         out = np.empty(len(table.rows))
         for i, cell in enumerate(table.text(_need(time, "column", source))):
@@ -199,6 +211,8 @@ def _orientation(table: _Table, reading: Mapping[str, Any], where: str) -> Array
     angles = reading[stated[0]]
     scale = _unit(angles, where, ("rad", "deg"))
     values = scale * np.stack([table.column(c) for c in _need(angles, "columns", where)], axis=1)
+    if angles["unit"] == "rad" and (largest := float(np.abs(values).max())) > _MOST_RAD:
+        raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
     if stated[0] == "rotvec":
         return Rotation.from_rotvec(values).as_matrix()
     sequence = str(_need(angles, "sequence", where))

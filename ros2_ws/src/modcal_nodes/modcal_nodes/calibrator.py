@@ -31,6 +31,7 @@ from modcal_nodes.calibrating.announcing import Announcer
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
+from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, read_state, write_state
 from modcal_nodes.calibrating.telling import Times, model_status, sample_status, tracker_status
 from modcal_nodes.files import write_folder
@@ -69,6 +70,7 @@ class Calibrator(Node):
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
         self._verdict = "nothing solved yet"
+        self._standing: Standing | None = None  # of the trusted model
         self._refused = 0
         self._said: Suspicion | None = None
         self._times = Times()
@@ -126,6 +128,7 @@ class Calibrator(Node):
         corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
         self._announcer.model({**self._files, "calibrated.urdf": corrected})
         self._verdict = "going on with the model that was saved"
+        self._standing = standing_of_json(self._files.get("report.json"))
 
     def _expect_frames(self) -> None:
         """Number the frames of readings as the trusted model does."""
@@ -285,7 +288,7 @@ class Calibrator(Node):
 
     def _trusted(self, solved: Solved) -> None:
         """Publish and keep a result that is trusted from now on."""
-        self._files, self._candidate = solved.files, None
+        self._files, self._candidate, self._standing = solved.files, None, solved.standing
         self._said = None
         self._expect_frames()
         self._announcer.model(solved.files)
@@ -343,7 +346,8 @@ class Calibrator(Node):
         yield tracker_status(hearing_status(self._ears), self._ears)
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
-        yield model_status(self._supervisor, self._verdict, trouble, self._workshop.doing == _SOLVE, candidate)
+        solving = self._workshop.doing == _SOLVE
+        yield model_status(self._supervisor, self._verdict, self._standing, trouble, solving, candidate)
         yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.moves import WHATS, Move, What
 from modcal_core.calibration.placing import Known
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -20,9 +22,19 @@ from modcal_core.robots.delta_file import delta_from_data
 from modcal_nodes.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
-_KEYS = {"distances", "fixed", "known", "own_target"}
+# Names of the options of the command line, and what they state
+STATEMENTS = {
+    "repeatability_mm": "repeatability_mm",
+    "repeatability_deg": "repeatability_deg",
+    "repeatability_iso": "repeatability_iso_mm",
+    "instrument_mm": "instrument_mm",
+    "instrument_deg": "instrument_deg",
+}
+_KEYS = {"distances", "fixed", "known", "own_target", "sockets", "moved", "own_in_recordings", *STATEMENTS}
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
+_AS_STATED = "a number, e.g. repeatability_mm: 0.02"
+_AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
 
@@ -44,10 +56,14 @@ def read_delta(path: Path) -> Delta:
     return delta_from_data(read_yaml(path), str(path))
 
 
-def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:
-    """What a cell file says, with these parameters held fixed besides. No path: an empty cell."""
+def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | None = None) -> Cell:
+    """What a cell file says, with these parameters held fixed besides. No path: an empty cell.
+
+    stated: of arm and instrument, in place of what the file states of the same.
+    """
+    stated = stated or Stated()
     if path is None:
-        return Cell(fixed=fixed)
+        return Cell(fixed=fixed, stated=stated)
     data = read_yaml(path)
     if not isinstance(data, Mapping) or not set(data) <= _KEYS:
         raise BadTable(str(path), f"must have the keys {', '.join(sorted(_KEYS))} only", _REMEDY)
@@ -60,12 +76,23 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = ()) -> Cell:
                 f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
                 "give metres",
             )
+    own = data.get("own_in_recordings")
     return Cell(
         distances,
         (*(str(f) for f in data.get("fixed") or ()), *fixed),
         tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
         tuple(str(f) for f in data.get("own_target") or ()),
+        stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
+        tuple(str(f) for f in data.get("sockets") or ()),
+        tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
+        None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
     )
+
+
+def stated_from(data: Mapping[str, Any]) -> Stated:
+    """What these options, or keys of a cell file, state of arm and instrument. Raises BadTable for what cannot be."""
+    values = {field: data.get(name) for name, field in STATEMENTS.items()}
+    return Stated(**{field: None if value is None else float(value) for field, value in values.items()})
 
 
 def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
@@ -73,6 +100,17 @@ def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: 
         return read(data)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise BadTable(f"{path}: {what}", f"{data!r} is not {expected}: {error!r}", _REMEDY) from error
+
+
+def _move(data: Mapping[str, Any]) -> Move:
+    return Move(float(data["stamp"]), _what(data["what"]))
+
+
+def _what(said: Any) -> What:
+    for what in WHATS:
+        if said == what:
+            return what
+    raise ValueError(f"{said!r} is none of {', '.join(WHATS)}")
 
 
 def _distance(data: Mapping[str, Any]) -> AnyDistance:

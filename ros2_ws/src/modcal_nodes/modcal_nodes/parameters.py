@@ -8,6 +8,8 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
+from modcal_core.planning.returns import RETURNS
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -131,6 +133,9 @@ SIMULATED_CELL = {
     "publish_effort": Parameter(False, "Whether joint states hold the torques that hold the arm up."),
     "start_delay_s": Parameter(0.0, "Silence before the first message, for subscribers to be found [s].", 0.0, 60.0),
     "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
+    "returns": Parameter(
+        RETURNS, "Of these, how many are visited twice, so that the noise floor is known; 0: none.", 0, 1000
+    ),
     "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),
     "repeat": Parameter(False, "Whether to visit as many others after those, for ever."),

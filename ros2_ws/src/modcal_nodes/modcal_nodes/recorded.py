@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain as chained
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from modcal_core.calibration.moves import Move
 from modcal_core.calibration.store import Calibration
 from modcal_core.loop import calibrate
+from modcal_core.measurements.dropped import together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.sequence import after, between
 from modcal_core.prepare import Prepared, prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_tree import document
+from modcal_core.verdict.tolerance import Asked, Statistic
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
-from modcal_nodes.inputs import read_cell
+from modcal_nodes.inputs import read_cell, stated_from
 from modcal_nodes.progress import Watch, silent
 from modcal_nodes.results import calibration_files, delta_files
+from modcal_nodes.tracing import began, trace_of
 from modcal_nodes.wishes import Wishes
 
 
@@ -46,13 +52,24 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
 
     watch: hears of the stages.
     """
-    cell = read_cell(wishes.cell_file, wishes.fixed)
+    asked = tolerance_asked(wishes.tolerance_mm, wishes.tolerance_of)
+    cell = read_cell(wishes.cell_file, wishes.fixed, stated_from(asdict(wishes)))
     recording, pieces = begun(bag, watch)
     chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
     for other in more:
         added = prepare_pieces(read(other, watch), chain, clock_limit=wishes.clock_limit)
-        prepared = Prepared(prepared.samples.followed_by(added.samples), (*prepared.notes, *added.notes))
+        samples, late = after(added.samples, prepared.samples)
+        if late:
+            said = f"{other.name} overlaps the recordings before it in time: its stamps were put {late:.1f} s later."
+            added = replace(added, notes=(*added.notes, said))
+        if cell.own_in_recordings:
+            cell = cell.with_move(Move(between(prepared.samples, samples), cell.own_in_recordings))
+        prepared = Prepared(
+            prepared.samples.followed_by(samples),
+            (*prepared.notes, *added.notes),
+            together([prepared.dropped, added.dropped]),
+        )
     watch("fitting the geometry")
     result = calibrate(
         prepared.samples,
@@ -65,14 +82,20 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
         look_for_effects=not wishes.geometry_only,
     )
     watch("writing the report")
-    report = named(result.report, recording, prepared)
+    serial = isinstance(chain, Chain) and text is not None
+    robot = str(document(text).get("name") or "robot") if serial and text is not None else "delta"
+    report = named(result.report, recording, prepared).with_tolerance(asked)
+    report = replace(report, trace=trace_of(bag, recording, robot, prepared.samples.frames))
     if isinstance(chain, Chain) and text is not None:
-        files, robot = calibration_files(result, report, chain, text), str(document(text).get("name") or "robot")
+        files = calibration_files(result, report, chain, text)
     else:
-        files, robot = delta_files(result, report), "delta"
-    stamps = [t.stamps for t in recording.joints] + [t.stamps for t in recording.readings]
-    began = min(float(s.min()) for s in stamps if len(s))
-    return Calibrated(report, result.calibration, prepared.samples, files, robot, began)
+        files = delta_files(result, report)
+    return Calibrated(report, result.calibration, prepared.samples, files, robot, began(recording) or 0.0)
+
+
+def tolerance_asked(mm: float | None, of: str) -> Asked | None:
+    """The tolerance that options ask for; None where they ask for none. Raises BadTable."""
+    return None if mm is None else Asked(mm, cast(Statistic, of))
 
 
 def begun(bag: Path, watch: Watch = silent) -> tuple[Recording, Iterator[Piece]]:
@@ -89,4 +112,5 @@ def read(bag: Path, watch: Watch) -> Iterator[Piece]:
 
 def named(report: Report, recording: Recording, prepared: Prepared) -> Report:
     """The report with the recording's name, and with what there is to know of its samples."""
-    return replace(report, title=Path(recording.source).name, notes=(*report.notes, *prepared.notes))
+    notes = (*report.notes, *prepared.notes)
+    return replace(report, title=Path(recording.source).name, notes=notes, dropped=prepared.dropped)

@@ -7,8 +7,9 @@ import numpy as np
 from modcal_core.calibration.store import to_data
 from modcal_core.geometry import so3
 from modcal_core.loop import Result
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
-from modcal_core.report.report import Report, to_json_data
+from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_to_data

@@ -45,7 +45,7 @@ class SimulatedCell(Node):
         self._switches = self._plant.switches
         self._speak(chosen)
         if chosen["stations"]:
-            self.get_logger().info(f"visiting {chosen['stations']} postures in {self._plant.end:.0f} s")
+            self.get_logger().info(f"visiting {self._plant.stops} postures in {self._plant.end:.0f} s")
         self._settle_parameters()
         self._beat.start()
 

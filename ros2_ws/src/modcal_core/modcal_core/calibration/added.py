@@ -30,7 +30,21 @@ FAMILIES = (
     *("payload", "latency", "joint_lag", "scale", "outliers", "unknown"),
 )
 SHAPES = (
-    *("linear", "lagged", "several", "since", "hardening", "turn", "sine", "double", "sign", "ramp", "step", "settle"),
+    *(
+        "linear",
+        "lagged",
+        "several",
+        "since",
+        "hardening",
+        "turn",
+        "sine",
+        "double",
+        "sign",
+        "ramp",
+        "step",
+        "until",
+        "settle",
+    ),
     *("spline", "polynomial", "waves"),
 )
 DRIVERS = (

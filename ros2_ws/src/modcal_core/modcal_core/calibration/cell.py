@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, StationDistance
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.moves import Move, What
 from modcal_core.calibration.parameters import with_prior
 from modcal_core.calibration.placing import Known
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
@@ -28,18 +30,28 @@ class Cell:
 
     distances: between the origins of frames, and between stations. fixed: parameters that must not change, by name,
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
-    instrument watches a point of the tool of its own.
+    instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
+    stated: repeatability and accuracy that were stated. moved: when base or tool are known to have been moved.
+    own_in_recordings: what each of several recordings has of its own.
     """
 
     distances: tuple[AnyDistance, ...] = ()
     fixed: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     own_target: tuple[str, ...] = ()
+    stated: Stated = field(default_factory=Stated)
+    sockets: tuple[str, ...] = ()
+    moved: tuple[Move, ...] = ()
+    own_in_recordings: What | None = None
 
     @property
     def kept(self) -> tuple[str, ...]:
         """Patterns of parameters that must not change: those fixed, and frames that are known in the base."""
         return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base"))
+
+    def with_move(self, move: Move) -> Cell:
+        """The same with one more move that is known of."""
+        return replace(self, moved=tuple(sorted((*self.moved, move), key=lambda m: m.at)))
 
     def met(self, samples: Samples) -> Cell:
         """The same with the stations found that distances are known between; raises BadTable where one is not there."""
@@ -49,7 +61,9 @@ class Cell:
     def require_frames(self, frames: Sequence[str]) -> None:
         """Raises BadTable for something known of a frame that no reading came in."""
         stated = [(k.frame, k.to) for k in self.known]
-        for name in dict.fromkeys([*(n for pair in stated for n in pair if n != "base"), *self.own_target]):
+        for name in dict.fromkeys(
+            [*(n for pair in stated for n in pair if n != "base"), *self.own_target, *self.sockets]
+        ):
             if name not in frames:
                 said = f"no reading has the frame '{name}'"
                 raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")
@@ -65,9 +79,19 @@ class Cell:
                     )
 
 
-def fit_cell(chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None) -> Fit:
-    """The fit of base frames and tool for this arm, from no guess at all."""
-    return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+def fit_cell(
+    chain: Mechanism, samples: Samples, cell: Cell, inertias: Inertias | None = None, start: Model | None = None
+) -> Fit:
+    """The fit of base frames and tool for this arm, from no guess at all.
+
+    start: where base and tool, and what moved of them, are about; what moved is then fitted too.
+    """
+    if start is None:
+        return refit_cell(place_model(chain, samples.frames, inertias), samples, cell)
+    cell.require_frames(samples.frames)
+    start = replace(start, arm=place_model(chain, samples.frames, inertias).arm)
+    choice = choose_parameters(start, views_of(samples), cell.kept, cell.distances, among=lambda p: not p.of_arm)
+    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, tolerance=FITTED)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:

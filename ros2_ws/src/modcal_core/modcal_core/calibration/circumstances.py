@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.calibration.added import added_driver
+from modcal_core.calibration.held import Held
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
@@ -29,10 +30,13 @@ _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise
 
 @dataclass(frozen=True)
 class Arm:
-    """The nominal arm that loads are computed from. inertias: None where the description states no mass."""
+    """The nominal arm that loads are computed from. inertias: None where the description states no mass. held: where
+    time, temperatures and signals stop, of a frozen model; None while it is fitted.
+    """
 
     chain: Mechanism
     inertias: Inertias | None = None
+    held: Held | None = None
 
     @property
     def weighed(self) -> bool:
@@ -65,7 +69,7 @@ class Circumstances:
         if kind == "constant":
             return np.ones(len(self))
         if kind == "time":
-            return self.samples.stamps
+            return self.samples.stamps if self.arm.held is None else self.arm.held.time(self.samples.stamps)
         if kind == "velocity":
             return np.nan_to_num(self.samples.velocity.T)
         if kind == "reading":
@@ -112,6 +116,7 @@ class Circumstances:
             if track.name == name:
                 order = np.argsort(track.stamps, kind="stable")
                 t, x = track.stamps[order], track.values[order, 0]
+                x = x if self.arm.held is None else self.arm.held.value(name, x)
                 keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
                 return delayed(t[keep], x[keep], lag, self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
         return np.zeros(len(self))

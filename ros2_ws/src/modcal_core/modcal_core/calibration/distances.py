@@ -9,16 +9,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.effects import all_columns
 from modcal_core.calibration.linearise import (
     View,
     apply_deviations,
     deviations,
     geometry_rows,
-    local_twists,
     model_at,
 )
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.twists import local_twists
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -70,11 +71,16 @@ AnyDistance = Distance | StationDistance
 
 @dataclass(frozen=True)
 class DistanceRows:
-    """residual: known minus modelled distances [m], (D,). J: (P, D). std: [m], (D,)."""
+    """residual: known minus modelled distances [m], (D,). J: (K, D), of the values they are at. std: [m], (D,)."""
 
     residual: Array
     J: Array
     std: Array
+
+    @property
+    def cost(self) -> float:
+        """What the distances add to the cost of a fit."""
+        return float(np.sum((self.residual / self.std) ** 2))
 
 
 def distance_rows(
@@ -87,17 +93,24 @@ def distance_rows(
     rows = [
         _between_stations(model, parameters, values, known)
         if isinstance(known, StationDistance)
-        else _between_frames(model, parameters, values[: len(parameters)], known)
+        else _between_frames(model, parameters, values, known)
         for known in distances
     ]
     J = np.stack([row for _, row in rows], axis=1)
     return DistanceRows(np.array([r for r, _ in rows]), J, np.array([d.std for d in distances]))
 
 
+def distance_cost(
+    model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[AnyDistance]
+) -> float:
+    """What known distances add to the cost of a fit with the parameters at these values."""
+    return distance_rows(model, parameters, values, distances).cost
+
+
 def _between_frames(
     model: Model, parameters: Sequence[Parameter], values: Array, known: Distance
 ) -> tuple[float, Array]:
-    errors = deviations(model, parameters, values)
+    errors = deviations(model, parameters, values[: len(parameters)])
     now = apply_deviations(model, errors)
     T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
     origin = T_root_frame[:, :3, 3]
@@ -105,7 +118,7 @@ def _between_frames(
     a, b = (model.frames.index(name) for name in known.between)
     gap = origin[a] - origin[b]
     length = max(float(np.linalg.norm(gap)), 1e-9)
-    row = np.zeros(len(parameters))
+    row = np.zeros(len(values))
     for j, parameter in enumerate(parameters):
         if parameter.place == 0:
             v, w = np.split(twists[parameter.frame][parameter.direction], 2)
@@ -121,8 +134,12 @@ def _between_stations(
 ) -> tuple[float, Array]:
     assert known.ends is not None
     now = model_at(model, parameters, values)
-    view = View.of(now, known.ends, model.circumstances(known.ends))
+    at = model.circumstances(known.ends)
+    view = View.of(now, known.ends, at)
     gap = view.f.p[-1][:, 1] - view.f.p[-1][:, 0]
     length = max(float(np.linalg.norm(gap)), 1e-9)
-    moved = geometry_rows(view, model, parameters, values).reshape(len(parameters), 3, 2)
+    rows = [geometry_rows(view, model, parameters, values)]
+    if len(values) > len(parameters):
+        rows += [view.moved_by(terms)[None] for terms in all_columns(now.effects, at)]
+    moved = np.concatenate(rows).reshape(len(values), 3, 2)
     return known.distance - length, (moved[:, :, 1] - moved[:, :, 0]) @ (gap / length)

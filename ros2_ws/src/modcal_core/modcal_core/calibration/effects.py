@@ -7,7 +7,7 @@ linearised model are the geometry's columns times numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.calibration.circumstances import Circumstances, public_driver
 from modcal_core.calibration.parameters import DIRECTIONS
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.twists import local_twists
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import ARMS
@@ -25,6 +26,7 @@ AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
 EXPECTED_DELAY = 0.05  # s
+_TURNED = 3e-3  # rad or m; what a shorter turn changes in the derivatives hardly changes the steps of a fit
 
 
 @dataclass(frozen=True)
@@ -136,8 +138,27 @@ def shape_columns(effect: Effect, at: Circumstances) -> Iterator[list[Term]]:
 
 
 def all_columns(effects: Iterable[Effect], at: Circumstances) -> list[list[Term]]:
-    """Terms of every value of all effects: amplitudes, then refined settings, effect by effect."""
-    return [terms for effect in effects for terms in (*columns(effect, at), *shape_columns(effect, at))]
+    """Terms of every value of all effects: amplitudes, then refined settings, effect by effect.
+
+    A place that the effects turn by much is seen from the turned frame: there each direction has a term along all six.
+    """
+    effects = tuple(effects)
+    out = [terms for effect in effects for terms in (*columns(effect, at), *shape_columns(effect, at))]
+    if not any(effect.direction == ALL and np.abs(effect.amplitudes).max(initial=0.0) > _TURNED for effect in effects):
+        return out
+    turned = {
+        place: local_twists(twist.T)
+        for place, twist in motion(effects, at)[0].items()
+        if np.abs(twist[3:]).max() > _TURNED and place in (0, at.arm.chain.tool_place)
+    }
+    return [_seen_turned(terms, turned) for terms in out]
+
+
+def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:
+    if len(terms) != 1 or terms[0].place not in turned:
+        return terms
+    place, direction, size = terms[0].place, terms[0].direction, terms[0].size
+    return [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
 
 
 def motion(effects: Iterable[Effect], at: Circumstances) -> tuple[dict[int, Array], Array]:
@@ -166,7 +187,19 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
             out.append(EXPECTED_BEND)
         else:
             out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
+    if effect.shape.kind == "until" and len(effect.amplitudes):  # a move may be of any size
+        out = np.maximum(out, np.abs(effect.amplitudes).max()).tolist()
     return np.array([*out, *(effect.shape.expected(name) for name in effect.refined)])
+
+
+def is_move(effect: Effect) -> bool:
+    """Whether an effect is a move of base or tool at one moment."""
+    return effect.family == "step" and effect.place in ("base", "tool") and effect.shape.kind in ("step", "until")
+
+
+def is_large_move(effect: Effect) -> bool:
+    """Whether it is a move by more than is expected of an effect: a linearised step tells nothing of it."""
+    return is_move(effect) and bool(np.abs(effect.amplitudes).max(initial=0.0) > EXPECTED_LENGTH)
 
 
 def place_index(place: str, chain: Mechanism) -> int:

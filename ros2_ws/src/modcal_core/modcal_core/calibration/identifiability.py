@@ -15,6 +15,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.geometry.so3 import Array
 
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
+_FEW_NAMED = 3  # parameters that are named where none is that large
 _WEAK = 0.2  # of the prior's deviation, above which a combination that is seen counts as hardly seen
 _MOST_WEAK = 5
 
@@ -54,5 +55,7 @@ def identifiability(fit: Fit) -> Identifiability:
 
 def _name(direction: Array, fit: Fit) -> str:
     """The parameters that a direction (P,) mostly consists of."""
-    parts = [(abs(x), p.name) for x, p in zip(direction, fit.parameters, strict=True) if abs(x) >= _NAMED]
-    return " with ".join(name for _, name in sorted(parts, reverse=True))
+    parts = sorted(((abs(x), p.name) for x, p in zip(direction, fit.parameters, strict=True)), reverse=True)
+    # where many parameters share a direction, none of them is a large part of it
+    large = [name for size, name in parts if size >= _NAMED] or [name for _, name in parts[:_FEW_NAMED]]
+    return " with ".join(large)

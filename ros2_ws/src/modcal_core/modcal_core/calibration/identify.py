@@ -17,11 +17,12 @@ import numpy as np
 from scipy.linalg import lapack
 
 from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.distances import AnyDistance, distance_rows
+from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
 from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
+    REJECT_Z,
     Groups,
     Spread,
     excess_spread,
@@ -44,6 +45,7 @@ FITTED = 1e-2  # the same for models with effects, some of which have many value
 _NEAR = 1e-4
 _SHRINKING = 0.3
 _SURE = 0.1  # of the tolerance; what is expected to be left
+_LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
@@ -58,7 +60,8 @@ class Fit:
     model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
     covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not
     explain, per axis. weights: (N,) in [0, 1], of the samples it was fitted to; 0 is rejected. information: JᵀWJ of the
-    data alone, (P, P). iterations: steps taken.
+    data alone, (P, P). iterations: steps taken. converged: whether they ended because the next would have been too
+    short to matter, not because there were too many.
     """
 
     model: Model
@@ -70,6 +73,7 @@ class Fit:
     weights: Array
     information: Array
     iterations: int
+    converged: bool = True
 
     @property
     def std(self) -> Array:
@@ -100,11 +104,13 @@ def identify(
     keep_effects: bool = False,
     tolerance: float = CONVERGED,
     begin: Array | None = None,
+    reject: bool = True,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
 
     keep_effects: leave the effects as they are. tolerance: standard deviations within which no value moves any more.
-    begin: values of the parameters to begin from; zero by default.
+    begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
+    otherwise, where wrong ones have been left out already, they only count less.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -113,10 +119,11 @@ def identify(
     values = np.zeros(P) if begin is None else begin
     fitted = () if keep_effects else start.effects
     few = min(_FEW, len(samples) // _MANY)
+    limit = None if not robust else REJECT_Z if reject else np.inf
     if begin is None and not start.effects and few >= _EACH * P:
         some = samples.select(slice(None, None, len(samples) // few))
-        values = _minimum(start, some, parameters, distances, robust, (), tolerance, values, rough=True).values
-    at = _minimum(start, samples, parameters, distances, robust, fitted, tolerance, values)
+        values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
+    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(at.H), 1e-300))
     covariance = np.outer(scale, scale) * _solve(at.H * np.outer(scale, scale), np.eye(len(at.values)), 0.0)
     model = apply_deviations(start, deviations(start, parameters, at.values[:P]))
@@ -132,6 +139,7 @@ def identify(
         at.weights,
         at.H_data[:P, :P],
         at.iterations,
+        at.converged,
     )
 
 
@@ -145,6 +153,7 @@ class _Minimum:
     weights: Array
     spread: Spread
     iterations: int
+    converged: bool
 
 
 def _minimum(
@@ -152,7 +161,7 @@ def _minimum(
     samples: Samples,
     parameters: Sequence[Parameter],
     distances: Sequence[AnyDistance],
-    robust: bool,
+    limit: float | None,
     fitted: Sequence[Effect],
     tolerance: float,
     begin: Array,
@@ -160,13 +169,13 @@ def _minimum(
 ) -> _Minimum:
     """The least cost that is reached from these values of the parameters.
 
-    rough: no more than a beginning; its last step is taken without looking where it leads.
+    limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning;
+    its last step is taken without looking where it leads.
     """
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
     around = start.circumstances(samples)
-    P = len(parameters)
     centre, prior = priors(fitted, parameters, around)
     known = np.diag(prior**-2.0)
     values = np.concatenate([begin, *(e.values for e in fitted)])
@@ -174,24 +183,25 @@ def _minimum(
     damping, length, near = 0.0, np.inf, False  # length: of the last step, in standard deviations
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
-        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
+        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
         row_weight = _of_rows(weights, spread.of(samples), spread.rotation, known_p, known_r, pose)
         if near:
             H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
         else:
             H_samples, g = equations.normal_equations(values, row_weight)
-        H_data = H_samples
+        H_data, measured = H_samples, 0.0
         if distances:
             H_data = H_samples.copy()
             rows = distance_rows(start, parameters, values, distances)
-            H_data[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
-            g[:P] += (rows.J / rows.std**2) @ rows.residual
+            H_data += (rows.J / rows.std**2) @ rows.J.T
+            g = g + (rows.J / rows.std**2) @ rows.residual
+            measured = rows.cost
         H, g = H_data + known, g - (values - centre) * prior**-2.0
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        last = length
+        last, share = length, 1.0
         while True:
-            step = scale * _solve(H * np.outer(scale, scale), scale * g, damping)
-            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) if damping == 0.0 else np.inf
+            step = share * scale * _solve(H * np.outer(scale, scale), scale * g, damping)
+            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
             following = length * min(length / last, 1.0) if last < np.inf else length  # the next step's, most likely
             ended = length <= tolerance or following <= _SURE * tolerance
             begun = rough and damping == 0.0 and float(np.abs(step).max()) <= _ROUGHLY
@@ -200,11 +210,16 @@ def _minimum(
                 break
             trial = values + step
             new = equations.residuals(trial)
-            before = _cost(at, row_weight) + float(np.sum(((values - centre) / prior) ** 2))
+            before = _cost(at, row_weight) + measured + float(np.sum(((values - centre) / prior) ** 2))
             after = _cost(new, row_weight) + float(np.sum(((trial - centre) / prior) ** 2))
-            if after <= before * (1.0 + 1e-6) + 1e-12 + _slack(distances) or damping > 1e6:
+            if distances:
+                after += distance_cost(start, parameters, trial, distances)
+            if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
                 break
-            damping = max(10.0 * damping, 1e-4)
+            if damping == 0.0 and share > _LEAST_SHARE:  # bent, along a direction that is hardly seen
+                share *= 0.5
+            else:
+                damping, share = max(10.0 * damping, 1e-4), 1.0
         looked = new is not at
         values, at = values + step, new
         if ended or begun:
@@ -213,8 +228,9 @@ def _minimum(
         near = near and damping == 0.0 and length <= _SHRINKING * last
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
-        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), robust)
-    return _Minimum(values, H, H_data, weights, spread, iteration)
+        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
+    # robust weights may go to and fro for ever, by which no value moves that anything depends on
+    return _Minimum(values, H, H_data, weights, spread, iteration, ended or begun or length <= FITTED)
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
@@ -255,19 +271,25 @@ def _known(sigma: Array) -> Array:
 
 
 def _weigh(
-    at: Linearised, pose: np.ndarray, known_p: Array, known_r: Array, groups: Groups, parameters: int, robust: bool
+    at: Linearised,
+    pose: np.ndarray,
+    known_p: Array,
+    known_r: Array,
+    groups: Groups,
+    parameters: int,
+    limit: float | None,
 ) -> tuple[Array, Spread]:
     """Robust weights of the samples and the spread left, at these residuals."""
     square_p, square_r = at.square_position, at.square_rotation
     weights = np.ones(len(square_p))
-    if robust:
+    if limit is not None:
         rough = robust_spread(at.position, at.rotation, groups)
         total = square_p / (rough.position**2 + known_p**2)
         for kind, of_kind in groups.others.items():
             total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
         if len(square_r):
             total[pose] += square_r / (rough.rotation**2 + known_r**2)
-        weights = robust_weights(standard_score(total, groups.dimensions))
+        weights = robust_weights(standard_score(total, groups.dimensions), limit)
     each = parameters / groups.rows  # degrees of freedom that a row gives up
 
     def left(rows: np.ndarray | slice, directions: int) -> float:
@@ -300,10 +322,6 @@ def _of_rows(
 def _cost(at: Linearised, row_weight: Array) -> float:
     N, M = at.position.shape[1], at.rotation.shape[1]
     return float(row_weight[:N] @ at.square_position + row_weight[3 * N : 3 * N + M] @ at.square_rotation)
-
-
-def _slack(distances: Sequence[AnyDistance]) -> float:
-    return np.inf if distances else 0.0
 
 
 def _solve(H: Array, g: Array, damping: float) -> Array:

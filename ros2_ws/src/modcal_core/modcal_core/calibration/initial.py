@@ -148,14 +148,14 @@ def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:
         gap = se3.log(se3.inverse(solution[0] @ A @ solution[1]) @ B)
         return float(np.median(np.linalg.norm(gap * np.array([1.0] * 3 + [reach] * 3), axis=1)))
 
-    return min(_hand_eye(A, B), (base, se3.transform(R, point)), key=miss)
+    return min(hand_eye(A, B), (base, se3.transform(R, point)), key=miss)
 
 
-def _hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
+def hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
     """(Y, X) with ``B ≈ Y A X`` for poses A, B (N, 4, 4)."""
     Ra, Rb = A[:, :3, :3], B[:, :3, :3]
     # R_b Z = Y R_a with Z = R_xᵀ: rows of (R_b ⊗ I) z − (I ⊗ R_aᵀ) y, row-major
-    K = np.sum([np.kron(b.T, a.T) for a, b in zip(Ra, Rb, strict=True)], axis=0)  # z = Kᵀ-aligned with y
+    K = np.einsum("nji,nlk->ikjl", Rb, Ra).reshape(9, 9)  # sum of b.T ⊗ a.T; z = Kᵀ-aligned with y
     U, _, Vt = np.linalg.svd(K)
     z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(y))

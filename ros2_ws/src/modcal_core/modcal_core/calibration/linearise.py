@@ -29,6 +29,7 @@ from modcal_core.calibration.effects import READING, Effect, Term, all_columns, 
 from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
+from modcal_core.calibration.twists import error_transform, local_twists
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -63,23 +64,6 @@ class Linearised:
     def square_rotation(self) -> Array:
         """Squared residual of each orientation [rad²], (M,)."""
         return np.asarray(np.einsum("ij,ij->j", self.rotation, self.rotation))
-
-
-def error_transform(twist: Array) -> Array:
-    """``Trans(t) Rot(exp ω)`` (..., 4, 4) of errors' six values (t, ω) (..., 6) [m, rad]."""
-    return se3.transform(so3.exp(twist[..., 3:]), twist[..., :3])
-
-
-def local_twists(twist: Array) -> Array:
-    """The twists (..., 6, 6) that each of the six values makes per unit, in the frame after the error; one per row.
-
-    ``E(x + dx) = E(x) exp(sum dx_d · row_d)``: a shift is seen from the turned frame, and a turn through the right
-    Jacobian of the exponential.
-    """
-    out = np.zeros((*twist.shape, 6))
-    out[..., :3, :3] = so3.exp(twist[..., 3:])  # row d is Rᵀ e_d
-    out[..., 3:, 3:] = so3.left_jacobian(twist[..., 3:])  # the transpose of the right one
-    return out
 
 
 @dataclass(frozen=True)

@@ -95,11 +95,14 @@ def excess_spread(square: Array, known: Array, weight: Array, lost: float, dimen
     if not known.any():
         return max(float(np.sqrt(weight @ square / freedom)), _FLOOR)
     s2 = float(weight @ square) / freedom
-    for _ in range(50):  # the sum falls monotonically in s², and is convex: Newton from above never overshoots zero
+    # the sum falls monotonically in s², and is convex: Newton's steps end at its root. From above they can pass zero,
+    # where the sum is infinite if a reading has no deviation of its own: then they must stay above it.
+    shrink = 0.0 if known.all() else 0.1
+    for _ in range(100):
         v = s2 + known**2
         miss = float((weight * square / v).sum()) - freedom
         slope = -float((weight * square / v**2).sum())
-        new = max(s2 - miss / slope, 0.0) if slope else 0.0
+        new = max(s2 - miss / slope, shrink * s2, _FLOOR**2 if shrink else 0.0) if slope else 0.0
         if abs(new - s2) <= 1e-12 * max(s2, _FLOOR**2):
             break
         s2 = new
@@ -118,7 +121,7 @@ def score_of_one(square: float, dimensions: int) -> float:
     return (cbrt(square / dimensions) - (1.0 - c)) / sqrt(c)
 
 
-def robust_weights(z: Array) -> Array:
-    """Weights in [0, 1] for standard scores: 1 inside, falling as 1/z, then 0 where a sample is rejected."""
+def robust_weights(z: Array, limit: float = REJECT_Z) -> Array:
+    """Weights in [0, 1] for standard scores: 1 inside, falling as 1/z, then 0 beyond the limit: a rejected sample."""
     w = np.minimum(1.0, HUBER_Z / np.maximum(z, HUBER_Z))
-    return np.where(z > REJECT_Z, 0.0, w)
+    return np.where(z > limit, 0.0, w)

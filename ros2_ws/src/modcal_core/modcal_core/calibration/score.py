@@ -8,16 +8,12 @@ import numpy as np
 
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, robust_spread, standard_score
+from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, standard_score
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 
-_REPEAT_RAD = 2e-4  # postures this close count as the same one, visited again
-_MOST_SEARCHED = 3000  # samples among which repeats are looked for
 FINEST = 2e-6  # m and rad; no instrument resolves less, so nothing is called wrong by less
-_REPEATS = 10  # pairs of them before a floor is read off
 
 
 @dataclass(frozen=True)
@@ -93,11 +89,11 @@ def outlying(model: Model, spread: Spread, samples: Samples) -> np.ndarray:
     return _scores(errors(model, samples), samples, spread, bool(model.instruments)) > REJECT_Z
 
 
-def spread_of(model: Model, samples: Samples) -> Spread:
-    """The spread of a model's errors, by medians: what is usual for it on these samples."""
-    e = errors(model, samples)
-    position = e.position if e.lever is None else e.position / e.lever[:, None]
-    return robust_spread(position.T, e.rotation.T, Groups.of(samples, bool(model.instruments)))
+def usual_scatter(samples: Samples) -> tuple[float, float]:
+    """Median deviation of the readings' positions [m, or the kind's unit] and orientations [rad]; 0 where unknown."""
+    known = (samples.sigma_position, samples.sigma_rotation[samples.is_pose])
+    position, rotation = (float(np.median(s[np.isfinite(s)])) if np.isfinite(s).any() else 0.0 for s in known)
+    return position, rotation
 
 
 def squared_misses(e: Errors, samples: Samples, spread: Spread, finest: float = 0.0) -> Array:
@@ -115,38 +111,3 @@ def squared_misses(e: Errors, samples: Samples, spread: Spread, finest: float = 
 
 def _scores(e: Errors, samples: Samples, spread: Spread, mixed: bool) -> Array:
     return standard_score(squared_misses(e, samples, spread, FINEST), Groups.of(samples, mixed).dimensions)
-
-
-@dataclass(frozen=True)
-class Floor:
-    """RMS distance [m] between a reading and what a perfect model would say.
-
-    whole: whether what the arm does not repeat is in it; else it is the readings' scatter alone, a lower bound.
-    """
-
-    rms: float
-    whole: bool
-
-
-def noise_floor(samples: Samples) -> Floor | None:
-    """What no model can do better than, or None when the data cannot tell.
-
-    Postures visited again show it with everything included that does not repeat; failing those, the scatter within the
-    stations is taken. Nothing is said of recordings with readings that are no positions: what
-    is noise differs from one instrument to the next.
-    """
-    if not is_direct(np.unique(samples.kind).tolist()):
-        return None
-    if len(samples) > _MOST_SEARCHED:  # an arm that stood still while the tracker ran makes pairs without number
-        samples = samples.select(np.linspace(0, len(samples) - 1, _MOST_SEARCHED).astype(int))
-    from scipy.spatial import cKDTree  # at the top, it would keep every node waiting
-
-    pairs = cKDTree(samples.q).query_pairs(_REPEAT_RAD, p=np.inf, output_type="ndarray")
-    pairs = pairs[samples.frame[pairs[:, 0]] == samples.frame[pairs[:, 1]]]
-    if len(pairs) >= _REPEATS:
-        gap = samples.position[pairs[:, 0]] - samples.position[pairs[:, 1]]
-        # half of the squared gap is one reading's variance; the median ignores readings that were plainly wrong
-        chi3_median = 2.366
-        return Floor(float(np.sqrt(1.5 * np.median(np.sum(gap**2, axis=1)) / chi3_median)), True)
-    known = samples.sigma_position[np.isfinite(samples.sigma_position)]
-    return Floor(float(np.sqrt(3.0 * np.mean(known**2))), False) if len(known) >= _REPEATS else None

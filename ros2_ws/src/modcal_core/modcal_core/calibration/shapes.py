@@ -21,8 +21,8 @@ PERIODIC = ("sine", "turn", "double")
 
 @dataclass(frozen=True)
 class Shape:
-    """kind: one of linear, lagged, several, since, hardening, turn, sine, double, sign, ramp, step, settle, spline,
-    polynomial and waves, or one that a package adds. settings: by name, see ``basis``.
+    """kind: one of linear, lagged, several, since, hardening, turn, sine, double, sign, ramp, step, until, settle,
+    spline, polynomial and waves, or one that a package adds. settings: by name, see ``basis``.
     """
 
     kind: str
@@ -66,9 +66,10 @@ class Shape:
         first driver, from the time ``at`` on, the second being time. hardening: the y with y + beta y³ = x / scale, as
         a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a turn, a small whole number that
         stays or one that is fitted. double: the same and twice as many cycles. sign: ±1. ramp: x − since. step: 0
-        before ``at``, 1 from then on. settle: exp(−(x − since) / tau). spline: ``count`` cubic B-splines between
-        ``low`` and ``high``, fading to nothing outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low``
-        … ``high`` and held outside. waves: sines and cosines of all sums of up to ``order`` turns of either driver.
+        before ``at``, 1 from then on. until: the same less 1, so that what holds in the end needs no effect. settle:
+        exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``, fading to nothing
+        outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held outside. waves:
+        sines and cosines of all sums of up to ``order`` turns of either driver.
         """
         s = self.settings
         if self.kind in ("linear", "lagged"):
@@ -88,6 +89,8 @@ class Shape:
             return (x - s["since"])[None]
         if self.kind == "step":
             return (x >= s["at"]).astype(float)[None]
+        if self.kind == "until":
+            return -(x < s["at"]).astype(float)[None]
         if self.kind == "settle":
             return np.exp(-np.clip((x - s["since"]) / max(s["tau"], 1e-9), -50.0, 700.0))[None]
         if self.kind == "spline":

@@ -7,6 +7,7 @@ one before it, and a random split would flatter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,19 +28,21 @@ class Split:
     unit: str
 
 
-def split(samples: Samples, rng: np.random.Generator, block: int | None = None) -> Split:
+def split(samples: Samples, rng: np.random.Generator, block: int | None = None, moments: Sequence[float] = ()) -> Split:
     """The three sets of these samples.
 
-    block: stations in a block; 1 splits by station, None decides by how dense the recording is.
+    block: stations in a block; 1 splits by station, None decides by how dense the recording is. moments: rising times
+    [s] at which something changed: each stretch between them has a share in each set.
     """
     first = np.unique(samples.station, return_index=True)[1]
     first = first[np.argsort(samples.stamps[first], kind="stable")]
     if block is None:
-        block = _block_length(samples, first)
+        block = block_length(samples)
     role_of_station: dict[int, int] = {}
-    # Frame by frame, so that no frame is left without a share in each set
-    for f in np.unique(samples.frame[first]):
-        stations = samples.station[first[samples.frame[first] == f]]
+    # Frame by frame and stretch by stretch, so that none is left without a share in each set
+    part = np.searchsorted(moments, samples.stamps[first], side="right")
+    for f, stretch in sorted(set(zip(samples.frame[first].tolist(), part.tolist(), strict=True))):
+        stations = samples.station[first[(samples.frame[first] == f) & (part == stretch)]]
         blocks = np.arange(len(stations)) // block
         order = rng.permutation(blocks[-1] + 1)
         sizes = np.bincount(blocks)[order]
@@ -63,8 +66,10 @@ def _deal(sizes: np.ndarray, total: int) -> np.ndarray:
     return np.searchsorted(np.cumsum(SHARES)[:-1], centre)
 
 
-def _block_length(samples: Samples, first: np.ndarray) -> int:
-    q = samples.q[first]
+def block_length(samples: Samples) -> int:
+    """Stations that must be kept together; 1 where neighbours in time are no neighbours in posture."""
+    first = np.unique(samples.station, return_index=True)[1]
+    q = samples.q[first[np.argsort(samples.stamps[first], kind="stable")]]
     if len(q) < 200:
         return 1
     near = np.median(np.linalg.norm(np.diff(q, axis=0), axis=1))

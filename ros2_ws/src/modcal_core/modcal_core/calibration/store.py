@@ -12,6 +12,7 @@ import numpy as np
 from modcal_core.calibration.added import require_known
 from modcal_core.calibration.circumstances import Arm
 from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.held import Held, Usual
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
@@ -23,6 +24,7 @@ from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -42,6 +44,10 @@ class Calibration:
     explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
+    clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
+    depend on. usual: for each effect what it was on average, where a recording may lack its driver.
+    scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the spread; 0
+    where none was stated. converged: whether every fit reached its minimum.
     """
 
     nominal: Model
@@ -55,11 +61,33 @@ class Calibration:
     spread: Spread = field(default_factory=lambda: Spread(1e-4, 1e-4))
     uncertainty: Uncertainty | None = None
     watched: tuple[float, float] | None = None
+    scatter: tuple[float, float] = (0.0, 0.0)
+    converged: bool = True
+    clock: bool = True
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    usual: tuple[Usual | None, ...] = ()
+
+    def with_scatter(self, samples: Samples) -> Samples:
+        """The samples, those that state no deviation of their own with the one that was usual here."""
+        position, rotation = (
+            np.where(np.isfinite(own), own, usual)
+            for own, usual in zip((samples.sigma_position, samples.sigma_rotation), self.scatter, strict=True)
+        )
+        return replace(samples, sigma_position=position, sigma_rotation=rotation)
 
     @property
     def robot(self) -> str:
         """Fingerprint of the nominal kinematics."""
         return fingerprint(self.nominal.chain)
+
+    @property
+    def held(self) -> Held:
+        """Where the drivers of its effects stop."""
+        return Held(self.watched, self.clock, self.ranges)
+
+    def usual_of(self, effect: int) -> Usual | None:
+        """What the effect with this number was on average, where that was kept."""
+        return self.usual[effect] if effect < len(self.usual) else None
 
     def rivals_of(self, effect: int) -> tuple[Effect, ...]:
         """Others that explain as much as the effect with this number."""
@@ -117,15 +145,23 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             for name, value, std, unit in calibration.parameters
         ],
         "effects": [
-            {**_effect_to_data(effect), "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)]}
+            {
+                **_effect_to_data(effect),
+                "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)],
+                **_usual_to_data(calibration.usual_of(i)),
+            }
             for i, effect in enumerate(calibration.calibrated.effects)
         ],
         "recorded": {
             "kind": calibration.kind,
             "spread": [calibration.spread.position, calibration.spread.rotation],
+            "scatter": _floats(np.array(calibration.scatter)),
+            "converged": calibration.converged,
             **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
+            **({} if calibration.clock else {"clock": False}),
+            **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": _uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
         "arm": _arm_to_data(calibration.calibrated.arm),
@@ -154,12 +190,20 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
         known = _uncertainty_from_data(data.get("uncertainty"), calibrated)
+        scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
+        alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
+        clock = bool(recorded.get("clock", True))
+        ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
+        usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
     kind = str(recorded["kind"])
     watched = (first, last) if np.isfinite([first, last]).all() else None
-    return Calibration(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known, watched)
+    return Calibration(
+        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
+        *(watched, alone, converged, clock, ranges, usual),
+    )
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:
@@ -187,6 +231,14 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
     )
     require_known(effect)
     return effect
+
+
+def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
+    return {} if usual is None else {"usual": {"mean": _floats(usual.mean), "cost_m2": float(usual.cost)}}
+
+
+def _usual_from_data(data: Any) -> Usual | None:
+    return None if data is None else Usual(np.array(data["mean"], dtype=float), float(data["cost_m2"]))
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

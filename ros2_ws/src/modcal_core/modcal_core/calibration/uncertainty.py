@@ -56,7 +56,7 @@ def uncertainty(
     H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.spread, samples))
     if distances:
         rows = distance_rows(model, parameters, values, distances)
-        H[:P, :P] += (rows.J / rows.std**2) @ rows.J.T
+        H += (rows.J / rows.std**2) @ rows.J.T
     H += np.diag(prior**-2.0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H * np.outer(scale, scale)

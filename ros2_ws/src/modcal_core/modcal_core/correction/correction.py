@@ -20,9 +20,9 @@ import numpy as np
 from modcal_core.calibration.circumstances import Arm, Circumstances
 from modcal_core.calibration.effects import JOINTS, READING, Term, columns, motion, shape_columns
 from modcal_core.calibration.gauge import passing_directions
-from modcal_core.calibration.linearise import error_transform
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.twists import error_transform
 from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
@@ -41,7 +41,7 @@ class Correction:
         self.calibration = calibration
         self.model = calibration.calibrated
         self.chain = self.model.serial
-        self._arm = self.model.arm or Arm(calibration.nominal.chain)
+        self._arm = replace(self.model.arm or Arm(calibration.nominal.chain), held=calibration.held)
         true = [e for e in self.model.effects if e.direction != JOINTS]
         self._of_arm = tuple(e for e in true if e.place not in ("base", "tool", "tracker"))
         self._of_tool = tuple(e for e in true if e.place == "tool")
@@ -150,20 +150,11 @@ class Correction:
     def unwatched(self, stamp: float) -> bool:
         """Whether something depends on time and this is longer past the calibration than it lasted, or before it."""
         timed = any(e.driver == "time" for e in (*self._of_arm, *self._of_tool, *self._of_cell))
-        return timed and self._held(stamp) != stamp
-
-    def _held(self, stamp: float) -> float:
-        """A drift is continued for as long again as it was watched, and held from then on."""
-        if self.calibration.watched is None:
-            return stamp
-        first, last = self.calibration.watched
-        return float(np.clip(stamp, first, last + (last - first)))
+        return timed and bool(self.calibration.held.time(np.array(stamp)) != stamp)
 
     def _around(self, postures: Array, at: Conditions) -> Circumstances:
-        held = self._held(at.stamp)
-        # only drifts stand still beyond their time: what was heard goes along
-        signals = tuple(_lasting(track, held - at.stamp) for track in at.signals) if self.needs else ()
-        samples = replace(at, stamp=held, signals=signals).samples(self.chain, postures, self._arm)
+        signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
+        samples = replace(at, signals=signals).samples(self.chain, postures, self._arm)
         return Circumstances(samples, self._arm)
 
     def _behind(self, T_base_tip: Array, around: Circumstances, target: Target) -> Array:
@@ -177,9 +168,9 @@ class Correction:
         return T
 
 
-def _lasting(track: SignalTrack, later: float) -> SignalTrack:
-    """A track with its stamps put later [s], and of at least two values: what was heard once stays as it was."""
-    stamps, values = track.stamps + later, track.values
+def _lasting(track: SignalTrack) -> SignalTrack:
+    """A track of at least two values: what was heard once stays as it was."""
+    stamps, values = track.stamps, track.values
     if len(stamps) == 1:
         stamps, values = np.r_[stamps - 1.0, stamps], np.repeat(values, 2, axis=0)
     return replace(track, stamps=stamps, values=values)

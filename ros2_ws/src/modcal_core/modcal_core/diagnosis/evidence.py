@@ -27,12 +27,12 @@ from modcal_core.calibration.effects import AXIS, LENGTH, Effect, columns, lengt
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import View, linearise
 from modcal_core.calibration.noise import Groups
+from modcal_core.calibration.runs import independent_unit
 from modcal_core.calibration.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 FLIPS = 199
-_MEMORY = 0.5  # s; samples in motion closer than this share their noise
 _LEAST_FREEDOM = 20  # rows beyond what is fitted
 _FARTHEST = 8.0  # times the median size; no sample may rule alone
 _LEAST_NEW = 0.0025  # share of a candidate's motion that the fit must not be able to make by itself
@@ -284,15 +284,6 @@ def _drawn_in(residual: Array) -> Array:
     size = np.linalg.norm(residual, axis=0)
     limit = _FARTHEST * float(np.median(size))
     return residual * np.minimum(1.0, limit / np.maximum(size, 1e-300))
-
-
-def independent_unit(samples: Samples) -> np.ndarray:
-    """For each sample the number of the unit whose noise is independent of the others', (N,).
-
-    A station; in motion, where noise has a memory, all samples of half a second.
-    """
-    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), samples.station)
-    return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
 
 
 def _by_sample(row: Array, view: View) -> Array:

@@ -12,21 +12,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.posture_order import joints_instead
+from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
+from modcal_core.diagnosis.pruning import LEAST_GAIN, needless
 from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.measurements.samples import Samples
 
 SIGNIFICANT = 0.002
-LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
 MOST_EFFECTS = 30
 _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
@@ -40,7 +44,8 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: to *train* with this effect and the ones before it.
+    as well, by name and as effects. fit: to *train* with this effect and the ones before it. sampled: trials with the
+    signs of stations flipped that p_value was compared with; below one in so many it is extrapolated.
     """
 
     effect: Effect
@@ -48,6 +53,21 @@ class Cause:
     same_as: tuple[str, ...]
     rivals: tuple[Effect, ...]
     fit: Fit
+    sampled: int = 0
+
+
+def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
+    """The causes of a fit's moves of base and tool, each with those before it: they were found before all others."""
+    effects = fit.model.effects
+    out = []
+    for i, effect in enumerate(effects):
+        model = fit.model.with_effects(effects[: i + 1])
+        same = joints_instead(samples, effect.shape.settings["at"])
+        if effect.place == "base":
+            same = (f"tracker all by {effect.public_driver}", *same)
+        size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
+        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
+    return tuple(out)
 
 
 @dataclass(frozen=True)
@@ -71,24 +91,31 @@ def diagnose(
     distances: Sequence[AnyDistance] = (),
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
+    known: Sequence[Cause] = (),
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
-    suspects: what to look for besides the vocabulary.
+    suspects: what to look for besides the vocabulary. known: causes of the effects that the fit has already; they stay.
     """
     both = train.join(explain)
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
     at = fit.model.circumstances(both)
     scanner = Scanner([*vocabulary(at), *suspects(at)], at)
     search = _Search(
-        fit, scanner, train.select(_evenly(np.arange(len(train)), _MOST_FITTED)), explain, tuple(distances)
+        fit,
+        scanner,
+        train.select(_evenly(np.arange(len(train)), _MOST_FITTED)),
+        explain,
+        tuple(distances),
+        tuple(known),
     )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
+    flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
     patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else 0
     while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
-        evidence = scanner.evidence(search.fit, rng, FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2)
+        evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:
             left = None
@@ -110,8 +137,10 @@ def diagnose(
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
+        final = search.prune(final, train)
     effects = final.model.effects
-    causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=True))
+    trials = [0] * len(known) + [flips] * len(effects)  # moves of base and tool were found in another way
+    causes = tuple(replace(c, effect=e, sampled=n) for c, e, n in zip(search.causes, effects, trials, strict=False))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
@@ -124,9 +153,10 @@ class _Search:
     train: Samples
     explain: Samples
     distances: tuple[AnyDistance, ...]
+    known: tuple[Cause, ...] = ()
 
     def __post_init__(self) -> None:
-        self.causes: list[Cause] = []
+        self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
         self._stale = False  # whether the causes' own fits are those of another order
 
@@ -137,7 +167,7 @@ class _Search:
         self.fit = self._with(self.fit, choice.effect)
         self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
         better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
-        if better and len(self.causes) > 1 and len(self.scanner.at) <= _MOST_REVISITED:
+        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.at) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
@@ -157,7 +187,7 @@ class _Search:
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the vocabulary again, with the later ones known."""
-        for i in range(len(self.causes) - 1):
+        for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
             without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
             better = choose(self.scanner.evidence(without), self.scanner, without, set(), incumbent=effects[i])
@@ -179,8 +209,9 @@ class _Search:
                 float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
                 for e in map(_linear, self.fit.model.effects)
             ]
+            size[: len(self.known)] = [np.inf] * len(self.known)
             weakest = int(np.argmin(size))
-            if size[weakest] >= _NEEDLESS or len(size) < 2:
+            if size[weakest] >= _NEEDLESS or len(size) < 2 + len(self.known):
                 return
             del self.causes[weakest]
             effects = self.fit.model.effects
@@ -207,9 +238,21 @@ class _Search:
         if not self._stale:
             return
         effects = self.fit.model.effects
-        for i, cause in enumerate(self.causes):
+        for i, cause in list(enumerate(self.causes))[len(self.known) :]:
             fit = self.fit if i + 1 == len(effects) else self._refit(self.fit, effects[: i + 1])
             self.causes[i] = replace(cause, fit=fit)
+
+    def prune(self, final: Fit, train: Samples) -> Fit:
+        """The fit to all of *train* without effects that it does not need; their causes go with them."""
+        stay = len(self.known)
+        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances, stay)
+        if gone:
+            known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
+            kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
+            nested = (without(pruned.model, known, range(i + 1, len(kept))) for i in range(stay, len(kept)))
+            later = [replace(c, fit=replace(pruned, model=m)) for c, m in zip(kept[stay:], nested, strict=True)]
+            self.causes = [*kept[:stay], *later]
+        return pruned
 
     def _missed(self, fit: Fit) -> float:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""

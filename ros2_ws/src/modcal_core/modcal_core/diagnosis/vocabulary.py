@@ -176,7 +176,7 @@ def step(at: Circumstances) -> Iterator[Effect]:
     ]
     for moment in breaks(at):
         for place, direction in places:
-            yield Effect("step", place, direction, "time", Shape("step", {"at": float(moment)}))
+            yield Effect("step", place, direction, "time", Shape("until", {"at": float(moment)}))
 
 
 def breaks(at: Circumstances) -> Array:

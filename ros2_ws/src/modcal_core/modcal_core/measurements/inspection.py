@@ -11,6 +11,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.returns import LEAST_RETURNS, returns
 from modcal_core.measurements.stations import StationRules, find_dwells
 from modcal_core.robots.mechanism import Mechanism
 
@@ -62,6 +63,8 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
             require_usable(recording, chain)
         except ModcalError as error:
             findings.append(f"Cannot be used for calibration: {error}.")
+        else:
+            findings += _returns_finding(recording, chain)
     return Inspection(tuple(facts), _uses(recording, chain), tuple(findings))
 
 
@@ -126,6 +129,26 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
         return []
     return [
         f"{name}: {len(long)} times the same reading {_STUCK} or more times in a row: the target may have been lost."
+    ]
+
+
+def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
+    """Without postures that are visited twice nobody knows how well the arm repeats, so no fit can be called good."""
+    t, q = joint_stamps_and_positions(recording, chain.names)
+    order = np.argsort(t, kind="stable")
+    t, q = t[order], q[order]
+    dwells = find_dwells(t, q, StationRules())
+    if len(dwells):
+        q = q[np.searchsorted(t, dwells.mean(axis=1)).clip(max=len(t) - 1)]
+    elif not sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings):
+        return []  # readings in motion have no posture to come back to
+    count = len(returns(q))
+    if count >= LEAST_RETURNS:
+        return []
+    few = "No posture is visited twice" if not count else f"Only {count} postures are visited twice"
+    return [
+        f"{few}: the noise floor will be unknown; visit {LEAST_RETURNS} postures again, each from another side, or "
+        "state --repeatability-mm and --instrument-mm."
     ]
 
 

@@ -13,6 +13,9 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 POSE, POINT, RANGE, BEARING, TOUCH, RAY = "pose", "point", "range", "bearing", "touch", "ray"
+# Notes of a recording that say what its readings are, as `modcal import` writes them
+ORDER_ONLY = "The table has lost its clock: stamps say the order of the rows only, not when they were taken."
+SOCKETS = "Sockets, in each of which the tool's ball rests at one point: "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
 
@@ -77,6 +80,17 @@ class Recording:
         tracks: tuple[JointTrack | ReadingTrack, ...] = (*self.joints, *self.readings)
         stamps = [t.stamps for t in tracks if len(t.stamps)]
         return float(max(s.max() for s in stamps) - min(s.min() for s in stamps)) if stamps else 0.0
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether stamps are times; False where they are only an order, as a note says."""
+        return ORDER_ONLY not in self.warnings
+
+    @property
+    def sockets(self) -> tuple[str, ...]:
+        """Frames that a note states to be sockets."""
+        stated = [note.removeprefix(SOCKETS).rstrip(".") for note in self.warnings if note.startswith(SOCKETS)]
+        return tuple(name for names in stated for name in names.split(", "))
 
     @property
     def frames(self) -> tuple[str, ...]:

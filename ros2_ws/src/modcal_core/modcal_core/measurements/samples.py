@@ -11,6 +11,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE, SignalTrack
 
+SHARED = ("names", "frames", "signals", "sockets", "clock")  # fields of Samples that have no row for each sample
 KIND_NAMES = np.dtype("U32")  # of Samples.kind; a kind with a longer name is refused
 
 
@@ -30,6 +31,8 @@ class Samples:
     What led up to a sample and went on beside it, where it is known: acceleration: of the joints, (N, n), zero where
     unknown. approach: the direction each joint last moved in, −1, 0 (unknown) or 1, (N, n). effort: torque or force of
     the actuators [N m, N], (N, n), NaN where not sent. signals: whole tracks of everything else that was recorded.
+
+    sockets: frames that are stated to show one fixed point. clock: whether stamps are times rather than an order.
     """
 
     names: tuple[str, ...]
@@ -49,6 +52,8 @@ class Samples:
     approach: Array = field(default_factory=lambda: np.empty((0, 0)))
     effort: Array = field(default_factory=lambda: np.empty((0, 0)))
     signals: tuple[SignalTrack, ...] = ()
+    sockets: tuple[str, ...] = ()
+    clock: bool = True
 
     def __post_init__(self) -> None:
         """What is not given is unknown."""
@@ -77,8 +82,7 @@ class Samples:
 
     def select(self, rows: np.ndarray | slice) -> Samples:
         """The samples at the given rows (mask, indices or slice), in that order."""
-        shared = ("names", "frames", "signals")
-        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in shared}
+        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in SHARED}
         return replace(self, **arrays)
 
     def between(self, since: float, until: float) -> Samples:
@@ -94,11 +98,10 @@ class Samples:
 
     def join(self, other: Samples) -> Samples:
         """These samples and others of the same recording, in the order of their stamps; stations keep their numbers."""
-        shared = ("names", "frames", "signals")
         arrays: dict[str, Any] = {
             f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
             for f in fields(self)
-            if f.name not in shared
+            if f.name not in SHARED
         }
         return replace(self, **arrays).select(np.argsort(np.r_[self.stamps, other.stamps], kind="stable"))
 
@@ -116,10 +119,16 @@ class Samples:
         station = other.station + self.station.max(initial=-1) + 1
         signals = tuple(tracks.values())
         numbered = replace(other, frames=frames, frame=index[other.frame], station=station, signals=signals)
-        return replace(self, frames=frames, signals=signals).join(numbered)
+        sockets = tuple(dict.fromkeys((*self.sockets, *other.sockets)))
+        clock = self.clock and other.clock
+        return replace(self, frames=frames, signals=signals, sockets=sockets, clock=clock).join(numbered)
 
     def is_same_point(self, frame: int) -> bool:
-        """Whether every reading in this frame is one and the same point, as of a ball held in a socket."""
+        """Whether this frame is stated to show one fixed point, as of a ball held in a socket."""
+        return self.frames[frame] in self.sockets
+
+    def stands_still(self, frame: int) -> bool:
+        """Whether every reading in this frame is one and the same point."""
         rows = self.frame == frame
         if (self.kind[rows] != POINT).any() or rows.sum() < 2:
             return False

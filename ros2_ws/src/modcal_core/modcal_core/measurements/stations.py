@@ -104,6 +104,8 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
         acceleration=np.concatenate([p.acceleration for p in pieces]),
         signals=recording.signals,
+        sockets=recording.sockets,
+        clock=recording.has_clock,
     )
     effort = joint_stamps_and(recording, names, "effort")[1][order]
     return replace(samples, approach=_approach(samples, t, q), effort=_held(samples, t, effort, rules))
@@ -227,7 +229,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
         if len(rows) == 0 or joint_rows.start == joint_rows.stop:
             continue
         position, R = _values(track, rows)
-        keep = _inliers(position)
+        keep = inliers(position)
         position, R = position[keep], R[keep]
         R_mean = so3.mean(R)
         p_mean = position.mean(axis=0)
@@ -249,7 +251,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
     return Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
 
 
-def _inliers(position: Array) -> np.ndarray:
+def inliers(position: Array) -> np.ndarray:
     """Readings of one dwell that are no glitches: within 8 robust deviations of their middle, at least half of them.
 
     The middle is sought about the reading that most others are near: where something was moved half way through, the

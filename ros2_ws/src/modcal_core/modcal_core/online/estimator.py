@@ -25,7 +25,7 @@ from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import SHARED, Samples
 from modcal_core.online.frozen import Frozen
 from modcal_core.online.information import Information
 
@@ -244,11 +244,10 @@ class Estimator:
 def joined(samples: Sequence[Samples]) -> Samples:
     """Samples of the same cell, one after the other."""
     first = samples[0]
-    shared = ("names", "frames", "signals")
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(s, name) for s in samples])
         for name in first.__dataclass_fields__
-        if name not in shared
+        if name not in SHARED
     }
     return replace(samples[-1], **arrays)
 

@@ -16,9 +16,10 @@ from math import asin, sqrt
 import numpy as np
 
 from modcal_core.calibration.effects import all_columns, motion
-from modcal_core.calibration.linearise import Deviations, View, deviations, local_twists, model_at
+from modcal_core.calibration.linearise import Deviations, View, deviations, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
+from modcal_core.calibration.twists import local_twists
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import HAT, Array
 from modcal_core.measurements.samples import Samples

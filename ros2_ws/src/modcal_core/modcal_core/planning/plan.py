@@ -19,6 +19,7 @@ from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
 from modcal_core.planning.exchange import Exchange, exchange
 from modcal_core.planning.ground import CANDIDATES, Ground, random_accuracies, survey
+from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.route import Route, route
 from modcal_core.planning.rows import Rows, station_rows
 from modcal_core.planning.site import Site
@@ -39,6 +40,7 @@ class Wish:
     stations: how many; None: as many as the accuracy needs. accuracy: [m], of what measure says: ``rms`` or ``p95``.
     criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that are not fitted. starts: of the
     exchange. candidates: postures to choose from. besides: stations (N, n) that are measured already and count too.
+    returns: how many stations are visited twice, so that it is known what the arm does not repeat.
     """
 
     stations: int | None = None
@@ -50,13 +52,15 @@ class Wish:
     starts: int = 2
     candidates: int = CANDIDATES
     besides: Array | None = None
+    returns: int = RETURNS
 
 
 @dataclass(frozen=True)
 class Plan:
     """Stations, and what is expected of them.
 
-    q: in the order of the way through them, (k, n) [rad, m]. accuracy, indices: of the calibration from them.
+    q: in the order of the way through them, (k, n) [rad, m], those visited twice twice. accuracy, indices: of the
+    calibration from the distinct ones.
     random: accuracies of as many stations drawn at random from the same postures. curve: (number, accuracy) of the
     sets that were tried while looking for the number. values: of the criterion, one a start, then when refined.
     """
@@ -70,6 +74,11 @@ class Plan:
     random: tuple[Accuracy, ...]
     values: tuple[float, ...]
     curve: tuple[tuple[int, Accuracy], ...] = field(default=())
+
+    @property
+    def distinct(self) -> int:
+        """The number of distinct stations."""
+        return len(self.q) - len(self.route.returns)
 
 
 def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan:
@@ -96,7 +105,7 @@ def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan
         while _measure(best.accuracy, wish) > _wished(wish) and len(best.q) < len(ground.q):
             best = chosen_stations(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
     count = len(best.q)
-    way = through(ground, best.q)
+    way = through(ground, best.q, wish.returns)
     information = best.rows.information(np.arange(count)) + (0.0 if ground.given is None else ground.given)
     return Plan(
         wish,
@@ -154,13 +163,13 @@ def least_stations(parameters: int, reading: str) -> int:
     return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
 
 
-def through(ground: Ground, q: Array) -> Route:
-    """The way through these stations, free of touching by the spheres."""
+def through(ground: Ground, q: Array, returns: int = 0) -> Route:
+    """The way through these stations, coming back to some of them, free of touching by the spheres."""
 
     def free(postures: Array) -> np.ndarray:
         return np.asarray(clearance(ground.spheres, ground.site, postures) >= 0.0)
 
-    return route(q, free, ground.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)))
+    return route(q, free, ground.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)), returns)
 
 
 def _require(count: int, least: int, there: int) -> None:

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.planning.returns import with_returns
 
 _STEP = 0.05  # rad or m, of the joint that moves most
 _NEIGHBOURS = 20
@@ -28,13 +29,15 @@ Free = Callable[[Array], np.ndarray]
 
 @dataclass(frozen=True)
 class Route:
-    """order: of the stations, (k,). ways: for each of the k − 1 ways the postures in between, (m, n), mostly none.
-    blocked: the ways, by number, for which nothing was found.
+    """order: of the stations, (k,), those visited twice twice. ways: for each of the k − 1 ways the postures in
+    between, (m, n), mostly none. blocked: the ways, by number, for which nothing was found. returns: (first, second)
+    stop of each station that is visited twice, by number.
     """
 
     order: np.ndarray
     ways: tuple[Array, ...]
     blocked: tuple[int, ...]
+    returns: tuple[tuple[int, int], ...] = ()
 
     def stops(self, q: Array) -> list[Array]:
         """For each way all its postures, from station to station, (2 + m, n). q: the stations in order, (k, n)."""
@@ -45,21 +48,23 @@ class Route:
         return float(sum(np.abs(np.diff(stop, axis=0)).max(axis=1).sum() for stop in self.stops(q)))
 
 
-def route(q: Array, free: Free, between: Array, start: Array | None = None) -> Route:
-    """A short way through stations q (k, n), from the one nearest to start.
+def route(q: Array, free: Free, between: Array, start: Array | None = None, returns: int = 0) -> Route:
+    """A short way through stations q (k, n), from the one nearest to start, that comes back to some of them.
 
     free: says of postures (N, n) which are allowed, (N,). between: allowed postures that ways may lead over, (N, n).
     """
     first = 0 if start is None else int(np.argmin(np.abs(q - start).max(axis=1)))
     order = _shortened(q, _nearest(q, first))
+    tour = with_returns(q[order], returns)
+    order = order[tour.order]
     roadmap = _Roadmap(np.concatenate([q[order], between]), free)
     ways, blocked = [], []
-    for i in range(len(q) - 1):
+    for i in range(len(order) - 1):
         way = roadmap.way(i, i + 1)
         if way is None:
             blocked.append(i)
         ways.append(np.empty((0, q.shape[1])) if way is None else way)
-    return Route(order, tuple(ways), tuple(blocked))
+    return Route(order, tuple(ways), tuple(blocked), tour.pairs)
 
 
 def _nearest(q: Array, first: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
 from modcal_core.report.report import Report
@@ -123,12 +124,12 @@ def timeline(report: Report) -> Chart | None:
             axes.semilogy(time[rows], miss[rows], marker, ms=3.0, color=LIGHT[colour], mfc="none", label=said)
     out = report.rejected_rows()[:_MOST_REJECTED]
     if len(out):
-        axes.semilogy(time[out], miss[out], "X", ms=6.0, color=LIGHT["bad"], label=f"left out ({report.rejected})")
+        axes.semilogy(time[out], miss[out], "X", ms=6.0, color=LIGHT["bad"], label=f"rejected ({len(out)})")
     axes.minorticks_off()
     axes.yaxis.set_major_formatter("{x:g}")
     label(axes, "time since the first sample, min", "error of the final model, mm")
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=4)
     over = f"{samples.stations} stations over {time.max():.1f} minutes"
-    alt = f"Error of the final model at {over}; {report.rejected} samples were left out."
-    words = "Circles fitted the model, squares chose the effects, triangles scored it; filled crosses were left out."
+    alt = f"Error of the final model at {over}; {counted(report.rejected_stations(), 'station')} rejected."
+    words = "Circles fitted the model, squares chose the effects, triangles scored it; filled crosses were rejected."
     return chart(figure, "timeline", alt, words)

@@ -1,34 +1,47 @@
-"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes and a sentence."""
+"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes and a sentence.
+
+The story is that of the final model: what an entry is worth is what its removal from that model costs on held-out,
+everything else fitted again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.added import added_effects, added_shape
+from modcal_core.calibration.added import added_effects
 from modcal_core.calibration.chances import beyond_normal
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, SHIFT, Effect
+from modcal_core.calibration.distances import AnyDistance
+from modcal_core.calibration.effects import ALL, AXIS, Effect, is_move
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
-from modcal_core.calibration.parameters import DIRECTIONS
+from modcal_core.calibration.posture_order import joints_instead
+from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
+from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.diagnosis.loop import Diagnosis
-from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.effect_sizes import Quantity, at_tool, parameters
+from modcal_core.report.effect_sizes import component_names as component_names
+from modcal_core.report.effect_sizes import curve as curve
+from modcal_core.report.sentences import story
 
 _UNDECIDED = 0.05  # of the usual load, below which its sign is not sure
-
-Quantity = tuple[float, float, str]  # value, standard deviation, unit
+_DRAWS = 400
+_MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
+_MOST_SEEN = 500  # samples at which the size at the tool is taken
 
 
 @dataclass(frozen=True)
 class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
-    RMS error on held-out without it and with it [m], those found before it being there both times.
+    RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
+    removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with.
     """
 
     family: str
@@ -41,45 +54,125 @@ class Finding:
     after: float
     same_as: tuple[str, ...] = ()
     effects: tuple[Effect, ...] = field(default=())
+    gain_mm2: float | None = None
+    ci95: tuple[float, float] | None = None
+    tool: float | None = None
+    sampled: int = 0
+
+    @property
+    def shown(self) -> bool:
+        """Whether held-out stations show that it brings something."""
+        return self.ci95 is None or self.ci95[0] > 0.0
+
+    @property
+    def chance(self) -> str:
+        """The chance that noise looks as good: what sampling shows, and apart from it what is extrapolated."""
+        least = 1.0 / (self.sampled + 1)
+        if not self.sampled or self.p_value >= least:
+            return f"{self.p_value:.2g}"
+        return f"below 1/{self.sampled + 1} by sampling; extrapolated {self.p_value:.0e}"
 
     @property
     def sentence(self) -> str:
         """What a technician should know of it."""
-        gain = f"adding it takes the error from {1e3 * self.before:.3f} to {1e3 * self.after:.3f} mm"
         added = added_effects().get(self.family)
-        story = f"{self.place} {added.story}" if added and added.story else _STORIES.get(self.family, _unknown)(self)
-        return f"{story}; {gain}."
+        told = story(self.family, self.place, self.direction, self.driver, self.parameters)
+        said = f"{self.place} {added.story}" if added and added.story else told
+        if self.family == "step" and (joints := [n for n in self.same_as if " by position:" in n]):
+            said = (
+                f"either {said}, or {joints[0].partition(' by position:')[2]} errs with its position: "
+                "the stations before and after differ in it, and posture and time cannot be told apart"
+            )
+        moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
+        return f"{said}; {self._gain}{moved}."
+
+    @property
+    def _gain(self) -> str:
+        if self.gain_mm2 is None:
+            return f"without them the error is {1e3 * self.after:.3f} mm, with them {1e3 * self.before:.3f} mm"
+        if not self.shown:
+            return "that it helps is not shown by the held-out stations"
+        return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
 def findings(
-    diagnosis: Diagnosis, shipped: Model, samples: Samples, wrong: np.ndarray, missed: Sequence[Errors]
+    diagnosis: Diagnosis,
+    shipped: Model,
+    samples: Samples,
+    wrong: np.ndarray,
+    train: Samples,
+    scored: Samples,
+    distances: Sequence[AnyDistance] = (),
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
     shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
-    missed: errors on held-out by geometry alone, then with each effect added.
+    train, scored: what the scored model was fitted to, and the held-out samples it is judged by.
     """
-    entries: dict[tuple[str, str, str, str], Finding] = {}
-    before = _rms(missed[0])
-    for cause, effect, left in zip(diagnosis.causes, shipped.effects, missed[1:], strict=True):
-        after = _rms(left)
-        known = entries.get(effect.key)
-        effects = (*known.effects, effect) if known else (effect,)
-        entries[effect.key] = Finding(
-            effect.family,
-            effect.place,
-            effect.direction,
-            effect.public_driver,
-            _parameters(effects),
-            min(cause.p_value, known.p_value) if known else cause.p_value,
-            known.before if known else before,
-            after,
-            tuple(dict.fromkeys((*(known.same_as if known else ()), *_link_name(effect, shipped), *cause.same_as))),
-            effects,
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i, effect in enumerate(shipped.effects):
+        # each move is an entry of its own
+        key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
+        groups.setdefault(key, []).append(i)
+    known = _known_of(diagnosis.fit, train, distances) if groups and len(scored) else None
+    few = samples.select(np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SEEN)).astype(int)))
+    entries = []
+    for numbers in groups.values():
+        effects = tuple(shipped.effects[i] for i in numbers)
+        causes = [diagnosis.causes[i] for i in numbers]
+        same = dict.fromkeys(
+            name
+            for e, c in zip(effects, causes, strict=True)
+            for name in (*_link_name(e, shipped), *_posture(e, samples), *c.same_as)
         )
-        before = after
-    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _known(shipped, samples)
-    return (*_outliers(diagnosis.fit, samples, wrong), *entries.values())
+        before, after, gain, interval = _worth(diagnosis.fit.model, known, numbers, scored)
+        first = effects[0]
+        entries.append(
+            Finding(
+                *(first.family, first.place, first.direction, first.public_driver),
+                parameters=parameters(effects, shipped.chain),
+                p_value=min(c.p_value for c in causes),
+                before=before,
+                after=after,
+                same_as=tuple(same),
+                effects=effects,
+                gain_mm2=gain,
+                ci95=interval,
+                tool=at_tool(shipped, numbers, few),
+                sampled=min(c.sampled for c in causes),
+            )
+        )
+    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _known_side(shipped, samples)
+    return (*_outliers(diagnosis.fit, samples, wrong), *entries)
+
+
+def _known_of(fit: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Uncertainty:
+    """The covariance of the final fit, from a part of *train* where that is long."""
+    rows = np.unique(np.linspace(0, len(train) - 1, min(len(train), _MOST_FITTED)).astype(int))
+    weights = fit.weights[rows] * (len(train) / max(len(rows), 1))
+    part = replace(fit, weights=weights)
+    return uncertainty(fit.model, train.select(rows), fit.parameters, part, distances)
+
+
+def _worth(
+    model: Model, known: Uncertainty | None, numbers: Sequence[int], scored: Samples
+) -> tuple[float, float, float | None, tuple[float, float] | None]:
+    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
+    if known is None:
+        return float("nan"), float("nan"), None, None
+    with_them = errors(model, scored).position_norm ** 2
+    without_them = errors(without(model, known, numbers), scored).position_norm ** 2
+    cost, interval = resampled(1e6 * (without_them - with_them), scored.station)
+    return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
+
+
+def resampled(square: Array, station: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Mean of numbers (N,) and its 95 % interval, by drawing their stations (N,) again."""
+    _, of = np.unique(station, return_inverse=True)
+    total, count = np.bincount(of, square), np.bincount(of)
+    draws = np.random.default_rng(0).integers(len(count), size=(_DRAWS, len(count)))
+    means = total[draws].sum(axis=1) / count[draws].sum(axis=1)
+    return float(square.mean()), (float(np.percentile(means, 2.5)), float(np.percentile(means, 97.5)))
 
 
 def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
@@ -90,8 +183,15 @@ def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
     return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
 
 
-def _known(model: Model, samples: Samples) -> np.ndarray:
-    """False where it cannot be said on which side of its play a joint rests, (N,): unmoved so far, or hardly loaded."""
+def _posture(effect: Effect, samples: Samples) -> tuple[str, ...]:
+    """Errors of joints that may be what a step is, where the order of the stations correlates with their positions."""
+    if effect.family != "step":
+        return ()
+    return joints_instead(samples, effect.shape.settings["at"])
+
+
+def _known_side(model: Model, samples: Samples) -> np.ndarray:
+    """False where it cannot be said on which side of its backlash a joint rests, (N,): unmoved, or hardly loaded."""
     known = np.ones(len(samples), bool)
     at = model.circumstances(samples)
     for effect in model.effects:
@@ -105,206 +205,10 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     if not wrong.any():
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
-    with_them, without = (_rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
+    with_them, without_them = (_rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
     by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
-    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without),)
+    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without_them),)
 
 
 def _rms(missed: Errors) -> float:
     return float(np.sqrt(np.mean(missed.position_norm**2))) if len(missed.position) else float("nan")
-
-
-def _parameters(effects: tuple[Effect, ...]) -> dict[str, Quantity]:
-    """Named sizes of the effects of one entry; later ones are numbered."""
-    out: dict[str, Quantity] = {}
-    for i, effect in enumerate(effects):
-        for name, quantity in _sizes(effect).items():
-            out[name if i == 0 else f"{name}_{i + 1}"] = quantity
-    return out
-
-
-def _sizes(effect: Effect) -> dict[str, Quantity]:
-    v, s, settings = effect.values, effect.std, effect.shape.settings
-    unit = "m" if effect.direction in ("x", "y", "z", LENGTH, SHIFT) else "rad"
-    if effect.direction == JOINTS:
-        return {"delay": (float(v[0]), float(s[0]), "s")}
-    if effect.family == "joint_lag":
-        return {"delay": (-float(v[0]), float(s[0]), "s")}
-    if effect.family == "scale":
-        return {"scale": (float(v[0]), float(s[0]), "1")}
-    if effect.shape.kind == "double":
-        first, second = _wave(v[:2], s[:2], unit), _wave(v[2:4], s[2:4], unit)
-        cycles = (settings["cycles"], float(s[4]), "1")
-        return {
-            **first,
-            "cycles_per_turn": cycles,
-            "amplitude_twice": second["amplitude"],
-            "phase_twice": second["phase"],
-        }
-    if effect.shape.kind in ("sine", "turn") and effect.direction == AXIS:
-        return {**_wave(v, s, unit), "cycles_per_turn": (settings["cycles"], float(s[2]) if len(s) > 2 else 0.0, "1")}
-    if effect.shape.kind == "spline" and effect.direction == AXIS:
-        return curve_sizes(effect)
-    if effect.shape.kind == "since":
-        return {"compliance_times_mass": (float(v[0]), float(s[0]), "kg rad/(N m)"), "at": (settings["at"], 0.0, "s")}
-    if effect.family in ("compliance", "payload"):
-        return _compliance(effect)
-    if effect.family == "backlash":
-        return {"backlash": (2.0 * abs(float(v[0])), 2.0 * float(s[0]), unit)}
-    if effect.family in ("gear_ratio", "coupling"):
-        return {"ratio_error" if effect.family == "gear_ratio" else "coupling": (float(v[0]), float(s[0]), "1")}
-    out = _components(effect, unit)
-    if effect.shape.kind == "step":
-        out["at"] = (settings["at"], 0.0, "s")
-    if effect.shape.kind == "settle":
-        out["time_constant"] = (settings["tau"], float(s[-1]), "s")
-    if effect.shape.kind == "turn":
-        out["cycles_per_turn"] = (settings["cycles"], 0.0, "1")
-    if effect.lag:
-        out["lag"] = (effect.lag, float(s[-1]), "s")
-    if own := added_shape(effect.shape.kind):
-        for name, std in zip(effect.refined, s[len(effect.amplitudes) :], strict=True):
-            out[name] = (settings[name], float(std), own.refined[name].unit)
-    return out
-
-
-def _wave(v: Array, s: Array, unit: str) -> dict[str, Quantity]:
-    size = float(np.hypot(v[0], v[1]))
-    std = float(np.hypot(v[0] * s[0], v[1] * s[1]) / max(size, 1e-300))
-    return {
-        "amplitude": (size, std, unit),
-        "phase": (float(np.arctan2(v[1], v[0])), std / max(size, 1e-300), "rad"),
-    }
-
-
-def _compliance(effect: Effect) -> dict[str, Quantity]:
-    # an actuator's torque is the opposite of the load that it holds
-    v, s = effect.values * (-1.0 if effect.driver.startswith("effort:") else 1.0), effect.std
-    out = {"compliance": (float(v[0]), float(s[0]), "rad/(N m)")}
-    if v[0]:
-        out["stiffness"] = (1.0 / abs(float(v[0])), float(s[0] / v[0] ** 2), "N m/rad")
-    if effect.shape.kind == "hardening":
-        scale = effect.shape.settings["scale"]
-        out = {
-            "compliance": (float(v[0]) / scale, float(s[0]) / scale, "rad/(N m)"),
-            "stiffness": (scale / abs(float(v[0])), float(s[0] * scale / v[0] ** 2), "N m/rad"),
-            "hardening": (float(v[1] / v[0] ** 2), float(s[1] / v[0] ** 2), "1/rad^2"),
-        }
-    if effect.shape.kind == "several":
-        ratio = float(v[1] / v[0])
-        spread = abs(ratio) * float(np.hypot(s[0] / v[0], s[1] / v[1]))
-        out["payload"] = (ratio, spread, "kg")
-    return out
-
-
-def _components(effect: Effect, unit: str) -> dict[str, Quantity]:
-    """Amplitudes by direction; of several functions in one direction their root sum of squares."""
-    per = "/s" if effect.shape.kind == "ramp" else "/K" if effect.driver.startswith("temperature") else ""
-    names = component_names(effect)
-    count = max(len(effect.amplitudes) // len(names), 1)
-    out: dict[str, Quantity] = {}
-    for i, name in enumerate(names):
-        v = effect.amplitudes[i * count : (i + 1) * count]
-        s = effect.std[i * count : (i + 1) * count]
-        of = "m" if name in DIRECTIONS[:3] or unit == "m" else "rad"
-        size = float(v[0]) if count == 1 else float(np.linalg.norm(v))
-        out[name] = (size, float(np.linalg.norm(s)), of + per)
-    return out
-
-
-def component_names(effect: Effect) -> tuple[str, ...]:
-    """The directions that an effect moves in by itself, each with amplitudes of its own."""
-    return {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
-
-
-def curve(
-    effects: tuple[Effect, ...], low: float, high: float, points: int, component: int = 0
-) -> tuple[Array, Array, Array]:
-    """What effects of one driver do together over a range of it: driver, size and its deviation, (points,) each.
-
-    component: which of their directions, as in :func:`component_names`.
-    """
-    x = np.linspace(low, high, points)
-    size, variance = np.zeros(points), np.zeros(points)
-    for effect in effects:
-        basis = effect.shape.basis(x)
-        part = slice(component * len(basis), (component + 1) * len(basis))
-        size += effect.amplitudes[part] @ basis
-        variance += (effect.std[part] ** 2) @ basis**2
-    return x, size, np.sqrt(variance)
-
-
-def curve_sizes(effect: Effect) -> dict[str, Quantity]:
-    """RMS of a free shape, and how often a turn it mostly repeats."""
-    x, y, std = curve((effect,), effect.shape.settings["low"], effect.shape.settings["high"], 4096)
-    y = y - y.mean()
-    # slow parts are shared with the geometry; what repeats is looked for beyond them
-    slow = np.stack([f(k * x) for k in range(WHOLE_CYCLES + 1) for f in (np.sin, np.cos)], axis=1)
-    fast = y - slow @ np.linalg.lstsq(slow, y, rcond=1e-9)[0]
-    power = np.abs(np.fft.rfft(fast * np.hanning(len(y)), 8 * len(y))) ** 2
-    cycles = 2.0 * np.pi * np.fft.rfftfreq(8 * len(y), x[1] - x[0])
-    top = float(cycles[int(np.argmax(power))])
-    resolution = np.pi / float(x[-1] - x[0])
-    return {
-        "amplitude_rms": (float(np.sqrt(np.mean(y**2))), float(np.sqrt(np.mean(std**2))), "rad"),
-        "cycles_per_turn": (top, resolution, "1"),
-    }
-
-
-def _mrad(f: Finding, name: str) -> str:
-    value, _, unit = f.parameters[name]
-    return f"{1e3 * value:.3g} {'mm' if unit == 'm' else 'mrad'}"
-
-
-def _gear(f: Finding) -> str:
-    cycles = f.parameters["cycles_per_turn"][0]
-    if "amplitude" in f.parameters:
-        lines = sum(name.startswith("cycles_per_turn") for name in f.parameters)
-        more = f", with {lines - 1} more such rhythms" if lines > 1 else ""
-        return f"{f.place}'s gear or encoder repeats {cycles:.4g} times a turn with {_mrad(f, 'amplitude')}{more}"
-    return f"{f.place} errs by {_mrad(f, 'amplitude_rms')} RMS in a shape that repeats about {cycles:.3g} times a turn"
-
-
-def _compliance_story(f: Finding) -> str:
-    if "compliance_times_mass" in f.parameters:
-        return f"{f.place} gives way to a load that came at one moment (stamp {f.parameters['at'][0]:.1f} s)"
-    part = "bearing tilts" if f.direction == ACROSS else "joint gives way"
-    stiffness = f.parameters.get("stiffness", (float("inf"), 0.0, ""))[0]
-    carried = f.parameters.get("payload")
-    more = f", about {carried[0]:.2g} kg more than the description knows" if carried else ""
-    return f"{f.place}'s {part} under load, at {stiffness:.3g} N m/rad{more}"
-
-
-def _coupling_story(f: Finding) -> str:
-    return f"{f.place} moves by {1e6 * f.parameters['coupling'][0]:.0f} ppm of {f.driver.partition(':')[2]}"
-
-
-def _time_story(f: Finding) -> str:
-    if f.family == "step":
-        return f"{f.place} moved at one moment (stamp {f.parameters['at'][0]:.1f} s)"
-    if "time_constant" in f.parameters:
-        return f"{f.place} settles over time, by e every {f.parameters['time_constant'][0]:.0f} s"
-    return f"{f.place} moves slowly with {f.driver.replace(':', ' of ')}"
-
-
-def _unknown(f: Finding) -> str:
-    where = f"{f.place} ({f.direction})"
-    return f"{where} errs along with {f.driver.replace(':', ' of ')}, in a shape that has no name"
-
-
-_STORIES = {
-    "gear_harmonic": _gear,
-    "gear_ratio": lambda f: f"{f.place} turns by {1e6 * f.parameters['ratio_error'][0]:.0f} ppm more than it reports",
-    "compliance": _compliance_story,
-    "payload": _compliance_story,
-    "backlash": lambda f: f"{f.place} has {_mrad(f, 'backlash')} of play, taken up by {f.driver.replace(':', ' of ')}",
-    "coupling": _coupling_story,
-    "axis_wobble": lambda f: f"{f.place}'s axis tilts as it turns",
-    "thermal": _time_story,
-    "drift": _time_story,
-    "step": _time_story,
-    "latency": lambda f: f"readings come {1e3 * f.parameters['delay'][0]:.2f} ms late",
-    "joint_lag": lambda f: f"{f.place} reports its position {1e3 * f.parameters['delay'][0]:.2f} ms late",
-    "scale": lambda f: f"the tracker's metre is off by {1e6 * f.parameters['scale'][0]:.0f} ppm",
-    "outliers": lambda f: f"{f.parameters['stations'][0]:.0f} stations are plainly wrong and were left out",
-}

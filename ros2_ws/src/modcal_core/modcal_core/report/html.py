@@ -9,13 +9,18 @@ from typing import Any
 import numpy as np
 
 from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.report.account import accounts
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.effect_shapes import effect_shapes
 from modcal_core.report.figures import error_histogram, spread_chart, timeline
 from modcal_core.report.page import as_script_data, render
-from modcal_core.report.report import STAGES, Report, to_json_data
+from modcal_core.report.report import STAGES, Report
 from modcal_core.report.residuals import comparisons
 from modcal_core.report.scene import scene, still
+from modcal_core.report.sentence import STATUS_WORDS
+from modcal_core.verdict.verdict import Status
 
+TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
 _MOST_COLUMNS = 28  # drivers of a map
 _MOST_LISTED = 30  # stations that were left out
 
@@ -60,11 +65,14 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
     beside = set(files)
     return render(
         "report.html.j2",
-        title=f"{report.title}: calibration report",
+        title=f"{report.title}: {'evaluation' if report.searched is None else 'calibration'} report",
         verdict=report.verdict,
-        settled=data["unexplained"] is None and data["error_mm"]["final"] is not None,
+        tone=TONES[report.status],
+        heading=f"Verdict: {STATUS_WORDS[report.status]}",
+        accounts=[(one, one.drawn()) for one in accounts(report.judged)],
+        counts_rejected=report.counts_rejected,
         data=data,
-        tiles=_tiles(data),
+        tiles=_tiles(report, data),
         stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
         scene=None if drawn is None else as_script_data(drawn.to_data()),
@@ -83,17 +91,24 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
     )
 
 
-def _tiles(data: dict[str, Any]) -> list[tuple[str, str]]:
+def _tiles(report: Report, data: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers that are wanted first."""
     out = []
     before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
     if before and after:
         out += [("nominal model, RMS", f"{before['rms']:.3f} mm"), ("final model, RMS", f"{after['rms']:.3f} mm")]
-        out.append(("times better", f"{before['rms'] / max(after['rms'], 1e-9):.3g}"))
-    floor = data["noise_floor_mm"]
-    out.append(("noise of the measurement", "not shown" if floor is None else f"{floor:.3f} mm"))
-    recording = data["recording"]
-    out += [("stations", str(recording["stations"])), ("samples left out", str(recording["rejected"]))]
+        rejection = data["rejected_rms_mm"]
+        if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
+            other = "without" if report.counts_rejected else "with"
+            out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
+    if data["error_deg"]["final"]:
+        out.append(("final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
+    floor, recording = data["noise_floor_mm"], data["recording"]
+    out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
+    if met := data["tolerance"]:
+        name = {"mean": "mean", "rms": "RMS", "p95": "95 %", "max": "largest"}[met["statistic"]]
+        out.append((f"tolerance {met['asked_mm']:g} mm, {name}", met["result"]))
+    out += [("stations", str(recording["stations"])), ("stations rejected", str(recording["rejected"]))]
     return out
 
 

@@ -60,7 +60,16 @@ def render(template: str, **values: Any) -> str:
 
 def plain_page(title: str, verdict: str, lines: list[str], charts: list[Chart], files: list[tuple[str, str]]) -> str:
     """A page of sentences and pictures. files: names and what each holds."""
-    return render("plain.html.j2", title=title, verdict=verdict, lines=lines, charts=charts, files=files)
+    return render(
+        "plain.html.j2",
+        title=title,
+        verdict=verdict,
+        tone="plain",
+        heading="Result",
+        lines=lines,
+        charts=charts,
+        files=files,
+    )
 
 
 def as_script_data(data: Any) -> str:

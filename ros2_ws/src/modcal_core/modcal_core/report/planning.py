@@ -53,6 +53,7 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
             "share_of_these_seen": plan.ground.shares[1],
         },
         "blocked_ways": [int(i) + 1 for i in plan.route.blocked],
+        "returns": [[first + 1, second + 1] for first, second in plan.route.returns],
         "stations": [{"position": plain(q)} for q in plan.q],
     }
 
@@ -68,13 +69,20 @@ def _middle(sets: Sequence[Accuracy]) -> Accuracy:
 
 def sentences(plan: Plan) -> list[str]:
     """What a person should know."""
-    wish, a, k = plan.wish, plan.accuracy, len(plan.q)
+    wish, a, k = plan.wish, plan.accuracy, plan.distinct
     more = "" if wish.besides is None else f" besides the {len(wish.besides)} that are measured"
     asked = "" if wish.accuracy is None else f" are needed for {1e3 * wish.accuracy:.3g} mm ({wish.measure})"
     out = [
         f"{k} stations{more}{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
         f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."
     ]
+    if pairs := plan.route.returns:
+        out.append(
+            f"{len(pairs)} of them are visited twice, from different sides: {len(plan.q)} stops in all. These returns "
+            "tell what the arm does not repeat."
+        )
+    else:
+        out.append("No station is visited twice: the noise floor will be unknown.")
     random = _middle(plan.random)
     out.append(
         f"{k} stations drawn at random from the same postures would leave {1e3 * random.model:.3f} mm where these "

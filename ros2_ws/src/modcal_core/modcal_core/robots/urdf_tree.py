@@ -181,6 +181,8 @@ def _essential(element: Any) -> Any:
             copy.set(key, "0")
     for child in element:
         name = _local(child)
+        if name == "limit" and not (child.get("lower") or child.get("upper")):
+            continue  # it states effort and speed only; the parser would read a range of 0 to 0
         if name in _CHILDREN.get(tag, ()) and (tag == "robot" or copy.find(name) is None):
             copy.append(_essential(child))
     return copy
@@ -203,8 +205,6 @@ def _joint(joint: Any) -> Joint:
     lower, upper = (-np.inf, np.inf) if limit is None else (float(limit.lower), float(limit.upper))
     if not lower <= upper:
         raise BadRobot(f"joint {joint.name}", f"its limits run from {lower:g} to {upper:g}", _FIX)
-    if lower == upper == 0.0:  # the parser's word for none
-        lower, upper = -np.inf, np.inf
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
     offset = 0.0 if joint.mimic is None else float(joint.mimic.offset or 0.0)
     return Joint(

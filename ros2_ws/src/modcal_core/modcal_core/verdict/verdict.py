@@ -6,7 +6,23 @@ from dataclasses import dataclass
 from typing import Literal
 
 Status = Literal["at_floor", "open", "cannot_tell"]
+ReasonKind = Literal[
+    "not_converged", "rejected", "not_applied", "convention", "contradiction", "predictable", "above_floor"
+]
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a verdict is open: a sentence for a person, and the test that failed, for programs.
+
+    not_converged: a fit did not reach its minimum. rejected: too many stations were left out. not_applied: an effect
+    lacks its driver. convention: another convention fits better. contradiction: the data contradict a statement, or
+    each other. predictable: a regressor predicts the rest. above_floor: the error exceeds a known floor.
+    """
+
+    kind: ReasonKind
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -39,14 +55,14 @@ class Repeatability:
 class Verdict:
     """Status and its grounds.
 
-    open_because: a sentence for each reason, empty unless the status is open. remedy: what would tell, for a status of
-    cannot_tell. floor_mm, floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2,
-    account_deg2: rows that sum to the squared error of the nominal model; None where readings have no length or no angle.
-    predictable, predictable_deg: share of the held-out squared error that a regressor without physics predicts.
+    reasons: why the status is open; empty unless it is. remedy: what would tell, for a status of cannot_tell. floor_mm,
+    floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2, account_deg2: rows that sum to
+    the squared error of the nominal model; None where readings have no length or no angle. predictable,
+    predictable_deg: share of the held-out squared error that a regressor without physics predicts.
     """
 
     status: Status
-    open_because: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     remedy: str = ""
     floor_mm: float | None = None
     floor_deg: float | None = None
@@ -54,5 +70,12 @@ class Verdict:
     account_deg2: tuple[Row, ...] | None = None
     predictable: Share | None = None
     predictable_deg: Share | None = None
+    predictable_both: Share | None = None
     repeatability_mm: Repeatability = Repeatability(None, None)
     repeatability_deg: Repeatability = Repeatability(None, None)
+    returns: int = 0
+
+    @property
+    def open_because(self) -> tuple[str, ...]:
+        """A sentence for each reason; empty unless the status is open."""
+        return tuple(reason.sentence for reason in self.reasons)

@@ -17,18 +17,23 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Comparison, Heard, Job, resolve
 from modcal_core.robots.chain import Chain
+from modcal_nodes.calibrating.standing import Standing, standing_of
 from modcal_nodes.child import settle_in
 from modcal_nodes.results import calibration_files
 
 
 @dataclass(frozen=True)
 class Solved:
-    """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found."""
+    """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found.
+
+    verdict: its sentence. standing: what may be said of the model. rms: on stations that the fit has not seen [m].
+    """
 
     calibration: Calibration
     files: dict[str, str]
     comparison: Comparison
     verdict: str
+    standing: Standing
     story: tuple[str, ...]
     rms: float | None
 
@@ -43,6 +48,7 @@ def solve(job: Job, urdf: str) -> Solved:
         calibration_files(resolved.result, report, job.chain, urdf),
         resolved.comparison,
         report.verdict,
+        standing_of(report),
         report.story,
         None if size is None else 1e-3 * size.rms,
     )

@@ -13,12 +13,11 @@ import numpy as np
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import SHARED, Samples
 from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration
 
 _SAMPLES = "samples.npz"
-_SHARED = ("names", "frames", "signals")
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,12 @@ def write_state(folder: Path, state: State) -> None:
 
 
 def _write_samples(path: Path, samples: Samples) -> None:
-    arrays = {f.name: getattr(samples, f.name) for f in fields(samples) if f.name not in _SHARED}
+    arrays = {f.name: getattr(samples, f.name) for f in fields(samples) if f.name not in SHARED}
     about = {
         "names": samples.names,
         "frames": samples.frames,
+        "sockets": samples.sockets,
+        "clock": samples.clock,
         "signals": [[track.name, track.topic] for track in samples.signals],
     }
     for i, track in enumerate(samples.signals):
@@ -77,8 +78,10 @@ def _read_samples(path: Path) -> Samples | None:
                 SignalTrack(name, stored[f"signal_{i}_stamps"], stored[f"signal_{i}_values"], topic)
                 for i, (name, topic) in enumerate(about["signals"])
             )
-            arrays = {f.name: stored[f.name] for f in fields(Samples) if f.name not in _SHARED}
-        return Samples(names=tuple(about["names"]), frames=tuple(about["frames"]), signals=signals, **arrays)
+            arrays = {f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED}
+        names, frames, sockets = (tuple(about.get(name, ())) for name in ("names", "frames", "sockets"))
+        clock = bool(about.get("clock", True))
+        return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
     except ModcalError:
         raise
     except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing

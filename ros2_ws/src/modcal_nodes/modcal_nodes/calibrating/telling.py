@@ -11,6 +11,7 @@ import numpy as np
 from modcal_core.online.stream import Stream
 from modcal_core.online.supervisor import SUSPECTED, Supervisor
 from modcal_core.resolve import Comparison
+from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.health import ERROR, OK, WARN, Status
 from modcal_nodes.hearing import Ear
 
@@ -46,10 +47,22 @@ def tracker_status(hearing: Status, ears: Sequence[Ear]) -> Status:
 
 
 def model_status(
-    supervisor: Supervisor, verdict: str, trouble: str, solving: bool, candidate: Comparison | None
+    supervisor: Supervisor,
+    verdict: str,
+    standing: Standing | None,
+    trouble: str,
+    solving: bool,
+    candidate: Comparison | None,
 ) -> Status:
-    """Which model stands, and whether it still holds."""
+    """Which model is trusted, whether it still holds, and what may be said of it: OK only at the floor.
+
+    verdict: what the last solve, or what went wrong with it, said. standing: of the trusted model, None where there is
+    none or nothing is known of it.
+    """
     facts: dict[str, object] = {"state": supervisor.state, "solving": solving, "last result": verdict}
+    if standing is not None:
+        facts["status"] = standing.status
+        facts["because"] = " ".join(standing.because)
     if supervisor.live is not None:
         facts["largest sign of change"] = f"{supervisor.live.watch.largest:.1f}"
         facts["samples rejected"] = supervisor.live.estimator.rejected
@@ -61,7 +74,10 @@ def model_status(
     if supervisor.state == SUSPECTED and supervisor.suspicion is not None:
         text = f"{supervisor.suspicion.sentence}; the last trusted model is still published"
         return Status("model", WARN, text, facts)
-    return Status("model", OK, verdict, facts)
+    if standing is None:
+        return Status("model", WARN, verdict, facts)
+    text = verdict if standing.line in verdict else f"{verdict.rstrip('. ')}. {standing.line}"
+    return Status("model", OK if standing.at_floor else WARN, text, facts)
 
 
 def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,15 +16,18 @@ from modcal_core.errors import ModcalError
 from modcal_core.loop import evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare_pieces
-from modcal_core.report.report import Report, to_json_data
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import Report
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
+from modcal_core.verdict.tolerance import STATISTICS
 from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.files import write_folder
-from modcal_nodes.inputs import read_calibration, read_cell
-from modcal_nodes.recorded import begun, calibrate_bag, named
+from modcal_nodes.inputs import read_calibration, read_cell, stated_from
+from modcal_nodes.recorded import begun, calibrate_bag, named, tolerance_asked
 from modcal_nodes.results import report_files
+from modcal_nodes.tracing import trace_of
 from modcal_nodes.wishes import Wishes
 
 EXISTING = click.Path(exists=True, path_type=Path)
@@ -40,7 +43,11 @@ _CLOCK = click.option(
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
 _CELL = click.option(
-    "--cell", "cell_file", type=EXISTING, default=None, help="YAML of known distances and fixed parameters."
+    "--cell",
+    "cell_file",
+    type=EXISTING,
+    default=None,
+    help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
 _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 
@@ -60,11 +67,55 @@ _ROBOT = (
 )  # fmt: skip
 
 
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_STATED = (
+    click.option(
+        "--repeatability-mm", type=_POSITIVE, default=None, metavar="MM",
+        help="Repeatability of the arm, RMS over space.",
+    ),
+    click.option(
+        "--repeatability-iso", type=_POSITIVE, default=None, metavar="MM",
+        help="The same as RP of ISO 9283, as data sheets give it.",
+    ),
+    click.option(
+        "--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG",
+        help="Repeatability of the orientation, RMS.",
+    ),
+    click.option(
+        "--instrument-mm", type=_POSITIVE, default=None, metavar="MM", help="Error of the instrument, RMS over space."
+    ),
+    click.option(
+        "--instrument-deg", type=_POSITIVE, default=None, metavar="DEG",
+        help="Orientation error of the instrument, RMS.",
+    ),
+)  # fmt: skip
+_TOLERANCE = (
+    click.option(
+        "--tolerance-mm", type=_POSITIVE, default=None, metavar="MM",
+        help="The error allowed: PASS, FAIL or CANNOT TELL; exit 3 unless PASS.",
+    ),
+    click.option(
+        "--tolerance-of", type=click.Choice(STATISTICS), default="p95", show_default=True,
+        help="Which error of the held-out stations must keep the tolerance.",
+    ),
+)  # fmt: skip
+UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
+
+
+def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
+    """A decorator that gives a command these options, in this order."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with the options of a calibration, one for each field of :class:`Wishes`."""
-    for option in reversed((*_ROBOT, _CELL, _SPLITS, _SEED, _CLOCK)):
-        command = option(command)
-    return command
+    return _with((*_ROBOT, _CELL, *_STATED, _SPLITS, _SEED, _CLOCK))(command)
 
 
 @click.command("calibrate")
@@ -74,15 +125,16 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
 )  # fmt: skip
 @calibration_options
+@_with(_TOLERANCE)
 @_OUT
 @speaking
-def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice: Voice, **wishes: Any) -> None:
+def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice: Voice, **wishes: Any) -> int:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
     with voice.working() as watch:
         done = calibrate_bag(bag, Wishes(**wishes), more, watch)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, done.files)
-    _say(done.report, out, voice)
+    return _say(done.report, out, voice)
 
 
 @click.command("evaluate")
@@ -90,11 +142,7 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice
 @click.argument("bag", type=EXISTING)
 @click.option("--refit-base", is_flag=True, help="Find the base again: the tracker or the robot was moved.")
 @click.option("--refit-tool", is_flag=True, help="Find the tool again: it was changed.")
-@_CELL
-@_SPLITS
-@_SEED
-@_CLOCK
-@_OUT
+@_with((_CELL, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, _OUT))
 @speaking
 def evaluate_command(
     calibration: Path,
@@ -105,26 +153,34 @@ def evaluate_command(
     block: int | None,
     seed: int,
     clock_limit: float,
+    tolerance_mm: float | None,
+    tolerance_of: str,
     out: Path | None,
     voice: Voice,
-) -> None:
+    **stated: float | None,
+) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     frozen = read_calibration(calibration)
+    asked = tolerance_asked(tolerance_mm, tolerance_of)
+    cell = read_cell(cell_file, stated=stated_from(stated))
     with voice.working() as watch:
         recording, pieces = begun(bag, watch)
         prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
         watch("scoring")
         rng = np.random.default_rng(seed)
-        report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, read_cell(cell_file), block)
-        report = named(report, recording, prepared)
-        report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)))
+        report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)
+        report = named(report, recording, prepared).with_tolerance(asked)
+        trace = trace_of(bag, recording, frames=prepared.samples.frames)
+        report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)), trace=trace)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
-    _say(report, out, voice)
+    return _say(report, out, voice)
 
 
-def _say(report: Report, out: Path, voice: Voice) -> None:
+def _say(report: Report, out: Path, voice: Voice) -> int:
+    """Show the report; returns the exit code."""
     voice.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
+    return 0 if report.tolerance is None or report.tolerance.result == "PASS" else UNMET
 
 
 def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:

@@ -11,8 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.saying import console
+from modcal_nodes.cli.show import STYLES
 from modcal_nodes.files import to_json
 from modcal_nodes.fleet.cluster import run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
@@ -118,10 +120,16 @@ def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
     }
 
 
+def _status(row: Row) -> str:
+    """The verdict in a word, in its colour; empty of a row that an older version made."""
+    status = row.get("status")
+    return f"[{STYLES[status]}]{STATUS_WORDS[status]}[/]" if status in STYLES else ""
+
+
 def _show(planned: Plan, compared: Compared, page: Console) -> None:
     """A line for each robot, then those that could not be calibrated."""
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("robot", "recordings", "last", "RMS mm before", "after", "over time"):
+    for name in ("robot", "recordings", "last", "RMS mm before", "after", "status", "over time"):
         table.add_column(name, justify="right" if "mm" in name or name == "after" else "left", overflow="fold")
     robots: dict[tuple[str, str], list[Row]] = {}
     for row in compared.rows:
@@ -131,7 +139,7 @@ def _show(planned: Plan, compared: Compared, page: Console) -> None:
         last = max(rows, key=lambda row: row["started"])
         sizes = [last[f"{stage}_rms_mm"] for stage in ("nominal", "final")]
         numbers = ["" if size is None else f"{size:.3f}" for size in sizes]
-        table.add_row(robot, str(len(rows)), last["started"][:10], *numbers, last["drift"] or "")
+        table.add_row(robot, str(len(rows)), last["started"][:10], *numbers, _status(last), last["drift"] or "")
     page.print(table, highlight=False)
     for row in compared.rows:
         if row["state"] != DONE:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, ModcalError
+from modcal_core.measurements.recording import Recording
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_nodes.cli.export import read_table, told
+from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.files import read_yaml, write_file
 
@@ -48,11 +52,34 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+            watch("comparing conventions")
+            recording = _proved(recording, stated)
         write_recording(recording, out, partial(watch, f"writing {out.name}"))
     frames = list(recording.frames)
     found = {"bag": str(out), "stations": sum(len(r.stamps) for r in recording.readings), "frames": frames}
     line = f"{out}: {found['stations']} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
     voice.result(found, partial(tell, [line]))
+
+
+def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
+    """The recording with a note where its poses are inverse.
+
+    Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
+    """
+    from modcal_core.calibration.conventions import proved  # brings SciPy along, which kinematic tables do without
+    from modcal_core.measurements.stations import cut_stations
+
+    try:
+        chain, _ = robot_of(recording, None, None, None)
+        samples = cut_stations(recording, chain.names)
+    except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
+        return recording
+    sequences = {str((t.get("pose") or {}).get("euler", {}).get("sequence", "")) for t in stated["tables"]}
+    undone = proved(samples, chain, sequences.pop() or None if len(sequences) == 1 else None)[1]
+    if undone is None:
+        return recording
+    note = "Poses look inverse (tracker in tool): `modcal calibrate` turns them round; state inverse: true on import."
+    return replace(recording, warnings=(*recording.warnings, note))
 
 
 def _stated_urdf(stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:

@@ -1,7 +1,8 @@
 """The ``modcal`` command: one verb a file, and one way to fail.
 
-Exit 0: done. Exit 2: the input cannot be used; one line on stderr says what offends, the limit and the remedy, and
-nothing has been written. Exit 1: our own fault, with the traceback that a bug report needs.
+Exit 0: done. Exit 3: done, but a tolerance that was asked for is not met or cannot be told. Exit 2: the input cannot be
+used; one line on stderr says what offends, the limit and the remedy, and nothing has been written. Exit 1: our own
+fault, with the traceback that a bug report needs.
 """
 
 from __future__ import annotations

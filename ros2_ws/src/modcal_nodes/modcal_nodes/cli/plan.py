@@ -13,6 +13,7 @@ from modcal_core.errors import BadTable
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
 from modcal_core.planning.ground import CANDIDATES
 from modcal_core.planning.plan import Plan, Wish, plan
+from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
@@ -58,6 +59,10 @@ _DECIDING = 16  # stations, where none are asked for
     "--decide", "report", type=EXISTING, default=None, metavar="REPORT",
     help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
 )  # fmt: skip
+@click.option(
+    "--returns", type=click.IntRange(0, 100), default=RETURNS, show_default=True,
+    help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
+)  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
 @speaking
@@ -78,6 +83,7 @@ def plan_command(
     speed: float,
     dwell: float,
     report: Path | None,
+    returns: int,
     seed: int,
     out: Path | None,
     voice: Voice,
@@ -97,7 +103,7 @@ def plan_command(
     known = None if measured is None else read_stations(measured, chain)
     wish = Wish(
         stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
-        candidates, known,
+        candidates, known, returns,
     )  # fmt: skip
     with voice.working() as watch:
         watch("choosing stations")

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from modcal_core.report.account import Account, accounts
 from modcal_core.report.report import STAGES, Report
+from modcal_core.report.sentence import MAX_REASONS
+from modcal_core.verdict.verdict import Status
+
+STYLES: dict[Status, str] = {"at_floor": "bold green", "open": "bold red", "cannot_tell": "bold yellow"}
 
 
 def show_report(report: Report, console: Console) -> None:
@@ -31,7 +37,28 @@ def show_report(report: Report, console: Console) -> None:
             console.print(sentence, highlight=False)
     for note in report.notes:
         console.print(note, style="yellow", highlight=False)
-    console.print(report.verdict, style="bold", highlight=False)
+    for one in accounts(report.judged):
+        console.print(_account(one))
+    console.print(report.verdict, style=STYLES[report.status], highlight=False, markup=False)
+    for reason in report.judged.open_because[MAX_REASONS:] if report.judged is not None else ():
+        console.print(f"Open: {reason}", style="red", highlight=False, markup=False)
+    if report.tolerance is not None:
+        style = {"PASS": "bold green", "FAIL": "bold red"}.get(report.tolerance.result, "bold yellow")
+        console.print(f"{report.tolerance.result}: {report.tolerance.because}", style=style, highlight=False)
+
+
+def _account(one: Account) -> Table:
+    """Where the squared error of the nominal model went."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("account of the squared error", overflow="fold")
+    for name in (f"{one.unit}²", "95 % interval", "share"):
+        table.add_column(name, justify="right")
+    for line in one.lines:
+        ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
+        numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
+        table.add_row(escape(line.words), *numbers)
+    table.add_row("nominal model", f"{one.total:.4g}", "", "")
+    return table
 
 
 def _effects(report: Report) -> Table:

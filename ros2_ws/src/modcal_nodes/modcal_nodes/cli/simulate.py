@@ -11,6 +11,7 @@ import click
 import yaml
 
 from modcal_core.errors import BadTable
+from modcal_core.planning.returns import RETURNS
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.parameters import SIMULATED_CELL, Parameter
@@ -30,19 +31,29 @@ _STATIONS = 60
     "--at", "later", type=(click.FloatRange(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
     help="The same, from so many seconds on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
+@click.option(
+    "--returns", type=click.IntRange(0, 1000), default=RETURNS, show_default=True,
+    help="Of these postures, how many are visited twice, so that the noise floor is known.",
+)  # fmt: skip
 @speaking
 def simulate_command(
-    robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], voice: Voice
+    robot: Path,
+    out: Path,
+    given: tuple[str, ...],
+    later: tuple[tuple[float, str], ...],
+    returns: int,
+    voice: Voice,
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
 
-    It visits 60 random postures (-p stations=N). What else it does that its model lacks is said with -p:
-    gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others of the node.
+    It visits 60 random postures (-p stations=N), six of them twice. What else it does that its model lacks is
+    said with -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
+    of the node.
     """
     if out.exists():
         raise BadTable(str(out), "exists", "name another folder")
     chosen = {name: parameter.default for name, parameter in SIMULATED_CELL.items()}
-    chosen["stations"] = _STATIONS
+    chosen["stations"], chosen["returns"] = _STATIONS, returns
     chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
     for text in given:
         name, value = _parameter(text)
@@ -55,13 +66,13 @@ def simulate_command(
         write_recording(recording, out, partial(watch, f"writing {out.name}"))
     data = {
         "bag": str(out),
-        "stations": chosen["stations"],
+        "stations": plant.stops,
         "duration_s": plant.end,
         "joint_states": len(recording.joints[0].stamps),
         "readings": len(recording.readings[0].stamps),
     }
     counts = f"{data['joint_states']} joint states, {data['readings']} readings"
-    voice.result(data, partial(tell, [f"{out}: {data['stations']} stations in {plant.end:.0f} s, {counts}"]))
+    voice.result(data, partial(tell, [f"{out}: {plant.stops} stations in {plant.end:.0f} s, {counts}"]))
 
 
 def _parameter(text: str) -> tuple[str, Any]:

@@ -23,6 +23,7 @@ FLEET = pa.schema(
         *((name, _NUMBER) for name in (*_SIZES, "floor_mm", "unexplained_mm")),
         *(("effects", pa.list_(_TEXT)), ("parameters", pa.list_(_PARAMETER))),
         *(("rank", pa.int64()), ("condition", _NUMBER), ("verdict", _TEXT)),
+        *(("status", _TEXT), ("open_because", pa.list_(_TEXT))),
         *((name, _NUMBER) for name in ("frozen_rms_mm", "frozen_p95_mm")),
         *((name, _TEXT) for name in ("compared", "drift", "bag")),
         ("took_s", _NUMBER),

@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import to_json_data
+from modcal_core.report.as_json import to_json_data
 from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
 from modcal_nodes.recorded import Calibrated, calibrate_bag
 
@@ -62,6 +62,8 @@ def _row(done: Calibrated) -> dict[str, Any]:
         "condition": None if seen is None else seen["condition"],
         "effects": [f"{e['family']} at {e['place']} by {e['driver']}" for e in data["effects"]],
         "parameters": [*data["parameters"], *_effect_values(data["effects"])],
+        "status": data["status"],
+        "open_because": data["open_because"],
         "verdict": data["verdict"],
     }
 

@@ -62,6 +62,11 @@ class Plant:
             self.begin_own(0.0)
 
     @property
+    def stops(self) -> int:
+        """How many postures of its own it stands still at in a tour, returns included."""
+        return len(self._own) // 2
+
+    @property
     def end(self) -> float:
         """When the last posture is reached [s]."""
         return self._program.end
@@ -97,7 +102,7 @@ class Plant:
 
     def _tour(self) -> list[tuple[float, Array]]:
         chosen = self._chosen
-        return tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], self._rng)
+        return tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], self._rng, chosen["returns"])
 
     def _go(self, legs: list[tuple[float, Array]], start: float) -> None:
         self._miss.reset(start, self._missed(legs, self._program.at(start), self._miss.at(start)))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.planning.returns import with_returns
 from modcal_core.robots.mechanism import Mechanism, passable
 
 _TRIALS = 1000  # postures that are drawn for one that a Delta can go to
@@ -76,15 +78,18 @@ class Program:
 
 
 def tour(
-    chain: Mechanism, count: int, travel: float, dwell: float, rng: np.random.Generator
+    chain: Mechanism, count: int, travel: float, dwell: float, rng: np.random.Generator, returns: int = 0
 ) -> list[tuple[float, Array]]:
-    """Legs that visit random postures (travel, then stand still), for :meth:`Program.reset` at time zero."""
+    """Legs that visit random postures (travel, then stand still), for :meth:`Program.reset` at time zero.
+
+    returns: how many of the postures are visited a second time on the way, see :func:`with_returns`.
+    """
     span = np.where(chain.revolute, 1.2, 0.3)
     low, high = np.maximum(chain.lower, -span), np.minimum(chain.upper, span)
     middle = np.clip(0.0, chain.lower, chain.upper)
-    legs: list[tuple[float, Array]] = []
+    postures: list[Array] = []
     last = middle
-    for k in range(count):
+    for _ in range(count):
         for _ in range(_TRIALS):
             q = np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
             if passable(chain, last, q):
@@ -92,6 +97,10 @@ def tour(
         else:
             q = last
         last = q
+        postures.append(q)
+    order = with_returns(np.array(postures), returns, partial(passable, chain)).order
+    legs: list[tuple[float, Array]] = []
+    for k, station in enumerate(order):
         arrive = k * (travel + dwell) + travel
-        legs += [(arrive, q), (arrive + dwell, q)]
+        legs += [(arrive, postures[station]), (arrive + dwell, postures[station])]
     return legs

@@ -12,7 +12,8 @@ from rich.text import Text
 _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red", "silent": "bold magenta"}
 # Facts that are worth a place in the table, by the words they begin with
 _FACTS = (
-    "state", "solving", "largest sign", "samples rejected", "compute of an update, p99", "from stamp to update, p99",
+    "state", "status", "solving", "largest sign", "samples rejected",
+    "compute of an update, p99", "from stamp to update, p99",
     "candidate", "kind", "trusted", "probability", "ahead_m", "off_m", "poses", "commands", "refused", "phase",
     "force", "tick", "model", "lag",
     "messages", "bytes waiting", "free", "minutes until", "lost", "stations", "residual", "published", "effects",

@@ -1,0 +1,160 @@
+"""What modcal says of a case, and whether that is right."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from case import Case
+
+LEFT = 1.5  # times the floor that count as something left
+CALM = re.compile(
+    r"nothing[^.]{0,60}stands out|which is (?:the )?noise|is noise|noise of the measurement|at (?:its|the) floor", re.I
+)
+CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED = (
+    "calm and wrong",
+    "open, named",
+    "modelled, named",
+    "open, not named",
+    "cannot tell, not named",
+    "harmless here",
+    "failed",
+)
+AT_FLOOR, CANNOT_TELL, OPEN = "at the floor", "cannot tell", "open"
+BESIDE = "at the floor, unknown"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said of one case. status: of the report, or ``refused``. left: final error over the floor.
+
+    known: of a good one, whether its floor can be known.
+    """
+
+    outcome: str
+    status: str
+    text: str = ""
+    left: float = float("nan")
+    seconds: float = 0.0
+    known: bool | None = None
+    effects: tuple[str, ...] = field(default=())
+
+
+def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
+    """Records a case in a folder, runs its steps, and compares what is said with what is true."""
+    case.write(folder)
+    begin = time.perf_counter()
+    code, said, report = 0, "", {}
+    for k, step in enumerate(case.steps):
+        out = folder / f"out{k}"
+        arguments = [str(folder / a[1:-1]) if a.startswith("{") else a for a in step]
+        arguments += [] if "--out" in step else ["--out", str(out)]
+        code, said = modcal(*arguments)
+        if code not in (0, 2, 3):
+            return Outcome(FAILED, f"exit {code}", said[-600:], seconds=time.perf_counter() - begin)
+        if code == 2:
+            break
+        if (out / "report.json").is_file():
+            report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    seconds = time.perf_counter() - begin
+    if code == 2:
+        said = said.strip().splitlines()[-1] if said.strip() else ""
+        return replace(_refused(case, said), seconds=seconds, known=known)
+    if report.get("status") is None:
+        return Outcome(FAILED, "no status", seconds=seconds, known=known)
+    return replace(_reported(case, report, known), seconds=seconds, known=known)
+
+
+def modcal(*arguments: str) -> tuple[int, str]:
+    """Exit code, and what was said on both channels."""
+    from modcal_nodes.cli.main import run
+
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = run(list(arguments))
+    return code, said.getvalue()
+
+
+def _refused(case: Case, said: str) -> Outcome:
+    if not case.fault:
+        return Outcome(OPEN, "refused", said)
+    return Outcome(NAMED if _names(case, said) else UNNAMED, "refused", said)
+
+
+def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome:
+    status, text = report["status"], grounds(report)
+    left = _left(case, report)
+    effects = tuple(f"{e['family']}@{e['place']}" for e in report.get("effects") or [])
+    made = Outcome("", status, text, left, effects=effects)
+    if not case.fault:
+        if status == "open":
+            return replace(made, outcome=OPEN)
+        if status == "at_floor":
+            return replace(made, outcome=AT_FLOOR if known else BESIDE)
+        return replace(made, outcome=CANNOT_TELL)
+    named = _names(case, text)
+    if status == "open":
+        return replace(made, outcome=NAMED if named else UNNAMED)
+    much = not left <= LEFT
+    if case.shown == "if left" and not much:
+        return replace(made, outcome=HARMLESS)
+    calm = status == "at_floor" or bool(CALM.search(str(report.get("verdict", ""))))
+    if calm and (much or not named):
+        return replace(made, outcome=CALM_AND_WRONG)
+    if named and not much:
+        return replace(made, outcome=FOUND)
+    return replace(made, outcome=SILENT if case.shown else HARMLESS)
+
+
+def _names(case: Case, text: str) -> bool:
+    """Whether the grounds name what is wrong; options and lists of what might be checked name nothing."""
+    text = re.sub(r"check that [^|]*|--[a-z-]+", "", text)
+    return not case.must_name or any(re.search(pattern, text, re.I) for pattern in case.must_name)
+
+
+def _left(case: Case, report: dict[str, Any]) -> float:
+    """What is left, with what was rejected, over the floor that is true."""
+    rejected = report.get("rejected_rms_mm") or {}
+    sizes = [rejected.get("with"), ((report.get("error_mm") or {}).get("final") or {}).get("rms")]
+    sizes = [s for s in sizes if s is not None]
+    floor = case.best_mm
+    return max(sizes) / floor if sizes and floor else float("nan")
+
+
+def grounds(report: dict[str, Any]) -> str:
+    """Everything that a report names: why it is open, effects, regimes, what was not applied, the convention."""
+    parts = [*(report.get("open_because") or [])]
+    for effect in report.get("effects") or []:
+        if effect.get("family") == "outliers":
+            continue  # that readings are wrong is said of every reading that is left out
+        parts += [str(effect.get(key)) for key in ("family", "place", "driver")]
+        parts += [str(other) for other in effect.get("same_as") or []]
+    parts += [str(regime.get("what")) for regime in report.get("regimes") or []]
+    parts += [f"{n.get('effect')} {n.get('why')}" for n in report.get("not_applied") or []]
+    parts += [json.dumps(report[key]) for key in ("unexplained", "convention") if report.get(key)]
+    return " | ".join(parts)
+
+
+def variant(case: Case, way: str) -> Case:
+    """A good case with its floor known by ``returns``, ``stated`` in numbers, or ``unknown``."""
+    if way == "returns":
+        return case
+    sessions = {name: s.only(~s.again) for name, s in case.sessions.items()}
+    made = replace(case, sessions=sessions)
+    if way == "unknown":
+        return made
+    arm_mm, arm_deg, eye_mm, eye_deg = made.judged.stated
+    if made.judged.stream:  # of the mean of a dwell
+        count = int((0.5 * 4.0 - 0.5) * made.judged.stream)
+        eye_mm, eye_deg = eye_mm / np.sqrt(count), eye_deg / np.sqrt(count)
+    options = ("--repeatability-mm", f"{arm_mm:.6f}", "--instrument-mm", f"{eye_mm:.6f}")
+    if made.judged.kind == "pose":
+        options += ("--repeatability-deg", f"{arm_deg:.6f}", "--instrument-deg", f"{eye_deg:.6f}")
+    return replace(made, steps=(*made.steps[:-1], (*made.steps[-1], *options)))

@@ -1,0 +1,296 @@
+"""Whether the readings mean what they are taken for: conventions compared in closed form by likelihood.
+
+The hand-eye problem ``T_i ≈ Y A_i X`` of the nominal arm is solved for the readings as they are and with each of the
+:mod:`mistakes` undone: by rotations first and by positions first, then both together in a few Newton steps. Where
+orientations hardly vary, positions say how the base is turned, and orientations must agree with that. Each way has a
+likelihood at its own estimated noise: Gaussian, no narrower than a nominal arm is wrong by, with a share of readings
+that may say anything. Nominal errors are alike in neighbouring postures, so no more than a hundred stations count as
+independent. Base and tool may change along the recording: it may be cut into equal parts with a base and a tool of
+their own, at the price of their parameters (BIC).
+
+Another convention that is better by :data:`BEYOND_DOUBT` is a refusal; an inverse pose is undone. No limit is set to
+the residual itself: on real cubes a wrong sequence leaves 1°, and the right one 0.1°.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_joints, of_rotations, of_units
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward
+
+BEYOND_DOUBT = 50.0  # difference of log-likelihoods
+LEAST_STATIONS = 12  # poses of a frame: six unknown turns, and as much again to tell
+INVERTED = "pose inverted"
+_INDEPENDENT = 100  # stations that count: errors of a nominal arm are alike in neighbouring postures
+_NOMINAL_ANGLE = 2e-3  # rad per axis; a nominal arm turns its tip by as much too far, so nothing finer decides
+_NOMINAL_SHARE = 1e-3  # of the reach; the same for positions
+_ASTRAY = 0.05  # share of readings that may say anything
+_FEW, _MOST = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
+_CANDIDATES = 6
+_PARTS = (1, 2, 4)  # equal parts with their own base and tool
+_LEAST_PART = 20  # stations
+_AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
+_ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
+_ROUNDS = 8
+_ALTERNATIONS = 20
+
+
+@dataclass(frozen=True)
+class Match:
+    """How well readings fit the nominal arm. score: log-likelihood less what parameters cost. angle [rad], position
+    [m]: what is left, RMS over space. perfect: nothing could fit better. usual: median of the distances left [m].
+    parts: that the recording was cut into.
+    """
+
+    score: float
+    angle: float
+    position: float
+    perfect: bool
+    usual: float
+    parts: int
+
+
+def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tuple[Samples, str | None]:
+    """The samples with what can be undone undone, and what that was ("pose inverted"), None if nothing.
+
+    stated: the Euler sequence that the readings were composed by, where it is known. Raises BadRecording, naming the
+    match, where another convention is better beyond doubt. Readings without orientation, frames with few of them and
+    robots other than serial arms pass unasked.
+    """
+    undone: str | None = None
+    if not isinstance(chain, Chain):
+        return samples, undone
+    for f, frame in enumerate(samples.frames):
+        rows = np.flatnonzero((samples.frame == f) & samples.is_pose)
+        if len(rows) < LEAST_STATIONS:
+            continue
+        better = _better(samples.select(rows), chain, stated)
+        if better is None:
+            continue
+        mistake, before, after = better
+        if mistake.offender == inverse_pose().offender:
+            samples, undone = _inverted(samples, rows), INVERTED
+            continue
+        said = (
+            f"the nominal arm misses by {_degrees(before.angle)} and {1e3 * before.position:.3g} mm, "
+            f"with that undone by {_degrees(after.angle)} and {1e3 * after.position:.3g} mm"
+        )
+        gain = f"better by {after.score - before.score:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
+        raise BadRecording(f"readings in frame '{frame}': {mistake.offender}", f"{said} ({gain})", mistake.remedy)
+    return samples, undone
+
+
+def _inverted(samples: Samples, rows: np.ndarray) -> Samples:
+    part = inverse_pose().undone(samples.select(rows))
+    position, R = samples.position.copy(), samples.R.copy()
+    position[rows], R[rows] = part.position, part.R
+    return replace(samples, position=position, R=R)
+
+
+def _degrees(angle: float) -> str:
+    return f"{np.degrees(angle):.3g}°"
+
+
+def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake, Match, Match] | None:
+    """The mistake that was made beyond doubt, and how well the readings fit with it and without."""
+    few, more = (_thinned(samples, count) for count in (_FEW, _MOST))
+    before = _match(more, chain)
+    if before.perfect:
+        return None
+    start = _by_positions(forward(chain, few.q), few.position)
+    found = [
+        (_roughly(mistake.undone(few), chain, mistake, start), i, mistake)
+        for i, mistake in enumerate(_all(samples.names, stated))
+    ]
+    found.sort(key=lambda c: (-c[0], c[1]))
+    parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
+    judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
+    judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach()]
+    top = max((after.score for after, _, _ in judged), default=-np.inf)
+    if top - before.score <= BEYOND_DOUBT:
+        return None
+    after, _, mistake = min((c for c in judged if c[0].score >= top - _ALIKE), key=lambda c: c[1])
+    return mistake, before, after
+
+
+def _all(names: tuple[str, ...], stated: str | None) -> Iterable[Mistake]:
+    yield inverse_pose()
+    yield from of_rotations(stated)
+    yield from of_units()
+    yield from of_joints(names)
+
+
+def _thinned(samples: Samples, most: int) -> Samples:
+    order = np.argsort(samples.stamps, kind="stable")
+    return samples.select(order[np.unique(np.linspace(0, len(order) - 1, min(len(order), most)).astype(int))])
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """What a chain's residuals are measured with: standard deviations [rad, m] and volumes of what may say anything."""
+
+    position: float
+    extent: float
+    rotation: float = _NOMINAL_ANGLE
+    turns: float = 8.0 * np.pi**2
+
+    @classmethod
+    def of(cls, chain: Chain, position: Array) -> _Scale:
+        reach = chain.reach()
+        return cls(_NOMINAL_SHARE * reach, (4.0 * max(reach, float(np.ptp(position, axis=0).max()))) ** 3)
+
+    def log_likelihood(self, turns: Array, gaps: Array) -> float:
+        """Of residuals (N, 3) of rotations and of positions."""
+        return _log_likelihood(turns, self.rotation, self.turns) + _log_likelihood(gaps, self.position, self.extent)
+
+
+def _roughly(samples: Samples, chain: Chain, mistake: Mistake, start: Array) -> float:
+    """Log-likelihood of these readings without the last refinement. start: how the base is turned, by positions."""
+    A = forward(chain, samples.q)
+    scale = _Scale.of(chain, samples.position)
+    if mistake.touches != "rotation":
+        start = _by_positions(A, samples.position)
+    by_rotations = _hand_eye(A[:, :3, :3], samples.R)
+    by_positions = start, so3.mean(np.swapaxes(start @ A[:, :3, :3], 1, 2) @ samples.R)
+    each = (
+        scale.log_likelihood(_turns(Y, A[:, :3, :3], X, samples.R), _linear(Y, A, samples.position)[0])
+        for Y, X in (by_rotations, by_positions)
+    )
+    return max(each) + len(samples) * mistake.log_volume
+
+
+def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
+    """How well these readings fit, cut into as many of these numbers of parts as pay."""
+    A, size = forward(chain, samples.q), len(samples)
+    scale = _Scale.of(chain, samples.position)
+    best: Match | None = None
+    for count in parts:
+        if count > 1 and size < count * _LEAST_PART:
+            continue
+        left = [
+            _together(A[rows], samples.R[rows], samples.position[rows], scale)
+            for rows in np.array_split(np.arange(size), count)
+        ]
+        total = sum(scale.log_likelihood(turns, gaps) for turns, gaps in left) + size * log_volume
+        score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)
+        turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
+        if best is None or score > best.score:
+            usual = float(np.median(np.linalg.norm(gaps, axis=1)))
+            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, count)
+        if best.perfect:
+            break
+    assert best is not None
+    return best
+
+
+def _perfect(turns: Array, gaps: Array, scale: _Scale) -> bool:
+    """Whether readings fit as well as a nominal arm can, so that nothing can fit better."""
+    turned, missed = np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1)
+    near = (turned < 3.0 * scale.rotation) & (missed < 3.0 * scale.position)
+    return bool(near.mean() > 1.0 - _ASTRAY)
+
+
+def _rms(residual: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+
+def _log_likelihood(residual: Array, floor: float, volume: float) -> float:
+    """Of residuals (N, 3) at the standard deviation per axis that makes it largest, no less than the floor.
+
+    A share of them is spread evenly over the volume.
+    """
+    square = np.sum(residual**2, axis=1)
+    sigma = floor * 2.0 ** np.arange(24.0)
+    sigma = sigma[sigma <= 2.0 * max(floor, float(np.sqrt(square.max())))][:, None]
+    inside = (1.0 - _ASTRAY) * np.exp(-0.5 * square / sigma**2) / (2.0 * np.pi * sigma**2) ** 1.5
+    return float(np.log(inside + _ASTRAY / volume).sum(axis=1).max())
+
+
+def _together(A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array, Array]:
+    """Residuals (N, 3) of rotations [rad] and positions [m], base and tool fitted to both from the better start."""
+    Y = _by_positions(A, position)
+    starts = _hand_eye(A[:, :3, :3], R), (Y, so3.mean(np.swapaxes(Y @ A[:, :3, :3], 1, 2) @ R))
+    each = [_refined(Y, X, A, R, position, scale) for Y, X in starts]
+    return max(each, key=lambda left: scale.log_likelihood(*left))
+
+
+def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array, Array]:
+    """Residuals after robust Newton steps of base and tool from here."""
+    a = A[:, :3, :3]
+    gaps, x, t = _linear(Y, A, position)
+    for _ in range(_ROUNDS):
+        turns = _turns(Y, a, X, R)
+        gaps = position - (se3.apply(A, x) @ Y.T + t)
+        # rows: turn of the base, turn of the tool, tool point, base's place
+        G = np.zeros((2, len(A), 3, 12))
+        G[0, :, :, :3] = np.swapaxes(a @ X, 1, 2)
+        G[0, :, :, 3:6] = np.eye(3)
+        G[1, :, :, :3] = -Y @ so3.hat(se3.apply(A, x))
+        G[1, :, :, 6:9] = Y @ a
+        G[1, :, :, 9:] = np.eye(3)
+        r = np.stack([turns, gaps])
+        square = np.sum(r**2, axis=2)
+        usual = np.maximum(np.median(square, axis=1) / 2.366, np.array([scale.rotation, scale.position]) ** 2)[:, None]
+        weight = 1.0 / (usual + square)  # Cauchy
+        flat, weighted = G.reshape(-1, 12), (weight[..., None, None] * G).reshape(-1, 12)
+        H, g = flat.T @ weighted, weighted.T @ r.ravel()
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        step = unit * np.linalg.solve(H * np.outer(unit, unit) + 1e-9 * np.eye(12), unit * g)
+        if (size := float(np.linalg.norm(step[:6]))) > 1.0:
+            step = step / size
+        Y, X, x, t = Y @ so3.exp(step[:3]), X @ so3.exp(step[3:6]), x + step[6:9], t + step[9:]
+        if size < 1e-6:
+            break
+    return _turns(Y, a, X, R), _linear(Y, A, position)[0]
+
+
+def _hand_eye(A: Array, R: Array) -> tuple[Array, Array]:
+    """(Y, X) with ``R ≈ Y A X`` for rotations A, R (N, 3, 3): by SVD (Shah 2013)."""
+    U, _, Vt = np.linalg.svd(np.einsum("nji,nlk->ikjl", R, A).reshape(9, 9))  # sum of kron(Rᵀ, Aᵀ), which takes y to z
+    z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
+    sign = np.sign(np.linalg.det(y)) or 1.0
+    return so3.nearest_rotation(sign * y), so3.nearest_rotation(sign * z).T
+
+
+def _turns(Y: Array, A: Array, X: Array, R: Array) -> Array:
+    """Rotation vectors (N, 3) from the predicted to the read orientation, in the tool."""
+    return so3.log(np.swapaxes(Y @ A @ X, 1, 2) @ R)
+
+
+def _by_positions(A: Array, position: Array) -> Array:
+    """How the base is turned (3, 3) as positions (N, 3) say: base and tool point in turn."""
+    x = np.zeros(3)
+    for _ in range(_ALTERNATIONS):
+        seen, known = position - position.mean(axis=0), se3.apply(A, x)
+        Y = so3.nearest_rotation(seen.T @ (known - known.mean(axis=0)))
+        _, new, _ = _linear(Y, A, position)
+        step, x = float(np.linalg.norm(new - x)), new
+        if step < 1e-5:
+            break
+    return Y
+
+
+def _linear(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
+    """(residuals (N, 3), tool point x (3,), base's place t (3,)) of ``p ≈ Y (A x) + t``, robust."""
+    G = np.concatenate([Y @ A[:, :3, :3], np.broadcast_to(np.eye(3), (len(A), 3, 3))], axis=2)
+    h = position - A[:, :3, 3] @ Y.T
+    flat = G.reshape(-1, 6)
+    weight = np.ones(len(A))
+    for _ in range(3):
+        weighted = np.repeat(weight, 3)[:, None] * flat
+        H, g = flat.T @ weighted, weighted.T @ h.ravel()
+        solution = np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)
+        gap = h - (flat @ solution).reshape(-1, 3)
+        square = np.sum(gap**2, axis=1)
+        weight = 1.0 / (square + max(float(np.median(square)), 1e-18))  # Cauchy
+        weight = weight / weight.max()
+    return gap, solution[:3], solution[3:]

@@ -1,0 +1,71 @@
+"""Where drivers stop: what was recorded of them, beyond which a frozen effect is not continued.
+
+Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
+recording's end, so that days later nothing is extrapolated. Temperatures and signals stop at the ends of what was
+seen. An effect whose driver a recording lacks altogether is replaced by what it was on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modcal_core.calibration.shapes import Shape
+from modcal_core.geometry.so3 import Array
+
+if TYPE_CHECKING:
+    from modcal_core.calibration.effects import Effect
+
+OUTSIDE = ("effort", "temperature", "signal", "time")  # kinds of drivers that postures and URDF do not tell
+
+
+@dataclass(frozen=True)
+class Held:
+    """watched: first and last stamp [s] of the recording, None where unknown. clock: whether stamps are times; an order
+    of rows stands still at its middle. ranges: smallest and largest value of temperatures and signals by name.
+    """
+
+    watched: tuple[float, float] | None = None
+    clock: bool = True
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def time(self, stamps: Array) -> Array:
+        """The time [s] that effects go by at these stamps (N,): continuous, and never outside what may be continued."""
+        stamps = np.asarray(stamps, dtype=float)
+        if self.watched is None:
+            return stamps
+        first, last = self.watched
+        if not self.clock:
+            return np.full(stamps.shape, 0.5 * (first + last))
+        length = last - first
+        later = stamps - last
+        return np.where(later <= length, np.maximum(stamps, first), last + np.maximum(2.0 * length - later, 0.0))
+
+    def value(self, name: str, x: Array) -> Array:
+        """Values of a temperature or signal, no further than they were seen."""
+        return np.clip(x, *self.ranges[name]) if name in self.ranges else x
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What an effect was while it was calibrated. mean: of its basis functions, (b,). cost: mean square [m²] by which
+    the tool is off where the effect is held at that.
+    """
+
+    mean: Array
+    cost: float
+
+
+def outside_drivers(effect: Effect) -> tuple[str, ...]:
+    """The parts of the effect's driver that a recording may lack."""
+    return tuple(part for part in effect.driver.split(",") if part.partition(":")[0] in OUTSIDE)
+
+
+def averaged(effect: Effect, mean: Array) -> Effect:
+    """A constant effect of the same place and directions, as large as this one with its basis at the mean (b,)."""
+    amplitudes = effect.amplitudes.reshape(-1, len(mean)) @ mean
+    plain = replace(effect, driver="constant", shape=Shape("linear"))
+    return plain.with_values(amplitudes)

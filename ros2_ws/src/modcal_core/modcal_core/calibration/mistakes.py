@@ -1,0 +1,187 @@
+"""Mistakes that people make with a recording, each with how to undo it: joints, units, direction, conventions.
+
+A mistake says how the samples would look had it not been made. Whether that fits better is for others to judge:
+:mod:`conventions` by likelihood, :mod:`doubts` where a model misses by far.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+# Sequences of three axes; upper case about moving axes, lower case about fixed ones, as SciPy writes them
+THREE_AXES = tuple(s for w in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") for s in (w, w.lower()))
+TWO_AXES = ("ZYZ", "ZXZ", "zyz", "zxz")
+_SHIFTS = (-3, -2, -1, 1, 2, 3)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """offender, remedy: of the refusal. undone: the samples without it. touches: what it changes: "rotation" of the
+    readings alone, "reading", or "joints". log_volume: by how much undoing it shrinks a reading's volume, in logarithm.
+    """
+
+    offender: str
+    remedy: str
+    undone: Callable[[Samples], Samples]
+    touches: str
+    log_volume: float = 0.0
+
+
+def inverse_pose() -> Mistake:
+    """The tracker's pose in the tool, where the tool's pose in the tracker is meant."""
+
+    def undone(samples: Samples) -> Samples:
+        R = np.swapaxes(samples.R, 1, 2)
+        return replace(samples, R=R, position=-(R @ samples.position[..., None])[..., 0])
+
+    return Mistake(
+        "readings look like inverse poses (tracker in tool)",
+        "record the tool in the tracker's frame",
+        undone,
+        "reading",
+    )
+
+
+def of_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
+    """Two joints swapped, one that turns the other way, degrees for radians and the reverse."""
+    for i, j in combinations(range(len(names)), 2):
+        order = list(range(len(names)))
+        order[i], order[j] = j, i
+        yield Mistake(
+            f"joints {names[i]} and {names[j]} look swapped",
+            "correct the names in joint_states",
+            lambda s, order=order: replace(s, q=s.q[:, order]),  # type: ignore[misc]
+            "joints",
+        )
+    for i, name in enumerate(names):
+        sign = np.ones(len(names))
+        sign[i] = -1.0
+        yield Mistake(
+            f"joint {name} looks reversed",
+            "correct its sign, or the axis in the URDF",
+            lambda s, sign=sign: replace(s, q=s.q * sign),  # type: ignore[misc]
+            "joints",
+        )
+    yield Mistake(
+        "joint positions look like degrees", "record radians", lambda s: replace(s, q=np.radians(s.q)), "joints"
+    )
+    yield Mistake(
+        "joint positions look converted to radians twice",
+        "record radians",
+        lambda s: replace(s, q=np.degrees(s.q)),
+        "joints",
+    )
+
+
+def of_units() -> Iterator[Mistake]:
+    """Positions in millimetres where metres are meant, and the reverse."""
+    for scale, said, remedy in (
+        (1e-3, "positions look like millimetres", "record metres"),
+        (1e3, "positions look like metres taken for millimetres", "state the unit m"),
+    ):
+        yield Mistake(
+            said,
+            remedy,
+            lambda s, scale=scale: replace(s, position=scale * s.position),  # type: ignore[misc]
+            "reading",
+            3.0 * float(np.log(scale)),
+        )
+
+
+def of_pairing() -> Iterator[Mistake]:
+    """Readings that belong to the station before or after."""
+    for shift in _SHIFTS:
+
+        def undone(samples: Samples, shift: int = shift) -> Samples:
+            rows = np.arange(max(0, -shift), len(samples) - max(0, shift))
+            return replace(samples.select(rows), **_reading_of(samples.select(rows + shift)))
+
+        side = "late" if shift > 0 else "early"
+        yield Mistake(
+            f"readings look {side} by {abs(shift)} stations",
+            "the tracker's clock is off: synchronise it with the joints' and record again",
+            undone,
+            "reading",
+        )
+
+
+def of_rotations(stated: str | None = None) -> Iterator[Mistake]:
+    """Orders of quaternions, inverse orientations, and Euler angles composed by another sequence than was meant.
+
+    stated: the Euler sequence that composed the readings, where it is known; all are tried otherwise.
+    """
+    if stated is None:
+        yield _quaternion("quaternions look like w x y z read as x y z w", lambda q: q[:, [1, 2, 3, 0]])
+        yield _quaternion("quaternions look like x y z w read as w x y z", lambda q: q[:, [3, 0, 1, 2]])
+        yield _quaternion("quaternions look like w x y z conjugated", lambda q: q[:, [1, 2, 3, 0]] * [-1, -1, -1, 1])
+        yield Mistake(
+            "orientations look inverse (conjugate quaternions)",
+            "publish the orientation of the tool in the tracker's frame",
+            lambda s: replace(s, R=np.swapaxes(s.R, 1, 2)),
+            "rotation",
+        )
+        yield Mistake(
+            "rotation vectors look like radians read as degrees",
+            "state the unit rad",
+            lambda s: replace(s, R=so3.exp(np.degrees(so3.log(s.R)))),
+            "rotation",
+        )
+    # about fixed axes is about moving ones in the reverse order: the same rotations
+    composed = tuple(s for s in THREE_AXES + TWO_AXES if s.isupper()) if stated is None else (stated,)
+    for by in composed:
+        yield _euler(by, by, 180.0 / np.pi, False)
+        for meant in THREE_AXES + TWO_AXES:
+            # the same three numbers are found again but for a second branch, which matters from one kind to the other
+            for other_branch in (False, True) if (by in TWO_AXES) != (meant in TWO_AXES) else (False,):
+                if meant != by:
+                    yield _euler(by, meant, 1.0, other_branch)
+
+
+def _quaternion(offender: str, order: Callable[[Array], Array]) -> Mistake:
+    return Mistake(
+        offender,
+        "publish unit quaternions x y z w",
+        lambda s: replace(s, R=so3.from_quaternion(order(so3.to_quaternion(s.R)))),
+        "rotation",
+    )
+
+
+def _euler(by: str, meant: str, scale: float, other_branch: bool) -> Mistake:
+    def undone(samples: Samples) -> Samples:
+        from scipy.spatial.transform import Rotation  # takes time to load, and only doubtful readings need it
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # where two axes are parallel only their sum is known, which will do
+            angles = np.asarray(Rotation.from_matrix(samples.R).as_euler(by))  # type: ignore[call-overload]
+        if other_branch:
+            middle = -angles[:, 1] if by in TWO_AXES else np.pi - angles[:, 1]
+            angles = np.stack([angles[:, 0] + np.pi, middle, angles[:, 2] + np.pi], axis=1)
+        return replace(samples, R=Rotation.from_euler(meant, scale * angles).as_matrix())
+
+    if by == meant:
+        return Mistake(f"Euler angles {by} look like radians read as degrees", "state the unit rad", undone, "rotation")
+    return Mistake(
+        f"Euler angles composed as {_axes(by)} look like {_axes(meant)}",
+        f"compose them as {_axes(meant)}; in the mapping of modcal import: sequence: {meant}",
+        undone,
+        "rotation",
+    )
+
+
+def _axes(sequence: str) -> str:
+    about, other = ("moving", "fixed") if sequence.isupper() else ("fixed", "moving")
+    return f"{sequence} about {about} axes (= {sequence[::-1].swapcase()} about {other} ones)"
+
+
+def _reading_of(samples: Samples) -> dict[str, Any]:
+    return {"position": samples.position, "R": samples.R, "frame": samples.frame, "kind": samples.kind}

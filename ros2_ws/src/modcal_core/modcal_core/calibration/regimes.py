@@ -1,0 +1,345 @@
+"""Regimes: base or tool, or both, were moved during the recording, by any angle and distance.
+
+They are looked for before anything is rejected and before effects are blamed, for a robust fit takes the stations of a
+regime for wrong readings. Stretches come from :mod:`setups`, with the arm as nominal and then as fitted. What moved
+between two of them, and whether anything did, is decided with the whole geometry fitted beside it, on stations that the
+fit has not seen: a regime must do better there than one base and one tool, and than a base or a tool that drifts or
+settles.
+
+A regime's base or tool is a *step* in the model: six values of any size, 0 after the move and its inverse before, so
+that the model's base and tool are those that hold in the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
+from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.moves import Move as Move
+from modcal_core.calibration.moves import What
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.posture_order import explained_by_posture
+from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
+from modcal_core.calibration.score import errors, outlying, squared_misses
+from modcal_core.calibration.setups import Setup, Sights, Stretches, stretches
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.twists import error_values
+from modcal_core.errors import ModcalError
+from modcal_core.geometry import se3
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.urdf_inertias import Inertias
+
+_MOST = 3000  # samples; a longer recording is thinned evenly
+_ROUNDS = 3  # of stretches and a fit of the arm
+_TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
+_LEAST = 4  # stations in a stretch, from which there are two for each half
+_CAP = 100.0  # squared standard scores; no sample may rule alone
+_SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
+_BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is enough
+_BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
+_SETTLING = 0.12  # time constant to begin from, as a share of the recording
+_ROUGHLY = 1.0  # standard deviations to which rivals are fitted
+_WAVES = 4  # a turn, of a joint that errs with its position
+_ALTERNATING = 8  # rounds of base and tool, each in closed form
+
+
+def find_regimes(
+    samples: Samples, chain: Mechanism, cell: Cell, inertias: Inertias | None = None, told: Sequence[Move] = ()
+) -> Model | None:
+    """A nominal model with base, tool and steps about where the regimes have them, to begin fits from; None for none.
+
+    told: moves that are known of.
+    """
+    places = _movable(samples, cell)
+    if not places:
+        return None
+    told = [move for move in told if samples.stamps.min() < move.at < samples.stamps.max()]
+    if len(samples) > _MOST:
+        samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST).astype(int)))
+    nominal = fit_cell(chain, samples, cell, inertias)
+    choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
+    geometric = identify(nominal.model, samples, choice.parameters, cell.distances, tolerance=_TOLERANCE)
+    if not told and not _suspicious(geometric, samples):
+        return None
+    search = _Search(nominal.model, samples, choice.parameters, cell, places)
+    cuts = search.cuts([nominal.model, geometric.model])
+    moves = search.decided([Move(at, "both") for at in cuts], tuple(told))
+    return search.start(moves) if moves else None
+
+
+def moves_of(model: Model) -> tuple[Move, ...]:
+    """The moves of base and tool that a model knows of, in order of time."""
+    at: dict[float, set[str]] = {}
+    for effect in model.effects:
+        if is_move(effect):
+            at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
+    return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
+
+
+def _place(name: str) -> What:
+    return "base" if name == "base" else "tool"
+
+
+def _movable(samples: Samples, cell: Cell) -> set[str]:
+    """What may have moved: not what is held fixed, and nothing where readings are no positions or show fixed points."""
+    if not is_direct(samples.kinds) or any(samples.is_same_point(f) for f in range(len(samples.frames))):
+        return set()
+    names = {"base": "frame", "tool": "tool/x"}
+    return {
+        place
+        for place, name in names.items()
+        if not any(fnmatchcase(name, fixed) or fixed.startswith(name.partition("/")[0]) for fixed in cell.kept)
+    }
+
+
+def _suspicious(fit: Fit, samples: Samples) -> bool:
+    """Whether a fit without moves leaves room for one that the diagnosis of small effects would not find.
+
+    Where fewer stations than half have moved far, the fit rejects them, in runs. Otherwise they are in its spread, at
+    half of what they moved by at the least.
+    """
+    spread = fit.spread
+    if spread.position > 0.5 * EXPECTED_LENGTH or spread.rotation > 0.5 * EXPECTED_ANGLE:
+        return True
+    return bool(runs_of(samples, outlying(fit.model, spread, samples)))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What is looked through. arm: nominal, with base and tool somewhere. places: that may move."""
+
+    arm: Model
+    samples: Samples
+    parameters: Sequence[Parameter]
+    cell: Cell
+    places: set[str]
+
+    def cuts(self, arms: Sequence[Model]) -> tuple[float, ...]:
+        """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
+        found: tuple[float, ...] = ()
+        for arm in arms:
+            sights = Sights.of(arm, self.samples)
+            found = self._times(stretches(sights), sights)
+            if found:
+                break
+        for _ in range(_ROUNDS):
+            if not found:
+                return ()
+            fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
+            sights = Sights.of(fit.model, self.samples)
+            again = self._times(stretches(sights), sights)
+            if again == found or not again:
+                return found
+            found = again
+        return found
+
+    @staticmethod
+    def _times(found: Stretches, sights: Sights) -> tuple[float, ...]:
+        """Times between stretches; what is shorter than two stations joins its neighbour."""
+        ends = [b for a, b in found if b - a >= _LEAST]
+        return tuple(float(0.5 * (sights.stamps[b - 1] + sights.stamps[b])) for b in ends if b < len(sights))
+
+    def start(self, moves: Sequence[Move], samples: Samples | None = None) -> Model:
+        """The arm with base, tool and steps as these moves show them, in closed form."""
+        samples = self.samples if samples is None else samples
+        sights = Sights.of(self.arm, samples)
+        at = [move.at for move in moves]
+        part = np.searchsorted(at, sights.stamps, side="right")
+        base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)
+        tool = np.r_[0, np.cumsum([move.what != "base" for move in moves])].astype(int)
+        largest = int(np.argmax(np.bincount(part)))
+        first = sights.both(np.flatnonzero(part == largest), sights.setup)
+        if "base" not in self.places:
+            first = Setup(np.eye(4), sights.tool(np.flatnonzero(part == largest), np.eye(4)))
+        D = np.tile(first.D, (base[-1] + 1, 1, 1))
+        X = np.tile(first.X, (tool[-1] + 1, 1, 1))
+        for _ in range(_ALTERNATING):
+            for g in range(len(X)):
+                rows = np.flatnonzero(tool[part] == g)
+                X[g] = sights.tool(rows, D[base[part[rows]]])
+            for g in range(len(D)):
+                if g != base[largest]:
+                    rows = np.flatnonzero(base[part] == g)
+                    D[g] = sights.base(rows, X[tool[part[rows]]])
+        return self._with_steps(moves, D[base], X[tool])
+
+    def _with_steps(self, moves: Sequence[Move], D: np.ndarray, X: np.ndarray) -> Model:
+        """The arm with the last base and tool of these (moves + 1, 4, 4), and the earlier ones as steps."""
+        root = self.arm.chain.T_base_root
+        frames = self.arm.T_frame_base @ root @ D[-1] @ se3.inverse(root)
+        base, tool = (error_values(se3.inverse(T[-1]) @ T) for T in (D, X))
+        orientations = bool(self.samples.is_pose.all())
+        effects = []
+        for k, move in reversed(list(enumerate(moves))):
+            shape = Shape("until", {"at": move.at})
+            if move.what != "tool":
+                effects.append(Effect("step", "base", ALL, "time", shape).with_values(base[k + 1] - base[k]))
+            if move.what != "base":
+                turn = ALL if orientations else SHIFT
+                change = (tool[k + 1] - tool[k])[: 6 if orientations else 3]
+                effects.append(Effect("step", "tool", turn, "time", shape).with_values(change))
+        return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
+
+    def fit(self, start: Model, samples: Samples, tolerance: float = _TOLERANCE) -> Fit:
+        """The fit of arm and moves, or of others' effects, to these samples."""
+        return identify(start, samples, self.parameters, self.cell.distances, tolerance=tolerance)
+
+    def decided(self, moves: list[Move], told: tuple[Move, ...]) -> list[Move]:
+        """The moves that do better on unseen stations than none, each of what it must be of."""
+        moves = [m for m in moves if not any(self._same(m.at, t.at) for t in told)]
+        both = tuple(self.places) == ("base", "tool") or len(self.places) == 2
+        if not both:
+            only = _place(next(iter(self.places)))
+            moves = [replace(m, what=only) for m in moves]
+        score = _Score(self, sorted([*moves, *told], key=lambda m: m.at))
+        if moves and (score.needless(moves) or score.has_rival(moves)):
+            score = _Score(self, list(told))
+        for move in score.own(told) if both else ():
+            score.simplify(move)
+        for move in score.own(told):
+            if score.needless([move]):
+                score.leave_out([move])
+        own = score.own(told)
+        if own and score.has_rival(own):
+            score.leave_out(own)
+        return list(score.moves)
+
+    def _same(self, a: float, b: float) -> bool:
+        """Whether no station lies between two times."""
+        stamps = self.samples.stamps
+        return not ((stamps > min(a, b)) & (stamps < max(a, b))).any()
+
+
+@dataclass
+class _Score:
+    """Moves, and how well they predict: squared standard scores of every sample by a fit to the other half."""
+
+    search: _Search
+    moves: list[Move]
+
+    def __post_init__(self) -> None:
+        fit = self.search.fit(self.search.start(self.moves), self.search.samples)
+        self.spread: Spread = fit.spread
+        self.unit = independent_unit(self.search.samples)
+        samples = self.search.samples
+        self.half = in_order_of_time(samples.station, samples.stamps) % 2
+        self._known: dict[str, float] = {}
+        self.now = self.of(self.moves)
+
+    def of(self, moves: Sequence[Move]) -> np.ndarray | None:
+        """Capped squared scores out of fold (N,), or None where the halves are too few for a fit."""
+        out = np.empty(len(self.half))
+        for h in (0, 1):
+            one = self._of_half(h, lambda part: self.search.start(moves, part))
+            if one is None:
+                return None
+            out[self.half == h] = one
+        return out
+
+    def _of_half(self, h: int, start: Callable[[Samples], Model], tolerance: float = _TOLERANCE) -> np.ndarray | None:
+        """Capped squared scores of one half of the stations, every other one, by a fit to the rest."""
+        part, rest = (self.search.samples.select(np.flatnonzero(rows)) for rows in (self.half != h, self.half == h))
+        try:
+            model = self.search.fit(start(part), part, tolerance).model
+        except (ModcalError, np.linalg.LinAlgError, ValueError):
+            return None
+        return np.minimum(squared_misses(errors(model, rest), rest, self.spread), _CAP)
+
+    def simplify(self, move: Move) -> None:
+        """Let only the tool, or only the base, have moved where that does as well."""
+        best: tuple[float, Move, np.ndarray] | None = None
+        for what in ("tool", "base"):
+            simple = replace(move, what=_place(what))
+            other = self.of([simple if m == move else m for m in self.moves])
+            if other is not None and (best is None or other.sum() < best[0]):
+                best = float(other.sum()), simple, other
+        if best is None or (self.now is not None and _surely_less(self.now, best[2], self.unit)):
+            return
+        self.moves = [best[1] if m == move else m for m in self.moves]
+        self.now = best[2]
+
+    def own(self, told: Sequence[Move]) -> list[Move]:
+        """The moves that were found, not told."""
+        return [move for move in self.moves if move not in told]
+
+    def needless(self, moves: Sequence[Move]) -> bool:
+        """Whether it does as well without these moves."""
+        other = self.of([m for m in self.moves if m not in moves])
+        return self.now is None or (other is not None and not _surely_less(self.now, other, self.unit))
+
+    def leave_out(self, moves: Sequence[Move]) -> None:
+        """Take these moves for none."""
+        if moves:
+            self.moves = [m for m in self.moves if m not in moves]
+            self.now = self.of(self.moves)
+
+    def has_rival(self, moves: Sequence[Move]) -> bool:
+        """Whether something that is smooth in time does as well as all of the moves, or, where these go with a posture,
+        a joint that errs with its position.
+        """
+        if self.now is None:
+            return True
+        now = float(self.now[self.half == 0].sum())
+        return any(now > _BETTER * total for total in self._rivals(tuple(m.at for m in moves)))
+
+    def _rivals(self, at: tuple[float, ...]) -> Iterator[float]:
+        samples, arm = self.search.samples, self.search.arm
+        joints = {joint for t in at for joint in explained_by_posture(samples, t)}
+        for effects in (*_smooth(samples, self.search.places), *_by_posture(sorted(joints))):
+            key = str([(e.place, e.direction, e.shape) for e in effects])
+            if key not in self._known:
+                model = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
+                score = self._of_half(0, partial(_itself, model), _ROUGHLY)
+                self._known[key] = np.inf if score is None else float(score.sum())
+            yield self._known[key]
+
+
+def _itself(model: Model, _: Samples) -> Model:
+    return model
+
+
+def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
+    """A base or a tool that drifts or settles."""
+    low, high = float(samples.stamps.min()), float(samples.stamps.max())
+    shapes = [
+        Shape("polynomial", {"degree": 4.0, "low": low, "high": high}),
+        Shape("settle", {"since": low, "tau": _SETTLING * (high - low)}),
+    ]
+    turn = ALL if samples.is_pose.all() else SHIFT
+    for place in sorted(places):
+        for shape in shapes:
+            yield (Effect("drift", place, turn if place == "tool" else ALL, "time", shape),)
+
+
+def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
+    """Joints that err with their position, about their axis and across it."""
+    for name in joints:
+        waves = [Shape("turn", {"cycles": float(k)}) for k in range(1, _WAVES + 1)]
+        across = [Effect("axis_wobble", name, ACROSS, f"position:{name}", wave) for wave in waves]
+        along = [Effect("gear_harmonic", name, AXIS, f"position:{name}", wave) for wave in waves]
+        yield tuple([*along, *across])
+
+
+def _amplitudes(effect: Effect) -> int:
+    return {ALL: 6, SHIFT: 3, ACROSS: 2, AXIS: 1}[effect.direction] * effect.shape.size
+
+
+def _surely_less(a: np.ndarray, b: np.ndarray, unit: np.ndarray) -> bool:
+    """Whether squared scores a (N,) are less than b by more than chance. unit: of each, what shares its noise."""
+    gain = np.bincount(unit, b - a)
+    total, error = float(gain.sum()), float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
+    # few stations that gain much cannot have a high ratio, and need none
+    least = _SURE if total < 2.0 * _BEYOND_DOUBT else _ENOUGH
+    return total > max(least * error, 1e-12)

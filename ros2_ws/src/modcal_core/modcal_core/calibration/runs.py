@@ -1,0 +1,81 @@
+"""Stations in order of time, and runs of them: whether neighbours were rejected together by chance."""
+
+from __future__ import annotations
+
+from math import exp, lgamma
+
+import numpy as np
+
+from modcal_core.measurements.samples import Samples
+
+LEAST_RUN = 3  # neighbours
+CHANCE = 0.01  # that as many rejections, scattered at random, make a run as long anywhere
+
+_MEMORY = 0.5  # s; samples in motion closer than this share their noise
+
+
+def independent_unit(samples: Samples) -> np.ndarray:
+    """For each sample the number of the unit whose noise is independent of the others', (N,).
+
+    A station; in motion, where noise has a memory, all samples of half a second.
+    """
+    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), samples.station)
+    return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
+
+
+def station_numbers(samples: Samples) -> np.ndarray:
+    """For each sample the number of its station in order of time, (N,)."""
+    return in_order_of_time(samples.station, samples.stamps)
+
+
+def in_order_of_time(unit: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+    """For each sample the number of its unit, counted in order of the units' first stamps, (N,)."""
+    units, index = np.unique(unit, return_inverse=True)
+    first = np.full(len(units), np.inf)
+    np.minimum.at(first, index, stamps)
+    return np.asarray(np.argsort(np.argsort(first, kind="stable"), kind="stable")[index])
+
+
+def runs_of(samples: Samples, wrong: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Runs (first, last station, counted in order of time) of neighbours that are rejected together.
+
+    wrong: True for rejected samples, (N,). At least three in a row, seen through one frame, in a run that as many
+    rejections scattered at random would hold anywhere with a chance below 1 %. In motion neighbours share their noise:
+    there half a second counts as one.
+    """
+    if not wrong.any():
+        return ()
+    number, unit = station_numbers(samples), independent_unit(samples)
+    runs: set[tuple[int, int]] = set()
+    for f in np.unique(samples.frame[wrong]):
+        rows = np.flatnonzero(samples.frame == f)
+        rank = in_order_of_time(unit[rows], samples.stamps[rows])
+        count = int(rank.max()) + 1
+        bad = np.bincount(rank, wrong[rows], count) > 0.5 * np.bincount(rank, minlength=count)
+        for a, b in consecutive(bad):
+            if b - a >= LEAST_RUN and chance_of_run(b - a, int(bad.sum()), count) < CHANCE:
+                inside = number[rows[(rank >= a) & (rank < b)]]
+                runs.add((int(inside.min()), int(inside.max())))
+    return tuple(sorted(runs))
+
+
+def chance_of_run(length: int, rejected: int, of: int) -> float:
+    """An upper bound of the chance that so many rejections scattered among ``of`` places make a run of this length.
+
+    The expected number of runs: each of ``of − length + 1`` stretches is rejected as a whole with the chance
+    C(of − length, rejected − length) / C(of, rejected).
+    """
+    if length > rejected:
+        return 0.0
+    log = _log_choose(of - length, rejected - length) - _log_choose(of, rejected)
+    return min(1.0, (of - length + 1) * exp(log))
+
+
+def consecutive(flags: np.ndarray) -> list[tuple[int, int]]:
+    """(first, end) of every stretch of True in flags (N,)."""
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _log_choose(n: int, k: int) -> float:
+    return lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)

@@ -1,0 +1,169 @@
+"""Stretches of a recording that cannot have had the same base and tool, with the arm itself taken as it stands.
+
+A move of base or tool changes all stations from there on, by any amount. A fit that knows of one base and one tool only
+meets most of them and takes the others for wrong readings, so nothing may be rejected before moves are looked for.
+Short windows in order of time are each given a base or a tool of their own, or both, in closed form; each such *setup*
+is tried on every station; and the cheapest sequence of setups is found by dynamic programming (Viterbi 1967), where a
+change costs as much as a few stations that are missed by far. The stretches are then given setups anew, and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from modcal_core.calibration.initial import hand_eye, procrustes
+from modcal_core.calibration.model import Model
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import forward
+
+_WINDOW = {True: 8, False: 12}  # stations that fix base and tool together: of poses, of points
+_MOST_WINDOWS = 60
+_FAR = 3.0  # usual misses beyond which a station is missed altogether
+_CHANGE = 4.0 * _FAR**2  # a change must be worth as much as four stations that are missed altogether
+_ROUNDS = 3
+_TURNS = 12  # of tool and base in turn, each in closed form
+MOST_STRETCHES = 6  # more are no moves, but a motion
+
+Stretches = list[tuple[int, int]]  # first, end, in order of time
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Where base and tool are in a stretch: ``reading = D · T_root_tip · X``, both (4, 4) [m], seen from the root."""
+
+    D: Array
+    X: Array
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Readings in order of time, seen from the root of an arm that is taken as it stands.
+
+    A: poses of the tip (N, 4, 4). B: readings (N, 4, 4), orientations identity where there are none. poses: whether all
+    have an orientation. lever: [m], what an angle is worth. stamps: [s], (N,). setup: where base and tool were thought
+    to be.
+    """
+
+    A: Array
+    B: Array
+    poses: bool
+    lever: float
+    stamps: Array
+    setup: Setup
+
+    @classmethod
+    def of(cls, model: Model, samples: Samples) -> Sights:
+        """What the samples, of positions or poses, show of a model's arm, its base and tool."""
+        order = np.argsort(samples.stamps, kind="stable")
+        A = se3.inverse(model.chain.T_base_root) @ forward(model.chain, samples.q[order])
+        T_root_frame = se3.inverse(model.T_frame_base @ model.chain.T_base_root)
+        reading = se3.transform(samples.R[order], samples.position[order])
+        lever = float(np.linalg.norm(A[:, :3, 3], axis=1).mean())
+        return cls(
+            *(A, T_root_frame[samples.frame[order]] @ reading, bool(samples.is_pose.all()), lever),
+            *(samples.stamps[order], Setup(np.eye(4), model.T_tip_tool)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.A)
+
+    def missed(self, setup: Setup) -> Array:
+        """How far a setup misses each reading [m], (N,), angles by the lever."""
+        T = setup.D @ self.A @ setup.X
+        square = np.sum((self.B[:, :3, 3] - T[:, :3, 3]) ** 2, axis=1)
+        if self.poses:
+            # |R − R'|² = 8 sin²(angle / 2)
+            gap = np.sum((self.B[:, :3, :3] - T[:, :3, :3]) ** 2, axis=(1, 2))
+            square += (2.0 * self.lever * np.arcsin(np.sqrt(np.clip(gap / 8.0, 0.0, 1.0)))) ** 2
+        return np.asarray(np.sqrt(square))
+
+    def tool(self, rows: np.ndarray, D: Array) -> Array:
+        """The tool (4, 4) that the readings of these rows show best, the base being at D, (4, 4) or one for each."""
+        gap = se3.inverse(D @ self.A[rows]) @ self.B[rows]
+        R = so3.mean(gap[:, :3, :3]) if self.poses else self.setup.X[:3, :3]
+        return se3.transform(R, np.median(gap[:, :3, 3], axis=0))
+
+    def base(self, rows: np.ndarray, X: Array) -> Array:
+        """The base (4, 4) that the readings of these rows show best, the tool being at X, (4, 4) or one for each."""
+        T = self.A[rows] @ X
+        if not self.poses:
+            return procrustes(T[:, :3, 3], self.B[rows, :3, 3])
+        R = so3.mean(self.B[rows, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
+        return se3.transform(R, np.median(self.B[rows, :3, 3] - T[:, :3, 3] @ R.T, axis=0))
+
+    def both(self, rows: np.ndarray, start: Setup) -> Setup:
+        """Base and tool that the readings of these rows show best. start: where to begin, for points."""
+        if self.poses:
+            return Setup(*hand_eye(self.A[rows], self.B[rows]))
+        X = start.X
+        for _ in range(_TURNS):
+            D = self.base(rows, X)
+            X = self.tool(rows, D)
+        return Setup(self.base(rows, X), X)
+
+
+def stretches(sights: Sights) -> Stretches:
+    """Stretches of readings, in order of time, that have a base, a tool or both of their own; one where nothing moved.
+
+    Empty where there are more than a person would move base or tool in one recording.
+    """
+    N, window = len(sights), _WINDOW[sights.poses]
+    if 2 * window > N:
+        return [(0, N)]
+    step = max(window // 2, (N - window) // _MOST_WINDOWS)
+    parts = [np.arange(a, a + window) for a in range(0, N - window + 1, step)]
+    setups = [setup for rows in parts for setup in _setups(sights, rows)]
+    own = [min(_rms(sights.missed(s)[rows]) for s in _setups(sights, rows)) for rows in parts]
+    usual = max(float(np.median(own)), 1e-6)
+    found: Stretches = [(0, N)]
+    for _ in range(_ROUNDS):
+        cost = np.stack([np.minimum(sights.missed(s) / usual, _FAR) ** 2 for s in setups])
+        before, found = found, _cheapest(cost)
+        if len(found) > MOST_STRETCHES:
+            return []
+        if found == before:
+            break
+        largest = max(found, key=lambda part: part[1] - part[0])
+        rows = np.arange(*largest)
+        reference = sights.both(rows, sights.setup)
+        again = [s for a, b in found for s in _setups(sights, np.arange(a, b), reference)]
+        setups = [reference, *again]
+        usual = max(_rms(sights.missed(reference)[rows]), 1e-6)
+    return found
+
+
+def _setups(sights: Sights, rows: np.ndarray, near: Setup | None = None) -> Iterator[Setup]:
+    """What these rows may have: a base, a tool, or both of their own."""
+    known = near or sights.setup
+    yield Setup(known.D, sights.tool(rows, known.D))
+    yield Setup(sights.base(rows, known.X), known.X)
+    if len(rows) >= _WINDOW[sights.poses]:
+        yield sights.both(rows, known)
+
+
+def _cheapest(cost: Array) -> Stretches:
+    """Stretches of the cheapest sequence of setups, where each station has its cost (S, N) and each change one too."""
+    S, N = cost.shape
+    came = np.zeros((N, S), int)
+    total = cost[:, 0].copy()
+    for i in range(1, N):
+        best = int(np.argmin(total))
+        change = total[best] + _CHANGE < total
+        came[i] = np.where(change, best, np.arange(S))
+        total = np.where(change, total[best] + _CHANGE, total) + cost[:, i]
+    state = np.empty(N, int)
+    state[-1] = int(np.argmin(total))
+    for i in range(N - 1, 0, -1):
+        state[i - 1] = came[i, state[i]]
+    edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), N]
+    return list(pairwise(edges))
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))

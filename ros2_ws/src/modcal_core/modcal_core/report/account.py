@@ -1,0 +1,126 @@
+"""The account of the squared error for a page: its rows in words, and a picture of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.report.figures import label, small
+from modcal_core.report.page import Chart, chart
+from modcal_core.report.palette import AFTER, BAD, LIGHT, SOFT, WARN
+from modcal_core.verdict.verdict import Row, Verdict
+
+EFFECT = "effect:"
+# How a row is called on a page, and its colour: what the model took away, what it leaves though it could be predicted,
+# what no model can take away, and what nobody has a name for.
+_WORDS = {
+    "geometry": ("geometry", AFTER),
+    "shared": ("shared among effects", AFTER),
+    "predictable": ("predictable, not modelled", BAD),
+    "estimation": ("uncertainty of the parameters", SOFT),
+    "repeatability": ("repeatability of the arm", SOFT),
+    "instrument": ("instrument", SOFT),
+    "unaccounted": ("unaccounted for", WARN),
+}
+_OF_FLOOR = ("repeatability", "instrument")
+_ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
+_MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the account in words. share: of the nominal model's squared error. rms: root of the value, with the
+    value's sign. ci95: the interval of the value. known: False for a part of the floor where that is not known.
+    """
+
+    words: str
+    colour: str
+    value: float
+    share: float
+    rms: float
+    ci95: tuple[float, float] | None
+    known: bool
+
+
+@dataclass(frozen=True)
+class Account:
+    """One account. unit: mm or deg. total: squared error of the nominal model."""
+
+    unit: str
+    total: float
+    lines: tuple[Line, ...]
+
+    def drawn(self) -> Chart:
+        """Its picture."""
+        return _chart(tuple(line for line in self.lines if line.known), self.unit)
+
+
+def account(rows: tuple[Row, ...], unit: str, floor: float | None) -> Account:
+    """The account for a person. unit: mm or deg. floor: None where it is not known."""
+    total = sum(row.value for row in rows)
+    lines = tuple(_line(row, total, floor is not None or row.what not in _OF_FLOOR) for row in rows)
+    return Account(unit, total, lines)
+
+
+def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
+    """Those of position and orientation, as far as there are any."""
+    if verdict is None:
+        return ()
+    both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))
+    return tuple(account(rows, unit, floor) for unit, rows, floor in both if rows)
+
+
+def in_words(what: str) -> str:
+    """How a row is called for a person."""
+    if what.startswith(EFFECT):
+        return what.removeprefix(EFFECT)
+    return _WORDS.get(what, (what.replace("_", " "), SOFT))[0]
+
+
+def _line(row: Row, total: float, known: bool) -> Line:
+    value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
+    colour = AFTER if row.what.startswith(EFFECT) else _WORDS.get(row.what, ("", SOFT))[1]
+    rms = float(np.copysign(np.sqrt(abs(value)), value))
+    return Line(in_words(row.what), colour, value, value / max(total, 1e-300), rms, row.ci95, known)
+
+
+def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
+    """A bar a row on a logarithmic axis, hatched where negative, with whiskers for the interval."""
+    height = 0.6 + 0.22 * len(lines)
+    figure, axes = small(5.4, height, left=2.0)
+    most = max(abs(line.value) for line in lines) or 1.0
+    least = _MIN_DECADE * most
+    for k, line in enumerate(lines):
+        if not line.value:
+            continue
+        tone = LIGHT[line.colour]
+        hatched = line.value < 0.0
+        axes.barh(
+            k,
+            max(abs(line.value), least) - 0.5 * least,
+            left=0.5 * least,
+            height=0.62,
+            fill=not hatched,
+            hatch="////" if hatched else "",
+            facecolor=tone,
+            edgecolor=tone,
+            linewidth=0.8,
+        )
+        if line.ci95 is not None and not hatched:
+            ends = [max(end, least) for end in line.ci95]
+            axes.plot(ends, [k, k], "|-", ms=5.0, lw=1.0, color=LIGHT["ink"])
+    axes.set_xscale("log")
+    axes.minorticks_off()
+    axes.set_yticks(range(len(lines)), [line.words for line in lines], fontsize=7.5)
+    axes.set_ylim(len(lines) - 0.5, -0.5)
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    label(axes, f"squared error, {unit}²", "")
+    said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
+    alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
+    words = (
+        "Where the squared error of the nominal model went, on a logarithmic axis. Hatched: negative. "
+        "Whiskers: 95 % interval."
+    )
+    return chart(figure, f"account-{unit}", alt, words)

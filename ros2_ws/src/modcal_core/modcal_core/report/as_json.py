@@ -1,0 +1,179 @@
+"""The report as the data of ``report.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.score import ErrorSize
+from modcal_core.diagnosis.choice import Choice
+from modcal_core.report.findings import Finding
+from modcal_core.report.report import STAGES, Report
+from modcal_core.verdict.floor import reading_scatter_mm
+from modcal_core.verdict.tolerance import Tolerance
+from modcal_core.verdict.verdict import Row, Share, Verdict
+
+FORMAT = 1
+_STRONGEST = 10  # candidates of a scan that report.json names
+
+
+def to_json_data(report: Report) -> dict[str, Any]:
+    """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
+    seen = report.identifiability
+    rest = report.unexplained_mm
+    return {
+        "modcal_report": FORMAT,
+        "title": report.title,
+        "recording": {
+            "stations": report.samples.stations,
+            "rejected": report.rejected_stations(),
+            "dropped": dict(report.dropped),
+            "measurement": report.measurement,
+            "joints": list(report.samples.names),
+            "duration_s": round(float(np.ptp(report.samples.stamps)), 6),
+        },
+        "split": {"unit": report.sets.unit, **report.set_sizes()},
+        "error_mm": {stage: _size(report.size_mm(stage), report.interval_mm(stage)) for stage in STAGES},
+        "error_deg": {stage: _size(report.size_deg(stage)) for stage in STAGES},
+        **_judged(report),
+        "reading_scatter_mm": reading_scatter_mm(report.samples),
+        "converged": report.grounds.converged,
+        "rejected_rms_mm": _rejection(report),
+        "not_applied": [asdict(missing) for missing in report.grounds.not_applied],
+        "regimes": [asdict(regime) for regime in report.grounds.regimes],
+        "convention": report.grounds.convention,
+        "tolerance": _tolerance(report.tolerance),
+        "trace": asdict(report.trace),
+        "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
+        "effects": [_effect(finding) for finding in report.effects],
+        "unexplained": None if rest is None else _unexplained(rest, report.left),
+        "identifiability": None
+        if seen is None
+        else {
+            "parameters": seen.parameters,
+            "rank": seen.rank,
+            "condition": seen.condition if np.isfinite(seen.condition) else None,
+            "unobservable": list(seen.unobservable),
+            "left_out": list(report.left_out),
+            "weak": [{"direction": name, "std_over_prior": share} for name, share in seen.weak],
+        },
+        "evidence": [
+            {
+                "p_value": seen_then.p_value,
+                "strongest": [
+                    {"place": place, "direction": direction, "driver": driver, "share": share}
+                    for place, direction, driver, share in seen_then.strongest(_STRONGEST)
+                ],
+            }
+            for seen_then in report.evidence
+        ],
+        "rejected": [
+            {
+                "station": int(report.samples.station[row]),
+                "stamp": float(report.samples.stamps[row]),
+                "miss_mm": 1e3 * float(report.missed[row]),
+            }
+            for row in report.rejected_rows()
+        ],
+        "parameters": [
+            {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in report.parameters
+        ],
+        "notes": list(report.notes),
+        "verdict": report.verdict,
+        "story": list(report.story),
+    }
+
+
+def _effect(finding: Finding) -> dict[str, Any]:
+    return {
+        "family": finding.family,
+        "place": finding.place,
+        "direction": finding.direction,
+        "driver": finding.driver,
+        "parameters": {
+            name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in finding.parameters.items()
+        },
+        "p_value": finding.p_value,
+        "rms_mm_before": 1e3 * finding.before,
+        "rms_mm_after": 1e3 * finding.after,
+        "gain_mm2": finding.gain_mm2,
+        "gain_ci95_mm2": None if finding.ci95 is None else list(finding.ci95),
+        "tool_rms_mm": None if finding.tool is None else 1e3 * finding.tool,
+        "chance": finding.chance,
+        "same_as": list(finding.same_as),
+    }
+
+
+def _unexplained(size: float, left: Choice | None) -> dict[str, Any]:
+    if left is None:
+        return {"place": None, "driver": None, "size_mm": size}
+    return {
+        "place": left.effect.place,
+        "direction": left.effect.direction,
+        "driver": left.effect.public_driver,
+        "size_mm": size,
+        "p_value": left.p_value,
+        "same_as": list(left.same_as),
+    }
+
+
+def _size(size: ErrorSize | None, interval: tuple[float, float] | None = None) -> dict[str, Any] | None:
+    if size is None:
+        return None
+    out: dict[str, Any] = {"mean": size.mean, "rms": size.rms, "p95": size.p95, "max": size.max}
+    return out if interval is None else {**out, "rms_ci95": list(interval)}
+
+
+def _judged(report: Report) -> Mapping[str, Any]:
+    """What follows from the verdict."""
+    judged = report.judged or Verdict("cannot_tell")
+    return {
+        "status": judged.status,
+        "open_because": list(judged.open_because),
+        "remedy": judged.remedy or None,
+        "noise_floor_mm": judged.floor_mm,
+        "noise_floor_deg": judged.floor_deg,
+        "account_mm2": _account(judged.account_mm2),
+        "account_deg2": _account(judged.account_deg2),
+        "predictable": _share(judged.predictable),
+        "predictable_deg": _share(judged.predictable_deg),
+        "repeatability_mm": None if report.size_mm("final") is None else asdict(judged.repeatability_mm),
+        "repeatability_deg": None if report.size_deg("final") is None else asdict(judged.repeatability_deg),
+    }
+
+
+def _account(rows: tuple[Row, ...] | None) -> list[dict[str, Any]] | None:
+    if rows is None:
+        return None
+    return [
+        {"what": row.what, "value": row.value, "ci95": None if row.ci95 is None else list(row.ci95)} for row in rows
+    ]
+
+
+def _share(share: Share | None) -> dict[str, Any] | None:
+    return None if share is None else {"share": share.share, "ci95": list(share.ci95)}
+
+
+def _rejection(report: Report) -> dict[str, Any] | None:
+    out = report.rejection
+    return (
+        None
+        if out is None
+        else {"with": out.with_mm, "without": out.without_mm, "stations": out.stations, "of": out.of}
+    )
+
+
+def _tolerance(met: Tolerance | None) -> dict[str, Any] | None:
+    if met is None:
+        return None
+    return {
+        "asked_mm": met.asked.mm,
+        "statistic": met.asked.statistic,
+        "value_mm": met.value_mm,
+        "ci95": list(met.ci95),
+        "result": met.result,
+        "because": met.because,
+    }

@@ -1,0 +1,161 @@
+"""What is judged: the final model at samples, how far it misses them, and how well its parameters are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.distances import AnyDistance
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.score import Errors, errors
+from modcal_core.calibration.split import Split
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+_MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
+_MOST_REFITTED = 400  # the same of base and tool
+_WIDE = 1.0  # m, rad; where base or tool may be that were found again
+
+
+@dataclass(frozen=True)
+class Case:
+    """The final model and what it is judged by.
+
+    samples: all of them. wrong: those rejected (N,). held_out: rows that are scored, without those rejected. unit: what
+    the split kept together, "station" or "block". model: the final one. known: covariance of its parameters and of the
+    values of its effects. spread: of its residuals when it was fitted.
+    errors: of the scored rows by stage. missed: of the final model at all samples. fitted: whether the parameters were
+    found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
+    """
+
+    samples: Samples
+    wrong: np.ndarray
+    held_out: np.ndarray
+    unit: str
+    model: Model
+    known: Uncertainty
+    spread: Spread
+    errors: dict[str, Errors]
+    missed: Errors
+    fitted: bool
+
+    @property
+    def scored(self) -> Samples:
+        """The samples of the scored rows."""
+        return self.samples.select(self.held_out)
+
+
+def fitted_case(
+    fit: Fit,
+    samples: Samples,
+    sets: Split,
+    wrong: np.ndarray,
+    left: dict[str, Errors],
+    distances: Sequence[AnyDistance] = (),
+) -> Case:
+    """The case of a fit to *train*. wrong: rejected samples (N,). left: errors of the held-out rows not rejected."""
+    rows = np.unique(np.linspace(0, len(sets.train) - 1, min(len(sets.train), _MOST_FITTED)).astype(int))
+    part = replace(fit, weights=fit.weights[rows] * (len(sets.train) / max(len(rows), 1)))
+    known = uncertainty(fit.model, samples.select(sets.train[rows]), fit.parameters, part, distances)
+    held_out = sets.held_out[~wrong[sets.held_out]]
+    missed = errors(fit.model, samples)
+    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.spread, left, missed, fitted=True)
+
+
+def frozen_case(
+    calibration: Calibration,
+    model: Model,
+    samples: Samples,
+    unit: str,
+    rows: np.ndarray,
+    wrong: np.ndarray,
+    left: dict[str, Errors],
+    refit_base: bool = False,
+    refit_tool: bool = False,
+) -> Case:
+    """The case of a frozen calibration at another recording.
+
+    model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
+    """
+    known = _carried(calibration, model)
+    if refit_base or refit_tool:
+        train = ~wrong
+        train[rows] = False
+        part = np.flatnonzero(train)
+        part = part[np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST_REFITTED)).astype(int))]
+        known = _refitted(known, model, samples.select(part), calibration.spread, refit_base, refit_tool)
+    missed = errors(model, samples)
+    return Case(samples, wrong, rows, unit, model, known, calibration.spread, left, missed, fitted=False)
+
+
+def _carried(calibration: Calibration, model: Model) -> Uncertainty:
+    """The covariance that a calibration kept, for the frames of this model; nothing is uncertain where it kept none."""
+    values = sum(len(e.values) for e in model.effects)
+    kept = calibration.uncertainty
+    if kept is None or len(kept.covariance) != len(kept.parameters) + values:
+        kept = Uncertainty((), np.zeros((values, values)))
+    frames = calibration.calibrated.frames
+    rows, parameters = [], []
+    for i, p in enumerate(kept.parameters):
+        elsewhere = p.place == 0 and frames[p.frame] not in model.frames
+        if not elsewhere and p.instrument < len(model.instruments):
+            rows.append(i)
+            parameters.append(replace(p, frame=model.frames.index(frames[p.frame])) if p.place == 0 else p)
+    rows += range(len(kept.parameters), len(kept.covariance))
+    return Uncertainty(tuple(parameters), kept.covariance[np.ix_(rows, rows)])
+
+
+def _refitted(
+    known: Uncertainty, model: Model, samples: Samples, spread: Spread, refit_base: bool, refit_tool: bool
+) -> Uncertainty:
+    """The same where base or tool were found again from some samples, with the arm as it was calibrated.
+
+    With J_a the derivatives of the arm and J_b those of base and tool, in units of the noise, they answer an error δ of
+    the arm by −B δ, B = (J_bᵀJ_b)⁻¹ J_bᵀJ_a, and noise by (J_bᵀJ_b)⁻¹.
+    """
+    tool = model.chain.tool_place
+    free = [Parameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
+    free = [*(free if refit_base else ()), *(Parameter("tool", tool, d) for d in range(6) if refit_tool)]
+    again = [p.place == 0 if refit_base else False for p in known.parameters]
+    again = [a or (refit_tool and p.place == tool) for a, p in zip(again, known.parameters, strict=True)]
+    rows = np.r_[np.flatnonzero(~np.array(again, bool)), len(again) : len(known.covariance)].astype(int)
+    arm = tuple(p for p, a in zip(known.parameters, again, strict=True) if not a)
+    _, J = derivatives(model, (*free, *arm), samples)
+    J = (J * weights(spread, samples)).reshape(len(J), -1)
+    F = len(free)
+    inverse = np.linalg.inv(J[:F] @ J[:F].T + np.eye(F) / _WIDE**2)
+    B = inverse @ (J[:F] @ J[F:].T)
+    C = known.covariance[np.ix_(rows, rows)]
+    return Uncertainty((*free, *arm), np.block([[B @ C @ B.T + inverse, -B @ C], [-C @ B.T, C]]))
+
+
+def weights(spread: Spread, samples: Samples) -> Array:
+    """Inverse deviations of the readings, (6, N); zero where there is no orientation."""
+    known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation)
+    position = 1.0 / np.sqrt(spread.of(samples) ** 2 + known_p**2)
+    rotation = np.where(samples.is_pose, 1.0 / np.sqrt(spread.rotation**2 + known_r**2), 0.0)
+    return np.concatenate([np.tile(position, (3, 1)), np.tile(rotation, (3, 1))])
+
+
+def by_sample(row: Array, pose: np.ndarray, count: int) -> Array:
+    """Rows of a linearisation (…, 3 N + 3 M) as (…, 6, N), zeros where there is no orientation. pose: rows of the M."""
+    out = np.zeros((*row.shape[:-1], 6, count))
+    out[..., :3, :] = row[..., : 3 * count].reshape(*row.shape[:-1], 3, count)
+    out[..., 3:, pose] = row[..., 3 * count :].reshape(*row.shape[:-1], 3, -1)
+    return out
+
+
+def derivatives(model: Model, parameters: Sequence[Parameter], samples: Samples) -> tuple[Array, Array]:
+    """Residuals (6, N) from the root and their derivatives (K, 6, N) with respect to parameters and effects."""
+    values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
+    at = linearise(model, parameters, values, samples)
+    pose = np.flatnonzero(samples.is_pose)
+    return by_sample(at.residual, pose, len(samples)), by_sample(at.J, pose, len(samples))

@@ -1,0 +1,244 @@
+"""Features for a regressor that knows no physics: motions of the tool times functions of everything that was recorded.
+
+A motion of the tool is a small twist at the base, at the tool, or at a joint, along any direction; that is geometry,
+and any residual whatever can be written so. The functions know nothing of gears, springs or heat: low waves of joint
+positions, smooth random functions of posture (Rahimi & Recht 2007), waves in the order of the stations and in time, the
+way joints arrived, torques, and each recorded signal with what of it the posture does not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.effects import place_index
+from modcal_core.calibration.linearise import View
+from modcal_core.calibration.model import Model
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+_OWN_WAVES = 6  # waves a turn of a joint's own position
+_SMOOTH = 16  # random functions of the whole posture
+_NEAR = 40  # the same of neighbours in posture
+_NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
+_SLOW, _FAST = 4, 44  # waves over the order of the stations
+_MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
+_MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
+_MOST_SIGNALS = 40
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns that belong together. name: for a person, after "can be predicted from". columns: (D, 6, N). few: whether
+    a few of them are expected to matter, not all a little.
+    """
+
+    name: str
+    columns: Array
+    few: bool = False
+
+
+def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
+    """The groups of these samples. weight: of their six components, (6, N)."""
+    builder = _Builder(model, samples, weight)
+    yield builder.own_positions()
+    yield builder.other_positions()
+    yield builder.posture()
+    if samples.stations >= _NEAR_STATIONS:
+        yield builder.neighbours()
+    yield builder.order(0, _SLOW)
+    yield builder.order(_SLOW, _FAST)
+    for group in (builder.history(), builder.load(), builder.signals()):
+        if group is not None:
+            yield group
+    yield builder.single_waves()
+
+
+class _Builder:
+    """What all groups of some samples share."""
+
+    def __init__(self, model: Model, samples: Samples, weight: Array) -> None:
+        self.samples, self.weight = samples, weight
+        self.at = model.circumstances(samples)
+        self.view = View.of(model, samples, self.at)
+        chain = model.chain
+        self.chain = chain
+        self.places = [place_index(name, chain) for name in chain.names]
+        self.axis = [5 if turns else 2 for turns in chain.revolute]
+        self.tool = chain.tool_place
+        self.rng = np.random.default_rng(0)
+        self.z = _standard(samples.q.T)
+
+    def own_positions(self) -> Group:
+        """Every joint's axis with waves of its own position, its other directions with the lowest; and constants."""
+        parts = []
+        for j, (place, axis) in enumerate(zip(self.places, self.axis, strict=True)):
+            waves = np.concatenate([np.ones((1, len(self.samples))), self._waves(j, _OWN_WAVES)])
+            parts.append(self._times([(place, axis)], waves))
+            others = [(place, d) for d in range(6) if d != axis and self._moves(place)]
+            parts.append(self._times(others, waves[:3]))
+        return self._group("each joint's own position", parts)
+
+    def other_positions(self) -> Group:
+        """Every joint's axis with low waves of the other joints."""
+        waves = [self._waves(i, 2) for i in range(self.chain.n)]
+        parts = []
+        for j, (place, axis) in enumerate(zip(self.places, self.axis, strict=True)):
+            parts.append(self._times([(place, axis)], np.concatenate([w for i, w in enumerate(waves) if i != j])))
+        return self._group("the positions of the other joints", parts)
+
+    def posture(self) -> Group:
+        """Base and tool with smooth functions of the whole posture, a constant among them."""
+        smooth = np.concatenate([np.ones((1, len(self.samples))), self._random(_SMOOTH, 0.6)])
+        return self._group("the posture", [self._times(self._ends(), smooth)])
+
+    def neighbours(self) -> Group:
+        """The tool with functions of the posture that change from one station to its neighbours."""
+        return self._group("neighbours in posture", [self._times(self._ends()[6:], self._random(_NEAR, 2.0))])
+
+    def order(self, first: int, last: int) -> Group:
+        """Waves over the order of the stations, first < waves <= last: slow ones, and time, with base, tool and joints,
+        fast ones with the base alone.
+        """
+        rank = _rank(self.samples)
+        last = min(last, self.samples.stations // 2)
+        waves = [np.cos(np.pi * k * rank) for k in range(first + 1, last + 1)]
+        where = self._ends()[:6]
+        if not first:
+            where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
+            stamps = self.samples.stamps - self.samples.stamps.min()
+            if np.ptp(stamps) > 0.0:
+                share = stamps / np.ptp(stamps)
+                waves += [share, np.exp(-10.0 * share)]
+        return self._group("the order of the stations", [self._times(where, np.stack(waves))])
+
+    def history(self) -> Group | None:
+        """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""
+        s = self.samples
+        order = np.lexsort((s.stamps, s.frame))
+        step = np.zeros_like(s.q)
+        step[order[1:]] = np.diff(s.q[order], axis=0)
+        come = np.where((s.approach != 0.0).any(axis=1)[:, None], s.approach, np.sign(step)).T
+        numbers = [come, _standard(step.T)]
+        if s.moving.any():
+            speed = np.nan_to_num(s.velocity).T
+            numbers += [_standard(speed), np.sign(speed), _standard(s.acceleration.T)]
+        axes = list(zip(self.places, self.axis, strict=True))
+        parts = [self._times(axes, come), self._times(self._ends(), come)]
+        for some in numbers[1:]:
+            parts += [self._times([axes[j]], some[j : j + 1]) for j in range(len(axes))]
+        return self._group("the way that the joints arrived and moved", parts)
+
+    def load(self) -> Group | None:
+        """Every joint's directions with its torques: of a weight at the tip, of the arm, and as the actuators say."""
+        parts = []
+        kinds = ["payload", *(["load"] if self.at.arm.weighed else [])]
+        if np.isfinite(self.samples.effort).any():
+            kinds.append("effort")
+        for name, place, axis in zip(self.samples.names, self.places, self.axis, strict=True):
+            numbers: list[Array] = []
+            for kind in kinds:
+                torque = self.at.driver(f"{kind}:{name}")
+                numbers += [torque, np.sign(torque)] if kind == "effort" else [torque]
+            parts.append(self._times([(place, axis)], _standard(np.stack(numbers))))
+            if self._moves(place):
+                others = [(place, d) for d in range(3, 6) if d != axis]
+                parts.append(self._times(others, _standard(np.stack(numbers))))
+        return self._group("the load of the joints", parts)
+
+    def signals(self) -> Group | None:
+        """Base, tool and joints with each recorded signal, its waves, and what of it the posture does not tell."""
+        names = self.at.signal_names()[:_MOST_SIGNALS]
+        if not names:
+            return None
+        x = np.stack([self.at.driver(name) for name in names])
+        design = np.concatenate([np.ones((1, x.shape[1])), self.samples.q.T])
+        beyond = x - (x @ np.linalg.pinv(design)) @ design
+        small = beyond.std(axis=1) < 1e-9 * np.maximum(np.abs(x).max(axis=1), 1e-300)
+        beyond[small] = 0.0
+        numbers = np.concatenate([_standard(x), _standard(beyond), np.sin(x), np.cos(x)])
+        numbers = _standard(numbers[numbers.std(axis=1) > 1e-12])
+        if not len(numbers):
+            return None
+        where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
+        return self._group("recorded signals", [self._times(where, numbers)])
+
+    def single_waves(self) -> Group:
+        """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints."""
+        axes = list(zip(self.places, self.axis, strict=True))
+        parts = [self._times([axis], self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :]) for j, axis in enumerate(axes)]
+        turns = [self._waves(j, 1) for j in range(self.chain.n)]
+        both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
+        if both:
+            parts.append(self._times([*axes, *self._ends()], np.stack(both)))
+        return self._group("single waves of the joint positions", parts, few=True)
+
+    def _ends(self) -> list[tuple[int, int]]:
+        """All directions of base and tool."""
+        return [(place, d) for place in (0, self.tool) for d in range(6)]
+
+    def _moves(self, place: int) -> bool:
+        """Whether twists of every direction make sense there: not at a Delta's shoulder."""
+        return place not in self.view.f.loops
+
+    def _waves(self, j: int, count: int) -> Array:
+        """Waves (2 count, N) of a joint's position; of a sliding one over its range."""
+        q = self.samples.q[:, j]
+        if not self.chain.revolute[j]:
+            q = (q - q.min()) * np.pi / max(float(np.ptp(q)), 1e-9)
+        return np.concatenate([[np.sin(k * q), np.cos(k * q)] for k in range(1, count + 1)])
+
+    def _random(self, count: int, frequency: float) -> Array:
+        """Random waves (count, N) of the posture in units of its spread, with about this frequency [rad]."""
+        n = len(self.z)
+        direction = self.rng.normal(size=(count, n)) * frequency / np.sqrt(max(n, 1) / 3.0)
+        return np.asarray(np.cos(direction @ self.z + self.rng.uniform(0.0, 2.0 * np.pi, (count, 1))))
+
+    def _times(self, where: list[tuple[int, int]], numbers: Array) -> Array:
+        """Columns (places × numbers, 6, N)."""
+        N = len(self.samples)
+        if not where:
+            return np.empty((0, 6, N))
+        unit = np.stack([self._unit(place, direction) for place, direction in where])
+        return (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, N)
+
+    def _unit(self, place: int, direction: int) -> Array:
+        N = len(self.samples)
+        if place in self.view.f.loops:
+            direction = 5 if self.chain.revolute[self.places.index(place)] else direction
+        row = self.view.unit_column(place, direction)
+        out = np.zeros((6, N))
+        out[:3] = row[: 3 * N].reshape(3, N)
+        out[3:, self.view.pose] = row[3 * N :].reshape(3, -1)
+        return out * self.weight
+
+    def _group(self, name: str, parts: list[Array], few: bool = False) -> Group:
+        columns = np.concatenate(parts)
+        size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
+        columns = columns[size > 1e-9 * size.max(initial=1e-300)]
+        if len(columns) > _MOST_COLUMNS and not few:
+            flat = columns.reshape(len(columns), -1)
+            flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+            mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
+            columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
+        return Group(name, columns, few)
+
+
+def _standard(x: Array) -> Array:
+    """Rows (c, N) of mean zero and deviation one; zero where they do not change."""
+    x = np.nan_to_num(x)
+    x = x - x.mean(axis=1, keepdims=True)
+    size = x.std(axis=1, keepdims=True)
+    return np.asarray(np.where(size > 1e-12, x / np.maximum(size, 1e-300), 0.0))
+
+
+def _rank(samples: Samples) -> Array:
+    """Order in time of each sample's station, 0 … 1, (N,)."""
+    stations, of = np.unique(samples.station, return_inverse=True)
+    first = np.full(len(stations), np.inf)
+    np.minimum.at(first, of, samples.stamps)
+    rank = np.empty(len(stations))
+    rank[np.argsort(first, kind="stable")] = np.arange(len(stations))
+    return np.asarray(rank[of] / max(len(stations) - 1, 1))

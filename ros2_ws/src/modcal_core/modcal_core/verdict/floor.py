@@ -1,0 +1,160 @@
+"""The floor F²: what no model can predict, because the arm does not repeat it or the instrument adds it.
+
+It is known in two ways. Either the recording contains returns: postures that were left and come back to from another
+side. The residuals of two visits differ by what does not repeat and by the instrument, and by nothing else; residuals
+are compared, not readings, so that postures need not agree to the last digit. Or repeatability and the instrument's
+accuracy are both stated. The scatter of readings within one dwell is no floor: the arm does not move there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from modcal_core.calibration.noise import REJECT_Z, standard_score
+from modcal_core.calibration.score import Errors
+from modcal_core.calibration.stated import Stated
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.returns import LEAST_RETURNS, returns
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.verdict import Interval, Repeatability
+
+_MOST_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
+
+
+@dataclass(frozen=True)
+class Floor:
+    """F² and its parts [mm² or deg²], RMS over space squared. interval: 95 % interval of F².
+
+    instrument: 0 where it is contained in the repeatability, as with returns. returns: how many were used.
+    """
+
+    square: float
+    interval: Interval
+    repeatability: Repeatability
+    instrument: float
+    returns: int = 0
+
+    @property
+    def rms(self) -> float:
+        """F [mm or deg]."""
+        return float(np.sqrt(self.square))
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Floors of position [mm²] and of orientation [deg²]; None where not known. returns: how many postures were come
+    back to, known or not.
+    """
+
+    position: Floor | None = None
+    rotation: Floor | None = None
+    returns: int = 0
+
+
+def floors(missed: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None) -> Floors:
+    """The floors of these samples, from returns where there are enough, else as stated.
+
+    missed: errors of the final model at all samples. wrong: samples (N,) that were rejected, and show no floor.
+    """
+    stated = stated or Stated()
+    visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
+    position = _of_returns(1e3 * missed.position, visits, stated.instrument_mm)
+    rotation = None
+    if samples.is_pose.any():
+        angles = np.full((len(samples), 3), np.nan)
+        angles[samples.is_pose] = np.degrees(missed.rotation)
+        turned = tuple(rows[samples.is_pose[rows]] for rows in visits)
+        turned = tuple(rows for rows in turned if len(rows) > 1)
+        rotation = _of_returns(angles, turned, stated.instrument_deg) or _stated(
+            stated.repeatability_deg, stated.instrument_deg
+        )
+    return Floors(position or _stated(stated.rms_mm, stated.instrument_mm), rotation, len(visits))
+
+
+def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+    """For each posture that was come back to the rows of its visits, one a visit, in order of time.
+
+    What counts as one, see :mod:`modcal_core.measurements.returns`.
+    """
+    keep = ~samples.moving if wrong is None else ~(samples.moving | wrong)
+    found: list[np.ndarray] = []
+    for f in range(len(samples.frames)):
+        rows = np.flatnonzero(keep & (samples.frame == f))
+        rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
+        if len(rows) > LEAST_RETURNS:
+            found += [rows[visits] for visits in returns(samples.q[rows], samples.approach[rows])]
+    return tuple(found)
+
+
+def _of_returns(residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None) -> Floor | None:
+    """The floor of residuals (N, 3) [mm or deg] by these visits, None where they are too few."""
+    if len(visits) < LEAST_RETURNS:
+        return None
+    freedom = np.array([len(rows) - 1.0 for rows in visits])
+    scatter = np.array([np.sum((residual[rows] - residual[rows].mean(axis=0)) ** 2) for rows in visits])
+    each = scatter / freedom
+    # one wrong reading among them must not set the floor
+    usual = float(np.median(each / _median_factor(freedom))) + 1e-30
+    good = standard_score(scatter / (usual / 3.0), 3.0 * freedom) <= REJECT_Z
+    if good.sum() < LEAST_RETURNS or (~good).mean() > _MOST_REFUSED:
+        good[:] = True
+    square = float(scatter[good].sum() / freedom[good].sum())
+    return Floor(
+        square,
+        _interval(square, scatter[good], freedom[good]),
+        Repeatability(float(np.sqrt(max(square - (instrument or 0.0) ** 2, 0.0))), "revisits"),
+        min((instrument or 0.0) ** 2, square),
+        int(freedom[good].sum()),
+    )
+
+
+@lru_cache(maxsize=64)
+def _median_of(freedom: int) -> float:
+    from scipy.special import gammaincinv
+
+    return float(gammaincinv(1.5 * freedom, 0.5) / (1.5 * freedom))
+
+
+def _median_factor(freedom: Array) -> Array:
+    """Median of a mean square over three axes, in units of its expectation."""
+    return np.array([_median_of(int(f)) for f in freedom])
+
+
+def _interval(square: float, scatter: Array, freedom: Array) -> Interval:
+    """95 % interval of F² by χ².
+
+    Its degrees of freedom are between one and two a return: where one joint is what does not repeat, or where some
+    postures scatter more than others, the squares vary more than those of three equal axes (Satterthwaite 1946), and
+    few returns hardly show how much more.
+    """
+    from scipy.special import gammaincinv
+
+    each = scatter / freedom
+    mean = float(np.average(each, weights=freedom))
+    variance = float(np.average(freedom * (each - mean) ** 2, weights=freedom))
+    axes = float(np.clip(2.0 * mean**2 / max(variance, 1e-300), 1.0, 2.0)) if mean > 0.0 else 2.0
+    half = 0.5 * axes * float(freedom.sum())
+    low, high = (half / float(gammaincinv(half, p)) for p in (0.975, 0.025))
+    return low * square, high * square
+
+
+def _stated(repeatability: float | None, instrument: float | None) -> Floor | None:
+    if repeatability is None or instrument is None:
+        return None
+    square = repeatability**2 + instrument**2
+    return Floor(square, (square, square), Repeatability(repeatability, "stated"), instrument**2)
+
+
+def reading_scatter_mm(samples: Samples) -> float | None:
+    """RMS over space [mm] of what readings scatter within a dwell; None where dwells do not show it.
+
+    Nothing is said of readings that are no positions: what is noise differs from one instrument to the next.
+    """
+    known = samples.sigma_position[np.isfinite(samples.sigma_position)]
+    if len(known) < LEAST_RETURNS or not is_direct(samples.kinds):
+        return None
+    return 1e3 * float(np.sqrt(3.0 * np.mean(known**2)))

@@ -1,0 +1,114 @@
+"""What of a frozen calibration a recording allows: effects whose drivers it lacks are named, with their cost.
+
+Gravity stands in for measured effort where the arm's masses are known. Any other effect without its driver is held at
+what it was on average, and so are effects of time where either recording has no clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.circumstances import Arm
+from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.held import averaged, outside_drivers
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.grounds import NotApplied
+
+
+@dataclass(frozen=True)
+class Applied:
+    """The calibrated model as this recording allows it, what was not applied, and sentences for a person."""
+
+    model: Model
+    not_applied: tuple[NotApplied, ...]
+    notes: tuple[str, ...]
+
+
+def applicable(calibration: Calibration, samples: Samples) -> Applied:
+    """The calibrated model for these samples."""
+    arm = replace(calibration.calibrated.arm or Arm(calibration.nominal.chain), held=calibration.held)
+    model = replace(calibration.calibrated, arm=arm)
+    effects: list[Effect] = []
+    left: list[NotApplied] = []
+    stood_in: list[str] = []
+    for i, effect in enumerate(model.effects):
+        why = _lacking(effect, calibration, samples)
+        if why is None:
+            effects.append(effect)
+        elif effect.driver.startswith("effort:") and arm.weighed:
+            effects.append(_by_gravity(effect))
+            stood_in.append(effect.label)
+        else:
+            usual = calibration.usual_of(i)
+            if usual is not None:
+                effects.append(averaged(effect, usual.mean))
+            cost = _all_together(calibration, samples) if usual is None else usual.cost
+            left.append(NotApplied(effect.label, why, 1e6 * cost))
+    model = model.with_effects(tuple(effects))
+    return Applied(model, tuple(left), (*_notes(left, stood_in), *_held_note(model, calibration, samples)))
+
+
+def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str | None:
+    """Why the effect cannot be applied to these samples, None where it can."""
+    for part in outside_drivers(effect):
+        kind, _, of = part.partition(":")
+        if kind == "effort" and not np.isfinite(samples.effort[:, samples.names.index(of)]).all():
+            return f"the joint states carry no effort of {of}"
+        if kind == "time" and not calibration.clock:
+            return "the stamps of the calibration's recording are an order of rows, not times"
+        if kind == "time" and not samples.clock:
+            return "the stamps of this recording are an order of rows, not times"
+        if kind in ("temperature", "signal") and not _heard(part, samples):
+            return f"the recording has no {kind} {of}"
+    return None
+
+
+def _heard(name: str, samples: Samples) -> bool:
+    return any(track.name == name and np.isfinite(track.values[:, 0]).sum() > 1 for track in samples.signals)
+
+
+def _by_gravity(effect: Effect) -> Effect:
+    """The effect by the weight that the actuator holds up, whose torque is the opposite."""
+    linear = len(effect.amplitudes)
+    values = np.r_[-effect.amplitudes, effect.values[linear:]]
+    return replace(effect, driver=f"load:{effect.driver.partition(':')[2]}", values=values)
+
+
+def _all_together(calibration: Calibration, samples: Samples) -> float:
+    """Mean square [m²] between geometry beside the effects and alone, of calibrations that kept no size by effect."""
+    full = calibration.calibrated.with_effects(()).predict(samples.q)[:, :3, 3]
+    alone = calibration.geometric.predict(samples.q)[:, :3, 3]
+    return float(np.mean(np.sum((full - alone) ** 2, axis=1)))
+
+
+def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
+    out = [
+        f"Not applied: {item.effect}, because {item.why}; it was held at its average, which on the calibration's own "
+        f"recording costs {np.sqrt(item.cost_mm2):.3f} mm RMS."
+        for item in left
+    ]
+    if stood_in:
+        out.append(f"Gravity stands in for measured effort, which the recording lacks: {', '.join(stood_in)}.")
+    return tuple(out)
+
+
+def _held_note(model: Model, calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+    """A sentence where time, temperatures or signals go beyond what was recorded."""
+    parts = {part for e in model.effects for part in outside_drivers(e)}
+    beyond = []
+    held = calibration.held
+    if "time" in parts and calibration.watched and (held.time(samples.stamps) != samples.stamps).any():
+        first, last = calibration.watched
+        hours = max(float(samples.stamps.max()) - last, first - float(samples.stamps.min())) / 3600.0
+        beyond.append(f"time ({hours:.1f} h away)")
+    for track in samples.signals:
+        if track.name in parts and (held.value(track.name, track.values[:, 0]) != track.values[:, 0]).any():
+            low, high = held.ranges[track.name]
+            beyond.append(f"{track.name.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g})")
+    if not beyond:
+        return ()
+    return (f"Effects are held at the ends of what was recorded: {', '.join(beyond)}.",)

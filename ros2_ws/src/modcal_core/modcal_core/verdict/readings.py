@@ -1,0 +1,115 @@
+"""Readings that contradict themselves: too good for an instrument, repeated while the arm moves, turned by nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from modcal_core.calibration.score import FINEST, Errors
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import Mechanism
+
+# Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
+_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+_SAME = 0.01  # of a step; readings this close to its multiples are rounded to it
+_LEAST = 12  # samples from which a median is taken for the usual
+# rad RMS; any instrument that measures orientation does so better, and no arm in order turns its tool by more
+_TURNED = np.radians(2.0)
+_LEVER = 0.1  # of the reach; an error of the arm that turns the tool moves it by the angle times this, at least
+_MOST_BY_ARM = np.radians(5.0)
+_MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
+_REPEATED = 3  # readings in a row that are the same to the last digit
+_SEEN = 0.005  # m; readings that moved by more while the joints were the same
+
+
+def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
+    """A sentence for each thing that makes the readings doubtful.
+
+    errors: of the scored samples by stage (nominal, geometric, final). samples: all of the recording.
+    """
+    return (*computed(errors, scored), *repeated(samples), *turned(errors["final"], scored, chain))
+
+
+def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
+    """Whether a model reproduces the readings to what no instrument resolves (:data:`FINEST`, 2 µm).
+
+    The nominal model is not met better than to repeatability by any arm, so rounded readings that it reproduces but for
+    their last digit were computed as well.
+    """
+    if len(samples) < _LEAST or not is_direct(samples.kinds) or all(f in samples.sockets for f in samples.frames):
+        return ()
+    step = _step(samples.position)
+    for stage, model, limit in (
+        ("nominal", "nominal model", max(FINEST, step)),
+        ("final", "fitted model", FINEST),
+    ):
+        left = float(np.median(errors[stage].position_norm))
+        if left < limit:
+            digit = f", their last digit ({1e3 * step:g} mm)," if step > FINEST else ""
+            return (
+                f"The {model} reproduces the readings to {1e6 * left:.2g} µm{digit} which no instrument does: they "
+                "were probably computed from the joints (a TCP topic, a pendant's column) or simulated without noise, "
+                "and are no measurement. Record an instrument that looks at the arm from outside.",
+            )
+    return ()
+
+
+def _step(position: np.ndarray) -> float:
+    """The power of ten [m] that the readings are rounded to; 0 where there is none."""
+    for step in _STEPS:
+        u = position / step
+        if np.abs(u - np.round(u)).max() < _SAME:
+            return step
+    return 0.0
+
+
+def repeated(samples: Samples) -> tuple[str, ...]:
+    """Readings, or joint positions, that stand still over several stations while the others move."""
+    out = []
+    for f, frame in enumerate(samples.frames):
+        rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")))
+        if frame in samples.sockets or len(rows) < _REPEATED:
+            continue
+        rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
+        q, p = samples.q[rows], samples.position[rows]
+        moved = np.abs(np.diff(q, axis=0)).max(axis=1)
+        seen = np.linalg.norm(np.diff(p, axis=0), axis=1)
+        stale, frozen = (seen == 0.0) & (moved > _MOVED), (moved == 0.0) & (seen > _SEEN)
+        for what, other, runs in (("readings", "joints", stale), ("joint positions", "readings", frozen)):
+            count = _in_runs(runs)
+            if count:
+                out.append(
+                    f"In frame '{frame}' {what} stand still over {count} stations while the {other} move: one of the "
+                    "two topics repeats what it said before."
+                )
+    return tuple(out)
+
+
+def _in_runs(same: np.ndarray) -> int:
+    """How many samples stand in runs of at least so many alike; same: whether each is as the one before, (N - 1,)."""
+    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
+    runs = edges[1::2] - edges[::2] + 1
+    return int(runs[runs >= _REPEATED].sum())
+
+
+def turned(left: Errors, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
+    """Whether orientations miss by more than instrument and arm can, while positions fit."""
+    angle = _rms(left.rotation_norm)
+    if len(left.rotation_norm) < _LEAST:
+        return ()
+    # known scatter of the readings, and what an arm whose positions miss by so much could turn
+    known = 3.0 * float(np.sqrt(3.0) * np.nan_to_num(np.nanmedian(np.r_[0.0, samples.sigma_rotation[samples.is_pose]])))
+    by_arm = min(_rms(left.position_norm) / (_LEVER * chain.reach()), float(_MOST_BY_ARM))
+    if angle <= max(float(_TURNED), known, by_arm):
+        return ()
+    return (
+        f"Orientations miss by {np.degrees(angle):.3g}° RMS beside {1e3 * _rms(left.position_norm):.3g} mm: more than "
+        "an arm or an instrument does, and no convention of quaternions or Euler angles explains it. See that the "
+        "target was not turned on the tool, and that all readings are of one target.",
+    )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0

@@ -1,0 +1,148 @@
+"""The status: open, at the floor, or cannot tell, with its reasons, in the order of ``docs/verdict.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from modcal_core.calibration.stated import Stated
+from modcal_core.measurements.returns import LEAST_RETURNS
+from modcal_core.verdict.account import account
+from modcal_core.verdict.case import Case
+from modcal_core.verdict.contributions import Contribution, contributions, mean_square, resampled
+from modcal_core.verdict.estimation import estimation
+from modcal_core.verdict.floor import Floor, Floors, floors
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.predictable import Predictable, predictable
+from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
+
+MOST_REJECTED = 0.05  # share of the stations
+MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost
+MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable
+MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS
+
+
+def judge(
+    case: Case,
+    grounds: Grounds | None = None,
+    stated: Stated | None = None,
+    parts: tuple[Contribution, ...] | None = None,
+) -> Verdict:
+    """The verdict on a case.
+
+    grounds: what other stages found. stated: repeatability and instrument, where a person states them. parts: what each
+    effect contributes, where that is known already.
+    """
+    grounds = grounds or Grounds()
+    if not len(case.held_out):
+        return Verdict("cannot_tell", remedy="Record more stations: none was left for the score.")
+    parts = contributions(case) if parts is None else parts
+    known = floors(case.missed, case.samples, case.wrong, stated)
+    own = estimation(case)
+    seen = predictable(case)
+    angles = bool(case.samples.is_pose[case.held_out].any())
+    reasons = (
+        *_reasons("not_converged", _not_reached(grounds)),
+        *_reasons("rejected", _rejected(case, grounds)),
+        *_reasons("not_applied", _not_applied(case, grounds)),
+        *_reasons("contradiction", grounds.contradictions),
+        *_reasons("predictable", _predictable(seen)),
+        *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
+        *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
+    )
+    told = known.position is not None and (known.rotation is not None or not angles)
+    status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
+    return Verdict(
+        status=status,
+        reasons=reasons,
+        remedy=_remedy(known, angles, stated) if status == "cannot_tell" else "",
+        floor_mm=known.position.rms if known.position else None,
+        floor_deg=known.rotation.rms if known.rotation else None,
+        account_mm2=_account(case, parts, seen, own[0], known.position, angle=False),
+        account_deg2=_account(case, parts, seen, own[1], known.rotation, angle=True) if angles else None,
+        predictable=seen.position,
+        predictable_deg=seen.rotation,
+        predictable_both=seen.both,
+        repeatability_mm=known.position.repeatability if known.position else Repeatability(None, None),
+        repeatability_deg=known.rotation.repeatability if known.rotation else Repeatability(None, None),
+        returns=known.returns,
+    )
+
+
+def _account(
+    case: Case, parts: tuple[Contribution, ...], seen: Predictable, own: float, floor: Floor | None, angle: bool
+) -> tuple[Row, ...]:
+    return account(case, parts, seen.rotation if angle else seen.position, own, floor, angle)
+
+
+def _reasons(kind: ReasonKind, sentences: Iterable[str]) -> Iterator[Reason]:
+    return (Reason(kind, sentence) for sentence in sentences)
+
+
+def _not_reached(grounds: Grounds) -> Iterator[str]:
+    if not grounds.converged:
+        yield "The fit did not converge: it stopped before it reached its minimum."
+
+
+def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
+    station = case.samples.station
+    count, of = len(np.unique(station[case.wrong])), len(np.unique(station))
+    if count > MOST_REJECTED * of:
+        share = f"{count / of:.0%}; up to {MOST_REJECTED:.0%} may be wrong readings"
+        yield f"{count} of {of} stations were rejected ({share})."
+    for first, last in grounds.rejected_runs:
+        yield f"Stations {first} to {last} were rejected one after the other: something was different there."
+
+
+def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
+    square = float(mean_square(case.errors["final"], angle=False).mean())
+    for item in grounds.not_applied:
+        if item.cost_mm2 > MOST_NOT_APPLIED * square:
+            yield (
+                f"The effect '{item.effect}' could not be applied ({item.why}); that costs {item.cost_mm2:.3g} mm² of "
+                f"{square:.3g} mm²."
+            )
+
+
+def _predictable(seen: Predictable) -> Iterator[str]:
+    share = seen.both
+    if share is not None and share.lower99 > MOST_PREDICTABLE:
+        yield (
+            f"About {share.share:.0%} of the squared error that is left can be predicted from {seen.source} "
+            f"(at least {share.lower99:.0%}, 99 %), and the model does not explain it."
+        )
+
+
+def _above_floor(case: Case, floor: Floor | None, own: float, angle: bool) -> Iterator[str]:
+    if floor is None:
+        return
+    station = case.samples.station[case.held_out]
+    station = station[case.samples.is_pose[case.held_out]] if angle else station
+    square, (low, _) = resampled(mean_square(case.errors["final"], angle), station)
+    if low > MOST_ABOVE_FLOOR * floor.interval[1] + own:
+        unit, what = ("°", "Orientation") if angle else (" mm", "Position")
+        how = "returns show" if floor.repeatability.source == "revisits" else "was stated"
+        yield (
+            f"{what}: {np.sqrt(square):.3g}{unit} RMS is left, and {floor.rms:.3g}{unit} is what "
+            f"{how} for the arm and the instrument."
+        )
+
+
+def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:
+    stated = stated or Stated()
+    ways = []
+    if known.position is None or known.returns < LEAST_RETURNS:
+        seen = f" ({known.returns} so far)" if known.returns else ""
+        ways.append(f"visit {LEAST_RETURNS} of these postures twice, from another side the second time{seen}")
+    missing = []
+    if known.position is None:
+        missing += ["the arm's repeatability"] if stated.rms_mm is None else []
+        missing += ["the instrument's accuracy"] if stated.instrument_mm is None else []
+    if angles and known.rotation is None:
+        missing += ["the arm's repeatability in degrees"] if stated.repeatability_deg is None else []
+        missing += ["the instrument's accuracy in degrees"] if stated.instrument_deg is None else []
+    if missing:
+        ways.append(f"state {' and '.join(missing)}")
+    text = ", or ".join(ways)
+    return f"To know how small the error can be: {text}." if text else ""

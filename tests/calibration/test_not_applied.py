@@ -1,0 +1,152 @@
+"""A frozen calibration on a recording that lacks what it needs: named, with its cost, and no worse than it must be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import record, samples_of, ur10
+
+from modcal_core.calibration.effects import AXIS, LENGTH, Effect
+from modcal_core.calibration.held import Held
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.geometry import se3
+from modcal_core.loop import calibrate, evaluate
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.not_applied import applicable
+
+CHAIN = ur10()
+RNG = np.random.default_rng(0)
+INERTIAS = Inertias(np.full(6, 3.0), np.tile([0.05, 0.0, 0.1], (6, 1)), np.zeros((6, 3, 3)))
+BY_EFFORT = Effect("compliance", "elbow_joint", AXIS, "effort:elbow_joint", Shape("linear")).started(np.array([1e-5]))
+BY_HEAT = Effect("thermal", "elbow_joint", LENGTH, "temperature:arm", Shape("linear")).started(np.array([5e-5]))
+RAMP = {"since": 1.7e9}
+BY_TIME = Effect("drift", "elbow_joint", LENGTH, "time", Shape("ramp", RAMP)).started(np.array([2e-6]))
+
+
+def situation(count: int = 60, seed: int = 1) -> Samples:
+    made = record(seed, count)
+    heat = SignalTrack("temperature:arm", made.samples.stamps, np.linspace(20.0, 40.0, count)[:, None])
+    effort = -Model(CHAIN, ("tracker",), np.eye(4)[None], np.eye(4)).circumstances(made.samples).payload[:, 5].T * 10.0
+    return replace(made.samples, signals=(heat,), effort=effort)
+
+
+def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True) -> tuple[Calibration, Samples]:
+    """A calibration with one effect that is exactly right for the samples, without noise."""
+    samples = replace(situation(), clock=clock)
+
+    nominal = Model(CHAIN, ("tracker",), se3.exp(RNG.normal(size=6))[None], se3.exp([0.05, 0, 0.1, 0, 0.3, 0]))
+    nominal = replace(nominal, arm=replace(nominal.circumstances(samples).arm, inertias=inertias))
+    model = nominal.with_effects((effect,))
+    T = model.predict_samples(samples)
+    samples = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3])
+    seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
+    watched = (float(samples.stamps.min()), float(samples.stamps.max()))
+    return Calibration(
+        *(nominal, model, nominal, seen),
+        watched=watched,
+        clock=clock,
+        ranges=driver_ranges(model, samples),
+        usual=usual_sizes(model, samples),
+        spread=Spread(1e-3, 1e-3),
+    ), samples
+
+
+@pytest.mark.parametrize(
+    ("effect", "lost", "why"),
+    [
+        (BY_EFFORT, lambda s: replace(s, effort=np.full_like(s.effort, np.nan)), "no effort of elbow_joint"),
+        (BY_HEAT, lambda s: replace(s, signals=()), "no temperature arm"),
+        (BY_TIME, lambda s: replace(s, clock=False), "order of rows"),
+    ],
+)
+def test_a_missing_driver_is_named_with_its_cost(effect: Effect, lost: object, why: str) -> None:
+    calibration, samples = frozen(effect)
+    assert evaluate(calibration, samples, RNG).grounds.not_applied == ()
+    report = evaluate(calibration, lost(samples), RNG)  # type: ignore[operator]
+    (item,) = report.grounds.not_applied
+    assert item.effect == effect.label
+    assert why in item.why
+    size = report.size_mm("final")
+    assert size is not None
+    # the same recording: what it costs to hold the effect at its average is what is left
+    assert item.cost_mm2 == pytest.approx(size.rms**2, rel=1e-6)
+    assert size.rms > 0.05
+    assert any("Not applied" in note for note in report.notes)
+
+
+def test_gravity_stands_in_for_measured_effort() -> None:
+    calibration, samples = frozen(BY_EFFORT, INERTIAS)
+    gravity = calibration.calibrated.circumstances(samples).gravity[:, 5].T
+    model = calibration.calibrated
+    T = model.predict_samples(replace(samples, effort=-gravity))
+    recorded = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3], effort=np.full_like(samples.effort, np.nan))
+    report = evaluate(calibration, recorded, RNG)
+    assert report.grounds.not_applied == ()
+    assert any("Gravity stands in" in note for note in report.notes)
+    size = report.size_mm("final")
+    assert size is not None
+    assert size.rms < 1e-6
+
+
+def test_an_older_file_names_a_cost_too() -> None:
+    calibration, samples = frozen(BY_HEAT)
+    data = to_data(calibration)
+    assert np.array_equal(from_data(data).usual[0].mean, calibration.usual[0].mean)  # type: ignore[union-attr]
+    assert from_data(data).ranges == calibration.ranges
+    del data["effects"][0]["usual"], data["recorded"]["ranges"]
+    (item,) = applicable(from_data(data), replace(samples, signals=())).not_applied
+    assert np.isfinite(item.cost_mm2)
+    assert from_data(to_data(frozen(BY_TIME, clock=False)[0])).clock is False
+
+
+def test_time_goes_on_for_a_session_and_stands_still_days_later() -> None:
+    held = Held((100.0, 200.0))
+    t = np.array([0.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 1e9])
+    assert held.time(t).tolist() == [100.0, 100.0, 150.0, 200.0, 250.0, 300.0, 250.0, 200.0, 200.0]
+    fine = np.linspace(0.0, 600.0, 6001)
+    assert np.abs(np.diff(held.time(fine))).max() < 0.11, "a command never jumps"
+    assert held.value("temperature:arm", t).tolist() == t.tolist()
+    assert Held(ranges={"x": (1.0, 2.0)}).value("x", np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
+
+
+@pytest.mark.parametrize("effect", [BY_TIME, BY_HEAT])
+def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
+    calibration, samples = frozen(effect)
+    later = replace(
+        samples,
+        stamps=samples.stamps + 3 * 86400.0,
+        signals=tuple(replace(t, stamps=t.stamps + 3 * 86400.0, values=t.values + 500.0) for t in samples.signals),
+    )
+    report = evaluate(calibration, later, RNG)
+    size = report.size_mm("final")
+    assert size is not None
+    assert size.max < 2.0
+    assert any("held at the ends" in note for note in report.notes)
+
+
+def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
+    """A drift over the rows of one table, and a second table of the same cell at another time of day."""
+    made = record(7, 160, noise_m=1e-5, noise_rad=1e-5)
+    drifting = replace(made.samples, clock=False)
+    drifting.position[:] += np.linspace(0.0, 5e-4, 160)[:, None]
+    calibration = calibrate(drifting, CHAIN, np.random.default_rng(0)).calibration
+    assert any(e.driver == "time" for e in calibration.calibrated.effects)
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))
+    T = made.world.tool_in_tracker(q)
+    T[:, :3, 3] += 2.5e-4
+    other = samples_of(CHAIN, q, T)
+    other = replace(other, clock=False, stamps=np.arange(40.0))
+    report = evaluate(calibration, other, np.random.default_rng(0))
+    geometric, final = report.size_mm("geometric"), report.size_mm("final")
+    assert geometric is not None
+    assert final is not None
+    assert final.rms <= 1.02 * geometric.rms
+    assert any("order of rows" in item.why for item in report.grounds.not_applied)

@@ -1,0 +1,132 @@
+"""Nothing is dropped in silence: what is rejected is counted, runs are seen, and a frozen model has its own limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.runs import chance_of_run, runs_of
+from modcal_core.calibration.store import from_data, to_data
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.loop import calibrate, evaluate, ship
+from modcal_core.measurements.samples import Samples
+from tests.cells import Recorded, record, ur10
+
+COUNT = 160
+
+
+def shifted(samples: Samples, rows: np.ndarray, by: float = 0.005) -> Samples:
+    position = samples.position.copy()
+    position[rows, 0] += by
+    return replace(samples, position=position)
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(4, 2 * COUNT, "pose")
+
+
+def test_a_frozen_model_is_judged_by_its_own_spread(made: Recorded) -> None:
+    """45 % of the stations shifted by 5 mm: the scored data must not set their own limit."""
+    first, second = made.samples.select(slice(None, COUNT)), made.samples.select(slice(COUNT, None))
+    frozen = calibrate(first, ur10(), np.random.default_rng(0), look_for_effects=False).calibration
+    frozen = from_data(to_data(frozen))
+    bad = np.random.default_rng(1).random(COUNT) < 0.45
+    report = evaluate(frozen, shifted(second, bad), np.random.default_rng(0))
+    size = report.size_mm("final")
+    assert size is not None
+    assert size.rms == pytest.approx(5.0 * np.sqrt(bad.mean()), rel=0.05)
+    assert report.rejection is not None
+    assert (report.rejection.stations, report.rejection.of) == (int(bad.sum()), COUNT)
+    assert report.rejection.with_mm == pytest.approx(size.rms)
+    assert report.rejection.without_mm is not None
+    assert report.rejection.without_mm < 0.2
+    # single wrong readings are still left out
+    few = evaluate(frozen, shifted(second, np.arange(COUNT) % 40 == 3), np.random.default_rng(0))
+    size = few.size_mm("final")
+    assert size is not None
+    assert size.rms < 0.2
+    assert few.rejected == 4
+    assert few.rejection is not None
+    assert few.rejection.with_mm is not None
+    assert few.rejection.with_mm > 0.5
+    # and a clean recording has none
+    clean = evaluate(frozen, second, np.random.default_rng(0))
+    assert clean.rejection is not None
+    assert clean.rejection.stations == 0
+
+
+def test_without_a_stated_deviation_the_usual_one_is_taken(made: Recorded) -> None:
+    """Spread is what readings do not scatter by themselves: that must not be missing where a recording is silent."""
+    stated = replace(made.samples, sigma_position=np.full(2 * COUNT, 5e-5), sigma_rotation=np.full(2 * COUNT, 5e-5))
+    frozen = calibrate(stated.select(slice(None, COUNT)), ur10(), np.random.default_rng(0), look_for_effects=False)
+    assert frozen.calibration.spread.position < 4e-5
+    report = evaluate(frozen.calibration, made.samples.select(slice(COUNT, None)), np.random.default_rng(0))
+    assert report.rejected == 0
+
+
+def test_both_errors_of_a_calibration(made: Recorded) -> None:
+    """10 % shifted: the fit leaves them out, and says what the error is with them."""
+    bad = np.random.default_rng(1).random(COUNT) < 0.1
+    samples = shifted(made.samples.select(slice(None, COUNT)), bad)
+    result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    rejection = result.report.rejection
+    assert rejection is not None
+    assert rejection.stations == bad.sum()
+    assert rejection.share == pytest.approx(bad.mean())
+    assert rejection.with_mm == pytest.approx(5.0 * np.sqrt(bad[result.report.sets.held_out].mean()), rel=0.1)
+    assert rejection.without_mm is not None
+    assert rejection.without_mm < 0.2
+    np.testing.assert_array_equal(result.report.wrong, bad)
+
+
+def test_almost_half_shifted_is_no_small_error(made: Recorded) -> None:
+    """Where it cannot be said which half is wrong, none is left out."""
+    bad = np.random.default_rng(1).random(COUNT) < 0.45
+    samples = shifted(made.samples.select(slice(None, COUNT)), bad)
+    report = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False).report
+    assert report.rejection is not None
+    assert report.rejection.with_mm is not None
+    assert report.rejection.with_mm > 2.0
+    size = report.size_mm("final")
+    assert size is not None
+    assert size.rms > 2.0 or report.rejection.share > 0.3
+
+
+def test_the_shipped_model_rejects_what_the_scored_one_does(made: Recorded) -> None:
+    """Readings just inside the limit count in both; shipped with its own judgement they would not."""
+    samples = shifted(made.samples.select(slice(None, COUNT)), np.arange(COUNT) % 8 == 0)
+    result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    wrong = result.report.wrong
+    assert wrong.sum() == 20
+    choice = choose_parameters(result.scored.start, views_of(samples))
+    alone = ship(samples.select(~wrong), ur10(), choice, Cell(), None, result.scored, np.zeros(COUNT - 20, bool))
+    np.testing.assert_allclose(alone.calibrated.T_tip_tool, result.calibration.calibrated.T_tip_tool, atol=1e-9)
+
+
+def test_runs_are_told_from_scattered_rejections(made: Recorded) -> None:
+    samples = made.samples.select(slice(None, COUNT))
+    run = np.isin(np.arange(COUNT), [40, 41, 42, 43])
+    assert runs_of(samples, run) == ((40, 43),)
+    # in order of time, however the rows stand
+    shuffled = np.random.default_rng(0).permutation(COUNT)
+    assert runs_of(samples.select(shuffled), run[shuffled]) == ((40, 43),)
+    assert runs_of(samples, np.isin(np.arange(COUNT), [3, 4, 30, 70, 71, 120])) == ()
+    # three in a row are nothing among forty
+    many = np.zeros(COUNT, bool)
+    many[np.r_[0:120:3, 50, 51]] = True
+    assert runs_of(samples, many) == ()
+
+
+def test_chance_of_a_run_by_simulation() -> None:
+    rng = np.random.default_rng(0)
+    hits, trials = 0, 4000
+    for _ in range(trials):
+        flags = np.zeros(COUNT, int)
+        flags[rng.choice(COUNT, 20, replace=False)] = 1
+        hits += np.convolve(flags, np.ones(3, int), "valid").max() == 3
+    bound = chance_of_run(3, 20, COUNT)
+    assert hits / trials <= bound <= 1.5 * hits / trials

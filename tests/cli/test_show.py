@@ -1,0 +1,44 @@
+"""What the terminal shows of a verdict: its sentence in the status's colour, the account, all reasons, the tolerance."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from report.judged import CANNOT, FLOOR, OPEN, WHY, everything
+from report.reports import points
+from rich.console import Console
+
+from modcal_core.report.report import Report
+from modcal_core.verdict.verdict import Verdict
+from modcal_nodes.cli.show import show_report
+
+
+def shown(report: Report, colours: bool = False) -> str:
+    text = io.StringIO()
+    show_report(report, Console(file=text, width=300, force_terminal=colours, color_system="standard", emoji=False))
+    return text.getvalue()
+
+
+@pytest.mark.parametrize(("verdict", "colour"), [(FLOOR, "32"), (OPEN, "31"), (CANNOT, "33"), (None, "33")])
+def test_green_only_at_the_floor(verdict: Verdict | None, colour: str) -> None:
+    report = replace(points(), judged=verdict)
+    words = report.verdict[:40]
+    assert f"\x1b[1;{colour}m{words}" in shown(report, colours=True)
+
+
+def test_the_account_every_reason_and_the_tolerance() -> None:
+    said = shown(everything())
+    for reason in WHY:
+        assert said.count(reason.sentence) >= 1
+    assert "account of the squared error" in said
+    assert "gear_harmonic elbow_joint" in said
+    assert "CANNOT TELL: The 95th percentile is at most" in said
+
+
+def test_a_floor_that_is_not_known_is_not_zero() -> None:
+    said = shown(points())
+    lines = [line for line in said.splitlines() if line.startswith(("repeatability", "instrument"))]
+    assert len(lines) == 2
+    assert all(line.rstrip().endswith("not known") for line in lines)

@@ -1,0 +1,42 @@
+"""What the final model does not need is taken out of it, and removal in closed form is what a fit without it gives."""
+
+from __future__ import annotations
+
+import numpy as np
+from cells import ur10
+from diagnosis.test_diagnosis import at_joint, recorded
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.identify import identify
+from modcal_core.calibration.removal import without
+from modcal_core.calibration.score import errors
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.diagnosis.pruning import needless
+
+JOINT = "elbow_joint"
+TRUE = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))
+NOTHING = Effect("coupling", "wrist_1_joint", AXIS, f"position:{JOINT}", Shape("linear"))
+TWIN = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))
+
+
+def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
+    samples = recorded(3, at_joint(2, lambda q: 4e-4 * np.sin(2.0 * q[:, 2])))
+    train, explain = samples.select(np.arange(100)), samples.select(np.arange(100, 160))
+    cell = fit_cell(ur10(), train, Cell())
+    choice = choose_parameters(cell.model, views_of(samples))
+    started = tuple(e.started(np.full(n, 1e-4)) for e, n in ((TRUE, 2), (NOTHING, 1), (TWIN, 2)))
+    fit = identify(cell.model.with_effects(started), train, choice.parameters)
+    pruned, gone = needless(fit, train, explain, fit.spread)
+    assert 1 in gone
+    assert len(gone) == 2
+    (left,) = pruned.model.effects
+    assert left.key == TRUE.key
+    assert abs(np.hypot(*left.amplitudes) - 4e-4) < 5e-5
+    known = uncertainty(pruned.model, train, pruned.parameters, pruned)
+    removed = errors(without(pruned.model, known, [0]), explain).position_norm
+    refitted = errors(identify(cell.model, train, choice.parameters).model, explain).position_norm
+    assert abs(np.mean(removed**2) / np.mean(refitted**2) - 1.0) < 0.15
+    assert needless(fit, train, explain, fit.spread, keep=3)[1] == ()

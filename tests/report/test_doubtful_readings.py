@@ -1,0 +1,67 @@
+"""Readings that are no measurement, or contradict themselves, are named; those of an instrument are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.geometry import so3
+from modcal_core.loop import calibrate, evaluate
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import forward
+
+CHAIN = ur10()
+
+
+def said(samples: Samples) -> str:
+    report = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False).report
+    return " ".join(report.grounds.contradictions)
+
+
+def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
+    """What a controller publishes as the pose of its tool: forward kinematics of the joints, seen from its base."""
+    T = forward(CHAIN, made.samples.q)
+    if rounded:
+        T[:, :3, 3] = np.round(T[:, :3, 3] / rounded) * rounded
+    return samples_of(CHAIN, made.samples.q, T)
+
+
+@pytest.mark.parametrize("rounded", [0.0, 1e-6, 1e-5, 1e-4])
+def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
+    assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
+
+
+def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_named() -> None:
+    """Readings of a displaced arm to the last digit: the fitted model finds them again."""
+    assert "fitted model reproduces the readings" in said(record(2, 100).exact)
+
+
+def test_readings_of_an_instrument_are_not_doubted() -> None:
+    made = record(3, 100)
+    assert said(made.samples) == ""
+    rounded = replace(made.samples, position=np.round(made.samples.position, 4))
+    assert said(rounded) == ""
+    fine = record(3, 100, noise_m=5e-6, noise_rad=5e-6)
+    assert said(fine.samples) == ""
+
+
+def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
+    made = record(4, 100)
+    rng = np.random.default_rng(1)
+    turned = replace(made.samples, R=made.samples.R @ so3.exp(0.1 * rng.normal(size=(100, 3))))
+    assert "Orientations miss by" in said(turned)
+    good = calibrate(made.samples, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    assert evaluate(good, made.exact, rng).grounds.contradictions == ()
+    assert "Orientations miss" in " ".join(evaluate(good, turned, rng).grounds.contradictions)
+
+
+def test_topics_that_repeat_themselves_are_named() -> None:
+    made = record(5, 100)
+    position, R, q = made.samples.position.copy(), made.samples.R.copy(), made.samples.q.copy()
+    position[40:45], R[40:45] = position[40], R[40]
+    assert "readings stand still over 5 stations" in said(replace(made.samples, position=position, R=R))
+    q[40:44] = q[40]
+    assert "joint positions stand still over 4 stations" in said(replace(made.samples, q=q))

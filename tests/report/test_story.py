@@ -1,0 +1,116 @@
+"""The story is that of the final model: sizes with units and conditions, gains by removal, chances as far as sampled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import slider_arm, ur10
+from diagnosis.test_diagnosis import CAUSES, recorded
+
+from modcal_core.calibration.effects import ACROSS, ALL, AXIS, Effect
+from modcal_core.calibration.shapes import Shape
+from modcal_core.loop import calibrate
+from modcal_core.report.effect_sizes import parameters, rhythm
+from modcal_core.report.findings import Finding
+from modcal_core.report.sentences import story
+
+CHAIN, SLIDER = ur10(), slider_arm()
+X = np.linspace(-2.0, 2.0, 4096)
+
+
+def test_a_rhythm_is_a_line_that_stands_out() -> None:
+    rng = np.random.default_rng(0)
+    curves = [
+        Shape("spline", {"low": -2.0, "high": 2.0, "count": 83.0}).basis(X).T @ rng.normal(size=83) for _ in range(40)
+    ]
+    assert all(rhythm(X, curve) is None for curve in curves), "what wanders has no rhythm"
+    for cycles in (11.0, 40.0, 101.0):
+        for share in (0.0, 0.5):
+            found = rhythm(X, np.sin(cycles * X + 1.0) + share * curves[0] / curves[0].std())
+            assert found == pytest.approx(cycles, abs=0.5)
+    assert rhythm(X, np.sin(101.0 * X), deviation=0.5) is None, "no larger than its own uncertainty"
+    narrow = np.linspace(0.0, 0.5, 4096)
+    assert rhythm(narrow, np.sin(20.0 * narrow)) is None, "fewer than three periods were seen"
+
+
+def sizes(chain: object, *effect: object, values: tuple[float, ...]) -> dict[str, tuple[float, float, str]]:
+    made = Effect(*effect).with_values(np.array(values), np.full(len(values), 1e-9))  # type: ignore[arg-type]
+    return parameters((made,), chain)  # type: ignore[arg-type]
+
+
+def test_sizes_have_units_of_their_own() -> None:
+    elbow = ("wrist_1_joint", AXIS, "position:elbow_joint", Shape("linear"))
+    assert sizes(CHAIN, "coupling", *elbow, values=(1e-4,))["coupling"][2] == "rad/rad"
+    for place, driver, unit in (("j0", "j1", "rad/m"), ("j1", "j0", "m/rad"), ("j1", "j4", "m/m")):
+        found = sizes(SLIDER, "coupling", place, AXIS, f"position:{driver}", Shape("linear"), values=(1e-4,))
+        assert found["coupling"][2] == unit
+    ramp = sizes(CHAIN, "drift", "base", ALL, "time", Shape("ramp", {"since": 0.0}), values=(1e-6,) * 6)
+    assert [q[2] for q in ramp.values()] == ["m/s"] * 3 + ["rad/s"] * 3
+    tilt = sizes(CHAIN, "compliance", "elbow_joint", ACROSS, "moment:elbow_joint", Shape("linear"), values=(1e-5,))
+    assert tilt["stiffness"][2] == "N m/rad"
+    slide = sizes(SLIDER, "compliance", "j1", AXIS, "load:j1", Shape("linear"), values=(1e-5,))
+    assert slide["stiffness"][2] == "N/m"
+    signal = sizes(CHAIN, "unknown", "elbow_joint", AXIS, "signal:/pressure", Shape("linear"), values=(1e-5,))
+    assert signal["axis"][2] == "rad/unit"
+
+
+def test_a_stiffness_needs_a_mass() -> None:
+    effect = ("elbow_joint", AXIS, "payload:elbow_joint", Shape("linear"))
+    found = sizes(CHAIN, "compliance", *effect, values=(5e-6,))
+    assert "stiffness" not in found
+    said = story("compliance", "elbow_joint", AXIS, "load:elbow_joint", found)
+    assert "5 µrad per N m that 1 kg at the tip exerts" in said
+    assert "N m/rad" not in said
+    stiff = sizes(CHAIN, "compliance", "elbow_joint", AXIS, "load:elbow_joint", Shape("linear"), values=(5e-6,))
+    assert "stiffness 2e+05 N m/rad" in story("compliance", "elbow_joint", AXIS, "load:elbow_joint", stiff)
+
+
+def test_a_step_and_a_curve_say_how_large_they_are() -> None:
+    step = sizes(CHAIN, "step", "tool", ALL, "time", Shape("step", {"at": 7.0}), values=(3e-3, 4e-3, 0, 0, 0, 0.1))
+    assert "tool moved by 5 mm and 100 mrad at one moment (stamp 7.0 s)" in story("step", "tool", ALL, "time", step)
+    rng = np.random.default_rng(1)
+    curve = sizes(
+        CHAIN, "gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint",
+        Shape("spline", {"low": -2.0, "high": 2.0, "count": 83.0}), values=tuple(1e-4 * rng.normal(size=83)),
+    )  # fmt: skip
+    said = story("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", curve)
+    assert said.endswith("a curve over the joint's position")
+    assert "times a turn" not in said
+
+
+def finding(**change: object) -> Finding:
+    given = {"before": 2e-4, "after": 1e-4, "gain_mm2": 0.03, "ci95": (0.02, 0.04), "tool": 2e-4, "sampled": 199}
+    return Finding(
+        "gear_ratio", "elbow_joint", AXIS, "position:elbow_joint", {"ratio_error": (1e-4, 1e-6, "1")}, 1e-9,
+        **{**given, **change},  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def test_a_gain_that_held_out_does_not_show_is_not_claimed() -> None:
+    assert "without it the error would be 0.200 instead of 0.100 mm" in finding().sentence
+    said = finding(gain_mm2=-0.01, ci95=(-0.03, 0.01), before=1.129e-3, after=1.799e-3).sentence
+    assert "not shown by the held-out stations" in said
+    assert "1.799" not in said
+
+
+def test_a_chance_below_what_was_sampled_is_extrapolated() -> None:
+    assert finding().chance == "below 1/200 by sampling; extrapolated 1e-09"
+    assert Finding("scale", "tracker", "radial", "reading", {}, 0.03, 0.0, 0.0, sampled=199).chance == "0.03"
+
+
+def test_the_story_of_a_planted_cause() -> None:
+    samples = recorded(4, CAUSES["gear, 101 a turn"][0], count=120)
+    report = calibrate(samples, CHAIN, np.random.default_rng(0)).report
+    (gear,) = report.effects
+    geometric, final = report.size_mm("geometric"), report.size_mm("final")
+    assert geometric is not None
+    assert final is not None
+    # the only effect: without it there is geometry alone, which is fitted once more in closed form
+    assert 1e3 * gear.before == pytest.approx(geometric.rms, rel=0.1)
+    assert 1e3 * gear.after == pytest.approx(final.rms, rel=1e-9)
+    assert gear.ci95 is not None
+    assert gear.ci95[0] < gear.gain_mm2 < gear.ci95[1]  # type: ignore[operator]
+    assert gear.shown
+    assert "; without it the error would be" in gear.sentence
+    assert "it moves the tool by" in gear.sentence
+    assert "below 1/200" in gear.chance

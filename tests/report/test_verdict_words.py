@@ -1,0 +1,158 @@
+"""What a person and a program read of a verdict: the sentence, report.json and the page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli.recordings import stations
+from report.judged import CANNOT, FLOOR, OPEN, ROWS, WHY, everything
+from report.reports import points, warm_cell
+
+from modcal_core.measurements.stations import cut_stations
+from modcal_core.report.as_json import to_json_data
+from modcal_core.report.html import to_html
+from modcal_core.report.report import Report
+from modcal_core.report.sentence import NOT_SOUGHT, REMEDY
+from modcal_core.verdict.floor import reading_scatter_mm
+from modcal_core.verdict.tolerance import Asked
+from modcal_core.verdict.verdict import Verdict
+
+
+def judged(report: Report, verdict: Verdict) -> Report:
+    return replace(report, judged=verdict)
+
+
+def test_no_verdict_is_calm_about_what_is_not_known() -> None:
+    for verdict in (None, FLOOR, OPEN, CANNOT):
+        said = replace(points(), judged=verdict).verdict
+        assert "noise" not in said
+        assert "stands out from" not in said
+    assert REMEDY in replace(points(), judged=None).verdict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (FLOOR, "At the floor: what is left is as small as this arm and this instrument can be (0.055 mm, from"),
+        (OPEN, "Open: 48 of 160 stations were rejected. A regressor predicts 20 % of the squared error. And 1 more"),
+        (CANNOT, "Cannot tell whether the rest is the floor: no floor is known. Visit six of these postures twice."),
+    ],
+)
+def test_the_sentence_by_status(verdict: Verdict, words: str) -> None:
+    assert words in judged(warm_cell(), verdict).verdict
+
+
+def test_the_source_of_a_floor_is_said_once_where_it_is_one() -> None:
+    assert "(0.055 mm, from postures visited again and 0.004°, as stated)" in judged(warm_cell(), FLOOR).verdict
+    both = replace(FLOOR, repeatability_deg=FLOOR.repeatability_mm)
+    assert "(0.055 mm and 0.004°, from postures visited again)" in judged(warm_cell(), both).verdict
+
+
+def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
+    """Three of the 120 stations are 8.7 mm off; how many of them were held out is up to the split."""
+    report = warm_cell()
+    rows = report.sets.held_out
+    out = int(report.wrong[rows].sum())
+    assert out == 1
+    both, kept = report.missed[rows], report.missed[rows][~report.wrong[rows]]
+    rms = [1e3 * float(np.sqrt(np.mean(m**2))) for m in (both, kept)]
+    angle = report.size_deg("final")
+    assert angle is not None
+    said = report.verdict
+    assert said.startswith("120 stations, 3 of them rejected. On the 36 held out from fitting the error is ")
+    assert (
+        f"{rms[1]:.3f} mm RMS without the rejected one among these, {rms[0]:.3f} mm with it; orientation {angle.rms:.3g}°"
+        in said
+    )
+    assert rms[0] > 20.0 * rms[1]
+    assert points().verdict.startswith("60 stations, none rejected. On the 18 held out from fitting the error is ")
+
+
+def test_geometry_only_says_what_was_not_looked_for() -> None:
+    assert NOT_SOUGHT in points().verdict
+    assert NOT_SOUGHT not in warm_cell().verdict
+
+
+def test_report_json_has_the_fields_of_the_verdict() -> None:
+    report = everything()
+    data = json.loads(json.dumps(to_json_data(report), allow_nan=False))
+    assert data["status"] == "open"
+    assert data["open_because"] == [reason.sentence for reason in WHY]
+    assert data["converged"] is False
+    assert data["noise_floor_mm"] == 0.04
+    assert data["account_mm2"] == [
+        {"what": "geometry", "value": 7.5, "ci95": [7.0, 8.0]},
+        {"what": "effect:gear_harmonic elbow_joint", "value": 0.25, "ci95": None},
+        {"what": "unaccounted", "value": -0.05, "ci95": None},
+    ]
+    assert data["account_deg2"] == data["account_mm2"][:1]
+    assert data["predictable"] == {"share": 0.2, "ci95": [0.1, 0.3]}
+    assert data["predictable_deg"] == {"share": 0.01, "ci95": [0.0, 0.02]}
+    assert data["repeatability_mm"] == {"value": 0.05, "source": "revisits"}
+    assert data["repeatability_deg"] == {"value": 0.004, "source": "stated"}
+    assert to_json_data(judged(warm_cell(), OPEN))["repeatability_mm"] == {"value": None, "source": None}
+    assert data["not_applied"] == [
+        {"effect": "compliance at elbow_joint", "why": "effort was not recorded", "cost_mm2": 0.004}
+    ]
+    assert data["regimes"] == [{"from_station": 0, "to_station": 11, "what": "tool"}]
+    assert data["convention"] == "pose inverted"
+    assert data["recording"]["dropped"] == {"readings outside the time of the joint states": 12}
+    assert set(data["tolerance"]) >= {"asked_mm", "statistic", "ci95", "result"}
+    assert data["tolerance"]["result"] == "CANNOT TELL"  # too many were rejected
+    assert data["trace"] == {
+        "version": report.trace.version,
+        "date": "2023-11-14T22:13:20.000Z",
+        "bag_sha256": "ab" * 32,
+        "robot": "ur10",
+        "instrument": "pose on /tracker/pose",
+    }
+
+
+def test_what_is_not_known_is_null() -> None:
+    data = to_json_data(replace(points(), judged=None))
+    assert data["status"] == "cannot_tell"
+    for name in ("noise_floor_mm", "account_mm2", "predictable", "repeatability_deg", "convention", "tolerance"):
+        assert data[name] is None, name
+    assert data["open_because"] == data["not_applied"] == data["regimes"] == []
+    assert to_json_data(judged(points(), CANNOT))["noise_floor_mm"] is None
+
+
+def test_the_scatter_within_stations_is_no_floor() -> None:
+    """Ten readings of a dwell scatter by 20 µm along each axis: their mean is off by √3 · 20 µm / √10 in space."""
+    made = stations(80)
+    t, rng = made.readings[0].stamps, np.random.default_rng(0)
+    q = np.repeat(made.joints[0].position, 21, axis=0)
+    dense = (t[:, None] + np.linspace(0.0, 1.0, 21)).ravel()
+    poses = np.repeat(made.readings[0].values, 10, axis=0)
+    poses[:, :3] += 2e-5 * rng.standard_normal((len(poses), 3))
+    joint = replace(made.joints[0], stamps=dense, position=q, velocity=np.full_like(q, np.nan), effort=q * np.nan)
+    reading = replace(
+        made.readings[0], stamps=(t[:, None] + np.linspace(0.46, 0.94, 10)).ravel(), values=poses, received=None
+    )
+    recording = replace(made, joints=(joint,), readings=(reading,))
+    scatter = reading_scatter_mm(cut_stations(recording, joint.names))
+    assert scatter == pytest.approx(np.sqrt(3.0) * 2e-2 / np.sqrt(10.0), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "tone", "heading"),
+    [(FLOOR, "good", "at the floor"), (OPEN, "bad", "open"), (CANNOT, "warn", "cannot tell"), (None, "warn", "cannot")],
+)
+def test_the_colour_of_the_page_is_that_of_the_status(verdict: Verdict | None, tone: str, heading: str) -> None:
+    page = to_html(replace(points(), judged=verdict))
+    assert f'<p class="verdict {tone}"><strong>Verdict: {heading}' in page
+    assert ('class="reasons' in page) == (verdict is OPEN)
+
+
+def test_the_page_shows_the_account_and_the_reasons() -> None:
+    report = judged(warm_cell(), replace(OPEN, account_mm2=ROWS, account_deg2=ROWS[:1]))
+    page = to_html(report.with_tolerance(Asked(0.2)))
+    for reason in WHY:
+        assert f"<li>{reason.sentence}</li>" in page
+    assert page.count('<figure id="account-') == 2  # one in mm², one in deg²
+    assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
+    assert '<b class="warn">CANNOT TELL</b>' in page
+    assert "The table is without the rejected stations: final RMS 1.450 mm with them, 0.062 mm without." in page

@@ -1,0 +1,116 @@
+"""The account sums, its rows mean what they say, and removing an effect costs what it brought."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import ur10
+from verdict.visits import tour, visited
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.score import errors
+from modcal_core.calibration.stated import Stated
+from modcal_core.geometry import so3
+from modcal_core.loop import Result, calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import fitted_case
+from modcal_core.verdict.contributions import contributions
+
+
+def geared(seed: int = 5, stations: int = 120) -> Samples:
+    """Two joints with gear errors of 0.3 and 0.15 mm."""
+    made, q, _ = tour(seed, stations, 8)
+    rng = np.random.default_rng(seed)
+    sent = q.copy()
+    sent[:, 2] += 5e-4 * np.sin(17.0 * q[:, 2] + 0.3)
+    sent[:, 1] += 2e-4 * np.sin(23.0 * q[:, 1])
+    T = made.world.tool_in_tracker(sent)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((len(q), 3)))
+    return replace(visited(seed, stations, 8), position=T[:, :3, 3], R=T[:, :3, :3])
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[Samples, Result]:
+    samples = geared()
+    return samples, calibrate(samples, ur10(), np.random.default_rng(0))
+
+
+def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Result]) -> None:
+    report = found[1].report
+    for account, norm in (
+        (report.judged.account_mm2, 1e3 * report.errors["nominal"].position_norm),
+        (report.judged.account_deg2, np.degrees(report.errors["nominal"].rotation_norm)),
+    ):
+        assert account is not None
+        square = float(np.mean(norm**2))
+        assert sum(row.value for row in account) == pytest.approx(square, rel=1e-9)
+        names = [row.what for row in account]
+        assert names[0] == "geometry"
+        order = ["shared", "predictable", "estimation", "repeatability", "instrument", "unaccounted"]
+        assert [n for n in names[1:] if not n.startswith("effect:")] == order
+
+
+def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Result]) -> None:
+    """The cheap refit against a whole one."""
+    from modcal_core.calibration.identify import identify
+
+    samples, result = found
+    report, fit = result.report, result.scored
+    assert {f.family for f in report.effects} == {"gear_harmonic"}
+    case = fitted_case(fit, samples, report.sets, report.wrong, report.errors)
+    parts = contributions(case)
+    assert len(parts) == len(fit.model.effects)
+    train = samples.select(report.sets.train)
+    with_all = np.mean(report.errors["final"].position_norm ** 2)
+    for part in parts:
+        effects = fit.model.effects
+        start = fit.start.with_effects(effects[: part.effect] + effects[part.effect + 1 :])
+        again = identify(start, train, fit.parameters, begin=fit.values, robust=False)
+        cost = 1e6 * (np.mean(errors(again.model, report.scored).position_norm ** 2) - with_all)
+        assert part.mm2 == pytest.approx(cost, rel=0.1, abs=1e-5)
+        assert part.helps
+        assert part.ci95_mm2[0] < part.mm2 < part.ci95_mm2[1]
+
+
+def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Result]) -> None:
+    judged = found[1].report.judged
+    rows = {row.what: row.value for row in judged.account_mm2}
+    noise = 3.0 * (1e3 * 2e-5) ** 2
+    assert rows["repeatability"] == pytest.approx(noise, rel=0.9)
+    assert abs(rows["predictable"]) < 0.3 * noise
+    assert judged.status == "at_floor", judged.open_because
+
+
+def test_estimation_is_what_the_parameters_cost() -> None:
+    """Forty arms of the same errors, with other noise: the variance of their fits at the postures held out."""
+    made, q, _ = tour(9, 60, 0)
+    rng = np.random.default_rng(2)
+    probe = rng.uniform(-np.pi, np.pi, (60, 6))
+    exact = made.world.tool_in_tracker(probe)[:, :3, 3]
+    squares, said = [], []
+    for _ in range(12):
+        T = made.world.tool_in_tracker(q)
+        T[:, :3, 3] += 5e-5 * rng.standard_normal((60, 3))
+        T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((60, 3)))
+        samples = replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3])
+        result = calibrate(samples, ur10(), rng, look_for_effects=False)
+        gap = result.scored.model.predict(probe)[:, :3, 3] - exact
+        squares.append(1e6 * np.mean(np.sum(gap**2, axis=1)))
+        said.append(next(r.value for r in result.report.judged.account_mm2 if r.what == "estimation"))
+    assert np.mean(said) == pytest.approx(np.mean(squares), rel=0.3)
+
+
+def test_a_stated_floor_stands_in_the_account() -> None:
+    stated = Stated(repeatability_mm=0.03, instrument_mm=0.02, repeatability_deg=0.002, instrument_deg=0.002)
+    judged = calibrate(
+        visited(3, 80, 0), ur10(), np.random.default_rng(0), Cell(stated=stated), look_for_effects=False
+    ).report.judged
+    rows = {row.what: row.value for row in judged.account_mm2}
+    assert rows["repeatability"] == pytest.approx(9e-4)
+    assert rows["instrument"] == pytest.approx(4e-4)
+    assert judged.status == "at_floor"
+    turned = {row.what: row.value for row in judged.account_deg2}
+    assert turned["instrument"] == pytest.approx(4e-6)

@@ -1,0 +1,133 @@
+"""What a regressor without physics predicts: nothing on a good arm, whatever its noise, and faults of every kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from cells import ur10
+from verdict.visits import moved_by, tour, visited
+
+from modcal_core.geometry import so3
+from modcal_core.loop import calibrate, evaluate
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import Case, fitted_case
+from modcal_core.verdict.predictable import predictable
+from modcal_core.verdict.status import MOST_PREDICTABLE
+
+
+@cache
+def fitted(kind: str, stations: int) -> Case:
+    samples = visited(3, stations, 0, kind)
+    result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    report = result.report
+    none = np.zeros(len(samples), bool)
+    errors = {stage: report.errors[stage] for stage in ("nominal", "geometric", "final")}
+    return fitted_case(result.scored, samples, report.sets, none, errors)
+
+
+def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
+    """The case with readings that the model reproduces but for noise of this kind."""
+    N = len(case.samples)
+    T = case.model.predict_samples(case.samples)
+    size = {"normal": np.ones(N), "heavy tails": 1.0 / np.sqrt(rng.chisquare(3, N) / 3.0)}.get(kind)
+    if size is None:  # joints that do not repeat
+        q = case.samples.q + 3e-5 * rng.standard_normal(case.samples.q.shape)
+        T = case.model.predict_samples(replace(case.samples, q=q))
+        size = np.full(N, 0.1)
+    T[:, :3, 3] += 2e-5 * size[:, None] * rng.standard_normal((N, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * size[:, None] * rng.standard_normal((N, 3)))
+    R = T[:, :3, :3] if case.samples.is_pose.all() else case.samples.R
+    return replace(case, samples=replace(case.samples, position=T[:, :3, 3], R=R))
+
+
+@pytest.mark.parametrize("noise", ["normal", "heavy tails", "joints"])
+@pytest.mark.parametrize(("kind", "stations", "draws"), [("point", 60, 25), ("pose", 60, 12)])
+def test_noise_is_not_predictable(kind: str, stations: int, draws: int, noise: str) -> None:
+    """111 recordings in all; one of a hundred may be called open."""
+    case = fitted(kind, stations)
+    rng = np.random.default_rng(17)
+    shares = [predictable(with_noise(case, rng, noise)).both for _ in range(draws)]
+    assert sum(share is not None and share.lower99 > MOST_PREDICTABLE for share in shares) == 0
+
+
+def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
+    """Readings of an arm in MuJoCo with 0.1 mm that no geometry explains, on 0.02 mm of noise."""
+    made, q, _ = tour(seed, stations, 0)
+    rng = np.random.default_rng(seed)
+    step = np.diff(q, axis=0, prepend=q[:1])
+    sent, signals = q.copy(), ()
+    angle = 1e-4 / 0.7
+    if fault == "low ripple":
+        sent[:, 2] += angle * np.sqrt(2.0) * np.sin(3.0 * q[:, 2] + 0.4)
+    if fault == "fast ripple":
+        sent[:, 2] += angle * np.sqrt(2.0) * np.sin(101.0 * q[:, 2] + 0.4)
+    if fault == "lag":
+        sent[:, 1] += angle * step[:, 1] / step[:, 1].std()
+    if fault == "backlash":
+        sent[:, 2] += angle * np.sign(step[:, 2])
+    if fault == "payload":
+        torque = np.cos(q[:, 1]) + 0.9 * np.cos(q[:, 1] + q[:, 2])
+        sent[:, 1] += angle * torque / torque.std()
+    if fault == "two joints":
+        sent[:, 2] += 2.0 * angle * np.sin(q[:, 1]) * np.cos(q[:, 3])
+    if fault == "signal":
+        heat = rng.standard_normal(len(q))
+        signals = (SignalTrack("/x", 1.7e9 + 2.0 * np.arange(len(q)), heat[:, None], "/x"),)
+        sent[:, 2] += angle * heat
+    T = made.world.tool_in_tracker(sent)
+    if fault == "drift":
+        T[:, 0, 3] += 1.4e-4 * np.sin(np.linspace(0.0, 8.0, len(q)))
+    T[:, :3, 3] += 2e-5 / np.sqrt(3.0) * rng.standard_normal((len(q), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((len(q), 3)))
+    return replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ("low ripple", "own position"),
+        ("fast ripple", "waves of the joint positions"),
+        ("lag", "arrived"),
+        ("backlash", "arrived"),
+        ("payload", "load"),
+        ("two joints", "waves of the joint positions"),
+        ("signal", "recorded signals"),
+        ("drift", "order of the stations"),
+    ],
+)
+def test_faults_that_the_model_lacks_are_open(fault: str, named: str) -> None:
+    judged = calibrate(faulty(fault), ur10(), np.random.default_rng(0), look_for_effects=False).report.judged
+    assert judged.status == "open"
+    reason = next(r for r in judged.reasons if r.kind == "predictable")
+    assert named in reason.sentence
+    assert judged.predictable.share > 0.5
+
+
+def test_a_frozen_model_is_not_open_for_its_own_error() -> None:
+    """A calibration from 40 stations misses 300 others by what its parameters do not know, and by nothing else."""
+    few = visited(6, 40, 0)
+    calibration = calibrate(few, ur10(), np.random.default_rng(0), look_for_effects=False).calibration
+    made, _, _ = tour(6, 40, 0)
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-np.pi, np.pi, (300, 6))
+    T = made.world.tool_in_tracker(q)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((300, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((300, 3)))
+    again = replace(
+        few.select(np.zeros(300, int)),
+        q=q,
+        stamps=1.7e9 + 2.0 * np.arange(300),
+        station=np.arange(300),
+        position=T[:, :3, 3],
+        R=T[:, :3, :3],
+    )
+    good = evaluate(calibration, again, np.random.default_rng(0)).judged
+    assert good.status == "cannot_tell", good.open_because
+    rows = {row.what: row.value for row in good.account_mm2}
+    assert rows["estimation"] > 0.1 * 3.0 * (1e3 * 2e-5) ** 2
+    bumped = moved_by(again, np.array([6e-5, 0.0, 0.0]))
+    assert evaluate(calibration, bumped, np.random.default_rng(0)).judged.status == "open"

@@ -1,0 +1,98 @@
+"""The status: which of three words, and why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import ur10
+from verdict.visits import visited
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.stated import Stated
+from modcal_core.loop import Result, calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import Case, fitted_case
+from modcal_core.verdict.grounds import Grounds, NotApplied
+from modcal_core.verdict.status import judge
+from modcal_core.verdict.verdict import Verdict
+
+
+def verdict_of(samples: Samples, stated: Stated | None = None) -> Verdict:
+    cell = Cell(stated=stated) if stated else Cell()
+    return calibrate(samples, ur10(), np.random.default_rng(0), cell, look_for_effects=False).report.judged
+
+
+def case_of(result: Result, samples: Samples) -> Case:
+    report = result.report
+    return fitted_case(result.scored, samples, report.sets, report.wrong, report.errors)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_good_arms(seed: int, kind: str) -> None:
+    """At the floor where postures were come back to, else it cannot be told; never open."""
+    assert verdict_of(visited(20 + seed, 80, 8, kind, joint_rad=2e-5)).status == "at_floor"
+    without = verdict_of(visited(20 + seed, 80, 0, kind, joint_rad=2e-5))
+    assert without.status == "cannot_tell"
+    assert "visit 6 of these postures twice" in without.remedy
+    assert "state" in without.remedy
+
+
+def test_a_stated_position_alone_says_nothing_of_orientation() -> None:
+    judged = verdict_of(visited(3, 80, 0), Stated(repeatability_mm=0.03, instrument_mm=0.02))
+    assert judged.status == "cannot_tell"
+    assert judged.floor_mm is not None
+    assert judged.floor_deg is None
+    assert "degrees" in judged.remedy
+    assert (
+        verdict_of(visited(3, 80, 0, "point"), Stated(repeatability_mm=0.03, instrument_mm=0.02)).status == "at_floor"
+    )
+
+
+def test_more_than_was_stated_is_open() -> None:
+    stated = Stated(repeatability_mm=0.01, instrument_mm=0.01, repeatability_deg=0.01, instrument_deg=0.01)
+    judged = verdict_of(visited(3, 80, 0), stated)
+    assert judged.status == "open"
+    assert [r.kind for r in judged.reasons] == ["above_floor"]
+    assert "was stated" in judged.open_because[0]
+
+
+def test_orientation_alone_can_be_open() -> None:
+    stated = Stated(repeatability_mm=0.05, instrument_mm=0.05, repeatability_deg=0.0005, instrument_deg=0.0005)
+    judged = verdict_of(visited(3, 80, 0), stated)
+    assert judged.status == "open"
+    assert all("Orientation" in said for said in judged.open_because)
+
+
+def test_readings_of_a_mixed_up_orientation_are_never_calm() -> None:
+    """Every third quaternion conjugated: large orientation residuals on a sound position."""
+    samples = visited(7, 100, 8)
+    R = samples.R.copy()
+    R[::3] = np.swapaxes(R[::3], 1, 2)
+    judged = verdict_of(replace(samples, R=R))
+    assert judged.status == "open"
+
+
+def test_every_ground_is_named() -> None:
+    samples = visited(3, 80, 8)
+    result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    case = case_of(result, samples)
+    assert judge(case).status == "at_floor"
+    square = float(np.mean((1e3 * case.errors["final"].position_norm) ** 2))
+    grounds = {
+        "not_converged": Grounds(converged=False),
+        "not_applied": Grounds(not_applied=(NotApplied("elbow axis by load", "no effort", 0.11 * square),)),
+        "contradiction": Grounds(contradictions=("Two known distances disagree.",)),
+        "rejected": Grounds(rejected_runs=((3, 9),)),
+    }
+    for kind, ground in grounds.items():
+        judged = judge(case, ground)
+        assert judged.status == "open"
+        assert [r.kind for r in judged.reasons] == [kind]
+    cheap = Grounds(not_applied=(NotApplied("elbow axis by load", "no effort", 0.09 * square),))
+    assert judge(case, cheap).status == "at_floor"
+    wrong = case.wrong.copy()
+    wrong[case.held_out[:5]] = True
+    assert judge(replace(case, wrong=wrong)).status == "open"
