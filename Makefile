@@ -16,7 +16,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test quick lint format bench undeclared verdict closed-loop \
+.PHONY: help setup setup-test build demo test quick mutants lint format bench undeclared verdict closed-loop \
 	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms docs reference lock clean
 
 help:  ## list the targets
@@ -44,6 +44,9 @@ test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house 
 quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute at most
 	@$(PY) -m ruff check .
 	@$(PY) -m pytest $(PARALLEL) -m "not dds and not slow" $(PYTEST_ARGS)
+
+mutants: setup-test build  ## faults put into a copy of the sources: do the tests see them? MUTANTS_ARGS="--only so3.log" narrows
+	@$(PY) bench/mutants/run.py $(MUTANTS_ARGS)
 
 lint: setup-test  ## ruff check, ruff format --check, mypy
 	@$(PY) -m ruff check .
