@@ -33,6 +33,7 @@ from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import Choice, choose_parameters, parameter_count, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.diagnosis.locate import frozen, located
 from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
 from modcal_core.diagnosis.vocabulary import load_since
 from modcal_core.measurements.kinds.registry import kinds
@@ -142,7 +143,7 @@ def calibrate(
         effects=findings(
             replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances
         ),
-        left=diagnosis.left,
+        left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         left_out=choice.left_out,
@@ -257,6 +258,7 @@ def evaluate(
         rejected_runs=runs_of(samples, wrong),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
+    judged = judge(case, grounds, cell.stated)
     return Report(
         samples=samples,
         sets=sets,
@@ -278,7 +280,8 @@ def evaluate(
         wrong=wrong,
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
-        judged=judge(case, grounds, cell.stated),
+        judged=judged,
+        left=located(frozen(models["final"], calibration.spread), samples) if judged.status == "open" else None,
     )
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_joints, of_rotations, of_units
+from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -40,6 +40,7 @@ _PARTS = (1, 2, 4)  # equal parts with their own base and tool
 _LEAST_PART = 20  # stations
 _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
 _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
+_MOST_LEFT = 0.5  # of the residual, by the convention that is meant
 _ROUNDS = 8
 _ALTERNATIONS = 20
 
@@ -114,7 +115,7 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     found.sort(key=lambda c: (-c[0], c[1]))
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
     judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
-    judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach()]
+    judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach() and _explains(c[0], before)]
     top = max((after.score for after, _, _ in judged), default=-np.inf)
     if top - before.score <= BEYOND_DOUBT:
         return None
@@ -122,10 +123,16 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     return mistake, before, after
 
 
+def _explains(after: Match, before: Match) -> bool:
+    """Whether what was left of orientations or positions is mostly gone: to be a little better is no explanation."""
+    return after.angle <= _MOST_LEFT * before.angle or after.position <= _MOST_LEFT * before.position
+
+
 def _all(names: tuple[str, ...], stated: str | None) -> Iterable[Mistake]:
     yield inverse_pose()
     yield from of_rotations(stated)
     yield from of_units()
+    yield from of_axes()
     yield from of_joints(names)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_joints, of_pairing, of_units
+from modcal_core.calibration.mistakes import Mistake, inverse_pose, left_handed, of_joints, of_pairing, of_units
 from modcal_core.calibration.score import errors
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.samples import Samples
@@ -60,5 +60,6 @@ def _mistakes(names: tuple[str, ...], poses: bool) -> Iterator[Mistake]:
     yield from of_joints(names)
     yield from of_pairing()
     yield from of_units()
+    yield left_handed()
     if poses:
         yield inverse_pose()

@@ -98,6 +98,38 @@ def of_units() -> Iterator[Mistake]:
         )
 
 
+def of_axes() -> Iterator[Mistake]:
+    """Positions in a left-handed frame: one coordinate of the other sign, or two columns swapped."""
+    for i, axis in enumerate("xyz"):
+        sign = np.ones(3)
+        sign[i] = -1.0
+        yield Mistake(
+            f"positions look mirrored (sign of {axis}, a left-handed frame)",
+            f"correct the sign of {axis}",
+            lambda s, sign=sign: replace(s, position=s.position * sign),  # type: ignore[misc]
+            "reading",
+        )
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        order = [0, 1, 2]
+        order[i], order[j] = j, i
+        yield Mistake(
+            f"positions look as if columns {'xyz'[i]} and {'xyz'[j]} were swapped (a left-handed frame)",
+            "correct the order of the columns",
+            lambda s, order=order: replace(s, position=s.position[:, order]),  # type: ignore[misc]
+            "reading",
+        )
+
+
+def left_handed() -> Mistake:
+    """The same where orientations do not say which: one is the others, seen from another side."""
+    return Mistake(
+        "positions look mirrored (a left-handed frame: two columns swapped, or one of the other sign)",
+        "correct the order or the signs of the columns",
+        lambda s: replace(s, position=s.position * [1.0, 1.0, -1.0]),
+        "reading",
+    )
+
+
 def of_pairing() -> Iterator[Mistake]:
     """Readings that belong to the station before or after."""
     for shift in _SHIFTS:
@@ -123,6 +155,7 @@ def of_rotations(stated: str | None = None) -> Iterator[Mistake]:
     if stated is None:
         yield _quaternion("quaternions look like w x y z read as x y z w", lambda q: q[:, [1, 2, 3, 0]])
         yield _quaternion("quaternions look like x y z w read as w x y z", lambda q: q[:, [3, 0, 1, 2]])
+        yield _quaternion("quaternions look like w z y x read as x y z w", lambda q: q[:, [3, 2, 1, 0]])
         yield _quaternion("quaternions look like w x y z conjugated", lambda q: q[:, [1, 2, 3, 0]] * [-1, -1, -1, 1])
         yield Mistake(
             "orientations look inverse (conjugate quaternions)",

@@ -171,8 +171,8 @@ class Scanner:
         if len(distinct) == 1:
             alone = bank.keys[0]
             flat = bank.numbers.reshape(-1, bank.numbers.shape[-1])
-            n = (flat @ trials.known[alone]).reshape(-1, m, len(trials.signs))
-            projected = (flat @ space.against[alone]).reshape(-1, m, space.Q.shape[-1])  # (C, m, P)
+            n = (flat @ trials.known[alone]).reshape(len(bank.numbers), m, len(trials.signs))
+            projected = (flat @ space.against[alone]).reshape(len(bank.numbers), m, space.Q.shape[-1])  # (C, m, P)
             square = np.sum(distinct[bank.keys[0]] ** 2, axis=0)
             gram = (bank.numbers * square) @ bank.numbers.transpose(0, 2, 1)
         else:
@@ -242,7 +242,9 @@ class _Space:
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
         now = linearise(fit.model, fit.parameters, values, samples, circumstances=at)
         view = View.of(fit.model, samples, at)
-        J = np.ascontiguousarray(np.stack([_by_sample(row, view) * weight for row in now.J], axis=-1))
+        J = np.empty((6, len(samples), len(now.J)))  # of a frozen model without effects nothing is fitted
+        for p, row in enumerate(now.J):
+            J[..., p] = _by_sample(row, view) * weight
         held = np.zeros(J.shape[-1])
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
         N, P = len(samples), J.shape[-1]

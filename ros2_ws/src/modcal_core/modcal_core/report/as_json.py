@@ -115,7 +115,7 @@ def _unexplained(size: float, left: Choice | None) -> dict[str, Any]:
         "direction": left.effect.direction,
         "driver": left.effect.public_driver,
         "size_mm": size,
-        "p_value": left.p_value,
+        "p_value": left.p_value if left.p_value < 1.0 else None,  # not tested where the verdict had found it already
         "same_as": list(left.same_as),
     }
 

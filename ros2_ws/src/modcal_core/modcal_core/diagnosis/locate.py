@@ -1,0 +1,60 @@
+"""Where what a model leaves over sits and what it correlates with, where the verdict is open and nothing was named.
+
+The candidates of the diagnosis are weighed once against the residual, together with constant errors of base, tool and
+joints, which a fit would have taken up and a frozen model has not. No chance is given for the best: the verdict has
+found already that something is left. It is named only where it explains a good part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.calibration.effects import ALL, AXIS, Effect
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.shapes import Shape
+from modcal_core.diagnosis.choice import Choice, choose
+from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.measurements.samples import Samples
+
+_WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
+_MOST_SCANNED = 500  # samples; more are thinned evenly
+
+
+def located(fit: Fit, samples: Samples) -> Choice | None:
+    """The candidate that explains most of what the fit leaves over, None where none explains much.
+
+    Constant errors are looked for where the fit has no parameters of its own.
+    """
+    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SCANNED)).astype(int))
+    at = fit.model.circumstances(samples.select(rows))
+    names = at.arm.chain.names
+    constant = [Effect("unknown", place, ALL, "constant", Shape("linear")) for place in ("base", "tool")]
+    constant += [Effect("unknown", name, AXIS, "constant", Shape("linear")) for name in names]
+    scanner = Scanner([*vocabulary(at), *(constant if not fit.parameters else ())], at)
+    if not scanner.enough(fit):
+        return None
+    evidence = scanner.evidence(fit)
+    beyond = evidence.explained - np.array([e.shape.size for e in evidence.effects]) / evidence.freedom
+    if not len(beyond) or beyond.max() < _WORTH_NAMING:
+        return None
+    plain = [i for i, e in enumerate(evidence.effects) if e.public_driver == "constant"]
+    if plain and max(beyond[plain]) > 0.9 * beyond.max():  # what only stands elsewhere is plainer than any curve
+        evidence = _only(evidence, plain)
+    choice = choose(evidence, scanner, fit, set())
+    return None if choice is None or choice.share < _WORTH_NAMING else choice
+
+
+def frozen(model: Model, spread: Spread) -> Fit:
+    """A model as a fit that nothing was fitted in, its effects as they are."""
+    none, square = np.empty(0), np.empty((0, 0))
+    return Fit(model, model, (), none, square, spread, none, square, 0)
+
+
+def _only(evidence: Evidence, rows: list[int]) -> Evidence:
+    effects = tuple(evidence.effects[i] for i in rows)
+    return replace(evidence, effects=effects, explained=evidence.explained[rows], score=evidence.score[rows])

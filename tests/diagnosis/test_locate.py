@@ -1,0 +1,66 @@
+"""What a frozen model leaves over is placed: a joint that was adjusted since, a base that moved; noise is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from cells import ur10
+from verdict.visits import visited
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate, evaluate
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import Report
+
+
+@cache
+def calibration() -> Calibration:
+    return calibrate(visited(3, 100), ur10(), np.random.default_rng(0), look_for_effects=False).calibration
+
+
+def scored(samples: Samples) -> Report:
+    return evaluate(calibration(), samples, np.random.default_rng(0))
+
+
+def moved(samples: Samples, step: Array) -> Samples:
+    T = step @ se3.transform(samples.R, samples.position)
+    return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
+
+
+def test_a_joint_that_was_adjusted_is_named() -> None:
+    second = visited(3, 60)
+    q = second.q.copy()
+    q[:, 2] += 5e-4
+    report = scored(replace(second, q=q))
+    assert report.status == "open"
+    assert report.left is not None
+    assert (report.left.effect.place, report.left.effect.public_driver) == ("elbow_joint", "constant")
+
+
+@pytest.mark.parametrize("size", [1.0, 50.0])
+def test_a_base_that_moved_is_named(size: float) -> None:
+    report = scored(moved(visited(3, 60), se3.exp(size * np.array([3e-4, -2e-4, 2e-4, 1e-4, 2e-4, -2e-4]))))
+    assert report.status == "open"
+    assert report.left is not None
+    assert report.left.effect.place == "base"
+
+
+def test_where_nothing_has_changed_nothing_is_named() -> None:
+    report = scored(visited(3, 60))
+    assert report.status != "open"
+    assert report.left is None
+
+
+def test_geometry_alone_names_what_it_did_not_look_for() -> None:
+    samples = visited(4, 120)
+    q = samples.q.copy()
+    q[:, 1] += 4e-4 * np.sin(3.0 * q[:, 1])
+    report = calibrate(replace(samples, q=q), ur10(), np.random.default_rng(0), look_for_effects=False).report
+    assert report.status == "open"
+    assert report.left is not None
+    assert report.left.effect.place == "shoulder_lift_joint"
