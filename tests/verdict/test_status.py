@@ -96,3 +96,11 @@ def test_every_ground_is_named() -> None:
     wrong = case.wrong.copy()
     wrong[case.held_out[:5]] = True
     assert judge(replace(case, wrong=wrong)).status == "open"
+
+
+def test_an_arm_that_does_not_repeat_is_questioned_unless_it_was_stated() -> None:
+    samples = visited(1, 80, 8, noise_m=8e-4, noise_rad=1e-3)
+    loose, stated = verdict_of(samples), verdict_of(samples, Stated(repeatability_mm=1.4))
+    assert loose.status == "open"
+    assert any("were visited again differ by" in said for said in loose.open_because)
+    assert not any("were visited again differ by" in said for said in stated.open_because)

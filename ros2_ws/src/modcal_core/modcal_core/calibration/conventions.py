@@ -40,6 +40,7 @@ _PARTS = (1, 2, 4)  # equal parts with their own base and tool
 _LEAST_PART = 20  # stations
 _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
 _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
+_TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
 _MOST_LEFT = 0.5  # of the residual, by the convention that is meant
 _ROUNDS = 8
 _ALTERNATIONS = 20
@@ -57,6 +58,7 @@ class Match:
     position: float
     perfect: bool
     usual: float
+    usual_angle: float
     parts: int
 
 
@@ -110,7 +112,7 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     start = _by_positions(forward(chain, few.q), few.position)
     found = [
         (_roughly(mistake.undone(few), chain, mistake, start), i, mistake)
-        for i, mistake in enumerate(_all(samples.names, stated))
+        for i, mistake in enumerate(_all(samples.names, stated, turned=before.angle > _TURNED * _NOMINAL_ANGLE))
     ]
     found.sort(key=lambda c: (-c[0], c[1]))
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
@@ -125,12 +127,20 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
 
 def _explains(after: Match, before: Match) -> bool:
     """Whether what was left of orientations or positions is mostly gone: to be a little better is no explanation."""
-    return after.angle <= _MOST_LEFT * before.angle or after.position <= _MOST_LEFT * before.position
+    pairs = (
+        (after.angle, before.angle),
+        (after.usual_angle, before.usual_angle),
+        (after.position, before.position),
+        (after.usual, before.usual),
+    )
+    return any(now <= _MOST_LEFT * then for now, then in pairs)
 
 
-def _all(names: tuple[str, ...], stated: str | None) -> Iterable[Mistake]:
+def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[Mistake]:
+    """turned: whether orientations fit so badly that they alone may mean something else, as most candidates say."""
     yield inverse_pose()
-    yield from of_rotations(stated)
+    if turned:
+        yield from of_rotations(stated)
     yield from of_units()
     yield from of_axes()
     yield from of_joints(names)
@@ -191,8 +201,8 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple
         score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)
         turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
         if best is None or score > best.score:
-            usual = float(np.median(np.linalg.norm(gaps, axis=1)))
-            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, count)
+            usual, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))
+            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, turned, count)
         if best.perfect:
             break
     assert best is not None

@@ -103,7 +103,7 @@ def _jumps(residual: Array, visits: tuple[np.ndarray, ...], unit: str) -> tuple[
     k = first + int(np.argmax(ratio)) + 1
     return (
         f"Of {len(size)} postures that were visited again, {k} agree to {size[k - 1]:.2g} {unit} and {len(size) - k} "
-        f"differ by {size[k]:.2g} to {size[-1]:.2g} {unit}: readings or the arm jump.",
+        f"differ by {size[k]:.2g} to {size[-1]:.2g} {unit}: readings jump, or base, tool or target do.",
     )
 
 

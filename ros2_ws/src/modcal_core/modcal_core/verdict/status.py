@@ -20,6 +20,8 @@ from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, 
 MOST_REJECTED = 0.05  # share of the stations
 MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost
 MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable
+MOST_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
+MOST_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
 MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS
 
 
@@ -47,6 +49,7 @@ def judge(
         *_reasons("rejected", _rejected(case, grounds)),
         *_reasons("not_applied", _not_applied(case, grounds)),
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
+        *_reasons("contradiction", _loose(case, known, stated)),
         *_reasons("predictable", _predictable(seen)),
         *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
         *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
@@ -111,6 +114,23 @@ def _predictable(seen: Predictable) -> Iterator[str]:
         yield (
             f"About {share.share:.0%} of the squared error that is left can be predicted from {seen.source} "
             f"(at least {share.lower99:.0%}, 99 %), and the model does not explain it."
+        )
+
+
+def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
+    """Returns that differ by more than arms do, unless it was stated that this one does."""
+    stated = stated or Stated()
+    limit = 1e3 * MOST_OF_REACH * case.model.chain.reach()
+    for floor, most, own, unit in (
+        (known.position, limit, stated.rms_mm, " mm"),
+        (known.rotation, MOST_TURNED, stated.repeatability_deg, "°"),
+    ):
+        if floor is None or floor.repeatability.source != "revisits" or own is not None or floor.rms <= most:
+            continue
+        yield (
+            f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
+            f"less than {most:.2g}{unit}. See that base, tool and target are fixed and that no readings are mixed up; "
+            "if the arm is like that, state its repeatability."
         )
 
 
