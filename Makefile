@@ -12,6 +12,8 @@ PY := $(VENV)/bin/python
 PYTHON ?=
 export PYTHON
 
+# Where Python may not keep what it compiled, every process that a test starts would compile modcal anew.
+unexport PYTHONDONTWRITEBYTECODE
 # Another ROS that is sourced in this shell would put its Python modules and libraries before those of .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import tempfile
+from itertools import zip_longest
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,17 +42,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Half as many workers again as cores: tests of nodes mostly wait for what is played to them in real time."""
-    return max(2, 3 * len(os.sched_getaffinity(0)) // 2)
+    """Twice as many workers as cores: tests of nodes mostly wait for what is played to them in real time."""
+    return max(2, 2 * len(os.sched_getaffinity(0)))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that take longest come first, so that no worker is left alone with one of them in the end."""
-    ranks: dict[Path, int] = {}
+    """Files that wait and slow ones that compute take turns, so that neither cores nor time lie idle; small ones last."""
+    waits: dict[Path, None] = {}
+    computes: dict[Path, None] = {}
+    small: dict[Path, None] = {}
     for item in items:
-        rank = 0 if item.get_closest_marker("dds") else 1 if item.get_closest_marker("slow") else 2
-        ranks[item.path] = min(rank, ranks.get(item.path, rank))
-    items.sort(key=lambda item: ranks[item.path])
+        kind = waits if item.get_closest_marker("dds") else computes if item.get_closest_marker("slow") else small
+        kind[item.path] = None
+    turns = [path for pair in zip_longest(waits, computes) for path in pair if path is not None]
+    place = {path: i for i, path in enumerate(dict.fromkeys([*turns, *small]))}
+    items.sort(key=lambda item: place[item.path])
 
 
 def pytest_report_header(config: pytest.Config) -> str:
