@@ -46,7 +46,7 @@ def scaled(values: Array, size: float) -> float:
 
 @kind()
 def base_tilts_under_load(w: Works, rng: np.random.Generator) -> Case:
-    """The stand gives way under the arm's moment, more one way than the other."""
+    """The stand deflects under the arm's moment, more one way than the other."""
     q, again = w.postures(150)
     com = centres(w, q)
     soft = rng.uniform(0.5, 1.5, 2)

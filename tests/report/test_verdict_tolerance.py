@@ -22,7 +22,7 @@ def in_space(rng: np.random.Generator, count: int) -> Array:
 
 
 def along_one_axis(rng: np.random.Generator, count: int) -> Array:
-    """Lengths of vectors that are long along one axis, as of an arm that gives way under load."""
+    """Lengths of vectors that are long along one axis, as of an arm that deflects under load."""
     return np.linalg.norm(rng.standard_normal((count, 3)) * [1.0, 0.2, 0.1], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""The account sums, its rows mean what they say, and removing an effect costs what it brought."""
+"""The account sums, its rows mean what they say, and removing an effect costs what adding it gained."""
 
 from __future__ import annotations
 

@@ -23,15 +23,14 @@ from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.diagnosis.loop import Diagnosis
-from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.effect_sizes import Quantity, at_tool, parameters
 from modcal_core.report.effect_sizes import component_names as component_names
 from modcal_core.report.effect_sizes import curve as curve
 from modcal_core.report.sentences import story
+from modcal_core.verdict.contributions import resampled
 
 _UNDECIDED = 0.05  # of the usual load, below which its sign is not sure
-_DRAWS = 400
 _MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
 _MOST_SEEN = 500  # samples at which the size at the tool is taken
 
@@ -165,15 +164,6 @@ def _worth(
     without_them = errors(without(model, known, numbers), scored).position_norm ** 2
     cost, interval = resampled(1e6 * (without_them - with_them), scored.station)
     return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
-
-
-def resampled(square: Array, station: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Mean of numbers (N,) and its 95 % interval, by drawing their stations (N,) again."""
-    _, of = np.unique(station, return_inverse=True)
-    total, count = np.bincount(of, square), np.bincount(of)
-    draws = np.random.default_rng(0).integers(len(count), size=(_DRAWS, len(count)))
-    means = total[draws].sum(axis=1) / count[draws].sum(axis=1)
-    return float(square.mean()), (float(np.percentile(means, 2.5)), float(np.percentile(means, 97.5)))
 
 
 def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:

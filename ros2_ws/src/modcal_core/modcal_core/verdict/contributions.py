@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import is_large_move
-from modcal_core.calibration.linearise import model_at
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.geometry.so3 import Array
 from modcal_core.verdict.case import Case
@@ -40,9 +38,8 @@ class Contribution:
 def contributions(case: Case) -> tuple[Contribution, ...]:
     """One for each effect of the final model, in its order.
 
-    The others are fitted again by one step: with θ the values taken away and C the covariance of all, the rest moves by
-    C_re C_ee⁻¹ θ, which is where the quadratic about the minimum has its least. The cost is then that of the model so
-    changed, without linearising.
+    The others are fitted again by one step (:mod:`modcal_core.calibration.removal`). The cost is then that of the model
+    so changed, without linearising.
     """
     effects = case.model.effects
     if not effects or not len(case.held_out):
@@ -52,33 +49,15 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
     with_all = errors(case.model, scored)
     out = []
     for i, effect in enumerate(effects):
-        without = errors(removed(case, i), scored)
-        mm2 = 1e6 * (without.position_norm**2 - with_all.position_norm**2)
+        gone = errors(without(case.model, case.known, (i,)), scored)
+        mm2 = 1e6 * (gone.position_norm**2 - with_all.position_norm**2)
         cost, interval = resampled(mm2, scored.station)
         turned = (None, None)
         if scored.is_pose.any():
-            deg2 = np.degrees(without.rotation_norm) ** 2 - np.degrees(with_all.rotation_norm) ** 2
+            deg2 = np.degrees(gone.rotation_norm) ** 2 - np.degrees(with_all.rotation_norm) ** 2
             turned = resampled(deg2, scored.station[scored.is_pose])  # type: ignore[assignment]
         out.append(Contribution(i, effect.label, cost, interval, *turned))
     return tuple(out)
-
-
-def removed(case: Case, effect: int) -> Model:
-    """The final model without one of its effects, the rest fitted again by one step."""
-    P, effects = len(case.known.parameters), case.model.effects
-    if is_large_move(effects[effect]):  # no small step of the others stands in for it
-        return case.model.with_effects(effects[:effect] + effects[effect + 1 :])
-    ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
-    own = slice(ends[effect], ends[effect + 1])
-    gone = np.zeros(ends[effect + 1] - ends[effect])
-    linear = len(effects[effect].amplitudes)
-    gone[:linear] = -effects[effect].values[:linear]  # its settings mean nothing without it
-    C = case.known.covariance
-    step = C[:, own] @ np.linalg.lstsq(C[own, own], gone, rcond=1e-12)[0]
-    values = np.concatenate([np.zeros(P), *(e.values for e in effects)]) + step
-    values[own] = effects[effect].values + gone
-    moved = model_at(case.model, case.known.parameters, values)
-    return moved.with_effects(moved.effects[:effect] + moved.effects[effect + 1 :])
 
 
 def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
