@@ -43,7 +43,7 @@ PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
 	@$(PY) -m pytest $(PARALLEL) $(PYTEST_ARGS)
 
-quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute at most
+quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; some three minutes
 	@$(PY) -m ruff check .
 	@$(PY) -m pytest $(PARALLEL) -m "not dds and not slow" $(PYTEST_ARGS)
 
