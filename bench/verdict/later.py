@@ -1,4 +1,4 @@
-"""Kinds that were written after the last change to the code they test, and run once."""
+"""Kinds that were written later than the rest; two rules of the code came after their first run (see README)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
-Groups: ``main``; ``later``, kinds that were written after the last change to the code they test; ``real``, made out of
+Groups: ``main``; ``later``, kinds that were written later than the rest; ``real``, made out of
 recordings of real arms beside the checkout; ``good``. A fault counts as named when what makes the verdict open, or what
 was modelled, holds the joint, the place or the topic that is at fault.
 """
