@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test quick mutants lint format bench undeclared verdict closed-loop \
+.PHONY: help setup setup-test build demo test suite quick mutants lint ruff mypy format bench undeclared verdict closed-loop \
 	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms docs reference lock clean
 
 help:  ## list the targets
@@ -40,19 +40,27 @@ demo: build  ## calibrate from an embedded recording; ends with before/after and
 # Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+# mypy runs beside pytest: it would keep one core busy and the others idle for half a minute.
+test: setup-test build ruff  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+	@$(MAKE) --jobs 2 mypy suite
+
+suite:
 	@$(PY) -m pytest $(PARALLEL) $(PYTEST_ARGS)
 
-quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; some three minutes
+quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute
 	@$(PY) -m ruff check .
 	@$(PY) -m pytest $(PARALLEL) -m "not dds and not slow" $(PYTEST_ARGS)
 
 mutants: setup-test build  ## faults put into a copy of the sources: do the tests see them? MUTANTS_ARGS="--only so3.log" narrows
 	@$(PY) bench/mutants/run.py $(MUTANTS_ARGS)
 
-lint: setup-test  ## ruff check, ruff format --check, mypy
+lint: setup-test ruff mypy  ## ruff check, ruff format --check, mypy
+
+ruff:
 	@$(PY) -m ruff check .
 	@$(PY) -m ruff format --check .
+
+mypy:
 	@$(PY) -m mypy
 
 format: setup-test  ## let ruff mend what it can

@@ -105,6 +105,7 @@ def cell(samples: Samples, effects: tuple[Effect, ...]) -> Model:
     return fit_cell(ur10(), samples, Cell(), weighed()).model.with_effects(effects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_derivatives(name: str, kind: str) -> None:
@@ -178,6 +179,7 @@ def gear_in_mujoco(seed: int) -> tuple[Fit, float, float]:
     return identify(nominal.with_effects((effect.started(np.zeros(2)),)), samples, choice.parameters), 2e-4, 1e-4
 
 
+@pytest.mark.slow
 def test_a_planted_gear_is_recovered_within_three_sigma() -> None:
     scores = []
     for seed in range(25):

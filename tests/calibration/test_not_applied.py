@@ -59,6 +59,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
     ), samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "lost", "why"),
     [
@@ -132,6 +133,7 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
     assert any("held at the ends" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     """A drift over the rows of one table, and a second table of the same cell at another time of day."""
     made = record(7, 160, noise_m=1e-5, noise_rad=1e-5)

@@ -18,6 +18,7 @@ from modcal_core.measurements.recording import ORDER_ONLY, SOCKETS, Recording
 CHAIN = ur10()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["point", "pose"])
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
 def test_a_tracker_that_stands_still_is_refused(kind: str, noise: float) -> None:

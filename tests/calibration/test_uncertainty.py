@@ -36,6 +36,7 @@ def test_it_equals_that_of_the_fit_about_the_same_model() -> None:
     assert np.linalg.eigvalsh(known.covariance).min() > 0.0
 
 
+@pytest.mark.slow
 def test_predictions_scatter_as_it_says_with_effects_too() -> None:
     """Many recordings of one truth: squared errors, weighed by the covariance, follow a χ² law."""
     chain = ur10()

@@ -39,6 +39,7 @@ def generate(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.slow
 def test_the_pages_are_up_to_date_and_an_old_one_is_noticed(tmp_path: Path) -> None:
     folder = tmp_path / "reference"
     shutil.copytree(FOLDER, folder)

@@ -29,6 +29,7 @@ def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
     return samples_of(CHAIN, made.samples.q, T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounded", [0.0, 1e-6, 1e-5, 1e-4])
 def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
     assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
@@ -39,6 +40,7 @@ def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_nam
     assert "fitted model reproduces the readings" in said(record(2, 100).exact)
 
 
+@pytest.mark.slow
 def test_readings_of_an_instrument_are_not_doubted() -> None:
     made = record(3, 100)
     assert said(made.samples) == ""
@@ -48,6 +50,7 @@ def test_readings_of_an_instrument_are_not_doubted() -> None:
     assert said(fine.samples) == ""
 
 
+@pytest.mark.slow
 def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
     made = record(4, 100)
     rng = np.random.default_rng(1)
@@ -58,6 +61,7 @@ def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
     assert "Orientations miss" in " ".join(evaluate(good, turned, rng).grounds.contradictions)
 
 
+@pytest.mark.slow
 def test_topics_that_repeat_themselves_are_named() -> None:
     made = record(5, 100)
     position, R, q = made.samples.position.copy(), made.samples.R.copy(), made.samples.q.copy()

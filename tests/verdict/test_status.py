@@ -29,6 +29,7 @@ def case_of(result: Result, samples: Samples) -> Case:
     return fitted_case(result.scored, samples, report.sets, report.wrong, report.errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_good_arms(seed: int, kind: str) -> None:
@@ -40,6 +41,7 @@ def test_good_arms(seed: int, kind: str) -> None:
     assert "state" in without.remedy
 
 
+@pytest.mark.slow
 def test_a_stated_position_alone_says_nothing_of_orientation() -> None:
     judged = verdict_of(visited(3, 80, 0), Stated(repeatability_mm=0.03, instrument_mm=0.02))
     assert judged.status == "cannot_tell"
@@ -75,6 +77,7 @@ def test_readings_of_a_mixed_up_orientation_are_never_calm() -> None:
     assert judged.status == "open"
 
 
+@pytest.mark.slow
 def test_every_ground_is_named() -> None:
     samples = visited(3, 80, 8)
     result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
