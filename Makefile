@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test suite quick mutants lint ruff mypy format bench undeclared verdict closed-loop \
-	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms docs reference lock clean
+	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -103,6 +103,9 @@ modular: setup-test build  ## calibration after re-assembly, with and without wh
 
 real-arms: setup-test build  ## whole recordings of real arms, as in the README's table; needs ../shared/data
 	@$(PY) bench/real_arms.py $(BENCH_ARGS)
+
+outside: setup-test build  ## the outer fifth of real arms' postures, frozen, by blocks; needs ../shared/data
+	@$(PY) bench/outside.py $(BENCH_ARGS)
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
 	@$(PY) bench/pose_planning.py $(BENCH_ARGS)
