@@ -33,10 +33,10 @@ from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, read_state, write_state
-from modcal_nodes.calibrating.telling import Times, model_status, sample_status, tracker_status
+from modcal_nodes.calibrating.telling import Times, model_status, sample_status
 from modcal_nodes.files import write_folder
 from modcal_nodes.health import Health, Status
-from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.hearing import Ear, hearing_status, tracker_status
 from modcal_nodes.inputs import read_cell
 from modcal_nodes.parameters import CALIBRATOR, declare, values
 from modcal_nodes.running import LATCHED, SENSOR, run
@@ -215,7 +215,8 @@ class Calibrator(Node):
             self._chosen["effects"],
         )
         done, fail = partial(self._solved, self._memory.forgotten), partial(self._answer, False)
-        self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=done, fail=fail)
+        page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
+        self._workshop.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
     def _poll(self) -> None:

@@ -130,3 +130,12 @@ def hearing_status(ears: Iterable[Ear]) -> Status:
     return Status(
         "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in ears}}
     )
+
+
+def tracker_status(hearing: Status, ears: Iterable[Ear]) -> Status:
+    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
+    instruments = [ear for ear in ears if "tracker/" in ear.topic]
+    if hearing.level != OK or any(ear.count for ear in instruments):
+        return hearing
+    topics = " and ".join(ear.topic for ear in instruments)
+    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)

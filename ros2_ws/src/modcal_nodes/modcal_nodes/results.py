@@ -8,7 +8,6 @@ from modcal_core.calibration.store import to_data
 from modcal_core.geometry import so3
 from modcal_core.loop import Result
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.html import to_html
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
@@ -19,8 +18,8 @@ from modcal_core.robots.vendor import kinematics_yaml_data
 from modcal_nodes.files import to_json, to_yaml
 
 
-def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str) -> dict[str, str]:
-    """Names and texts of everything the calibration of a serial arm leaves behind."""
+def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str, page: bool = True) -> dict[str, str]:
+    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page."""
     calibrated = result.calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
     return _with_report(
@@ -30,6 +29,7 @@ def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str)
             "calibrated.urdf": corrected,
             "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
         },
+        page,
     )
 
 
@@ -54,7 +54,12 @@ def report_files(report: Report) -> dict[str, str]:
     return _with_report(report, {})
 
 
-def _with_report(report: Report, others: dict[str, str]) -> dict[str, str]:
+def _with_report(report: Report, others: dict[str, str], page: bool = True) -> dict[str, str]:
     """A report, whose page names the other files as well, before those."""
-    data = to_json(to_json_data(report))
-    return {"report.json": data, "report.html": to_html(report, ["report.json", *others]), **others}
+    files = {"report.json": to_json(to_json_data(report))}
+    if page:
+        # drawing it takes longer than many a fit, and so does the import of what draws it
+        from modcal_core.report.html import to_html
+
+        files["report.html"] = to_html(report, ["report.json", *others])
+    return {**files, **others}

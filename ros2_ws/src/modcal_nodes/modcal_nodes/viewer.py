@@ -26,9 +26,8 @@ from modcal_core.measurements.recording import POINT, POSE
 from modcal_msgs_py.commands import JointsHeard
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_nodes.calibrating.arm import KnownArm
-from modcal_nodes.calibrating.telling import tracker_status
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.hearing import Ear, hearing_status, tracker_status
 from modcal_nodes.inputs import parse_calibration
 from modcal_nodes.parameters import VIEWER, declare, values
 from modcal_nodes.refusals import Refusals

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +12,6 @@ from modcal_core.online.supervisor import SUSPECTED, Supervisor
 from modcal_core.resolve import Comparison
 from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.health import ERROR, OK, WARN, Status
-from modcal_nodes.hearing import Ear
 
 _TIMED = 20_000  # updates whose times are remembered
 
@@ -35,15 +33,6 @@ class Times:
             out["from stamp to update, median [ms]"] = f"{1e3 * np.median(self.late):.2f}"
             out["from stamp to update, p99 [ms]"] = f"{1e3 * np.percentile(self.late, 99):.2f}"
         return out
-
-
-def tracker_status(hearing: Status, ears: Sequence[Ear]) -> Status:
-    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
-    instruments = [ear for ear in ears if "tracker/" in ear.topic]
-    if hearing.level != OK or any(ear.count for ear in instruments):
-        return hearing
-    topics = " and ".join(ear.topic for ear in instruments)
-    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)
 
 
 def model_status(
