@@ -16,6 +16,7 @@ import numpy as np
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.shapes import periodic
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -193,7 +194,7 @@ class _Builder:
         q = self.samples.q[:, j]
         if not self.chain.revolute[j]:
             q = (q - q.min()) * np.pi / max(float(np.ptp(q)), 1e-9)
-        return np.concatenate([[np.sin(k * q), np.cos(k * q)] for k in range(1, count + 1)])
+        return periodic("sine", np.arange(1.0, count + 1.0), q).reshape(2 * count, -1)
 
     def _random(self, count: int, frequency: float) -> Array:
         """Random waves (count, N) of the posture in units of its spread, with about this frequency [rad]."""

@@ -78,20 +78,20 @@ def predictable(case: Case) -> Predictable:
     tests: list[Regressor] = []
     for group in groups(case.model, samples, weight):
         columns = layout.flat(group.columns)
-        before = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = project(columns)
-        size = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        size = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         keep = size > _LEAST_NEW * before
         if keep.any():
-            columns = columns / size if keep.all() else columns[:, keep] / size[keep]
-            tests.append(Few(group.name, columns, layout) if group.few else Ridge.of(group.name, columns, layout))
+            columns = (columns if keep.all() else columns[keep]) / size[keep, None]
+            tests.append((Few if group.few else Ridge).of(group.name, columns, baseline))
     return _weighed(tests, baseline, r, own, layout, unit)
 
 
 def _weighed(
     tests: list[Regressor], baseline: Baseline, residual: Array, own: Array, layout: Layout, unit: np.ndarray
 ) -> Predictable:
-    """The shares of a residual (R,), by the best of these regressors. own: regressors (R, K) of unit variance that are
+    """The shares of a residual (R,), by the best of these regressors. own: regressors (K, R) of unit variance that are
     part of what noise does. unit: of each sample what its noise shares with others, (N,).
     """
     trials = baseline.trials(residual[:, None])
@@ -102,7 +102,7 @@ def _weighed(
     source, prediction = predictions[best]
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (unit.max() + 1, _FLIPS))
-    error = own @ rng.normal(size=(own.shape[1], _FLIPS))
+    error = own.T @ rng.normal(size=(len(own), _FLIPS))
     noise = baseline.trials((r - prediction)[:, None] * signs[unit][layout.sample] + error)
     totals = np.einsum("rf,rf->f", noise.left, noise.left)
     top = np.full(_FLIPS, -np.inf)
@@ -166,15 +166,15 @@ class _Projection:
     """What is left of columns when a regression on U is taken out of them."""
 
     def __init__(self, U: Array) -> None:
-        """U: regressors (R, K) of unit variance, of which there may be none."""
-        value, vector = np.linalg.eigh(U.T @ U)
+        """U: regressors (K, R) of unit variance, of which there may be none."""
+        value, vector = np.linalg.eigh(U @ U.T)
         keep = value > 1e-12 * value.max(initial=1e-300)
-        self._Q = (U @ vector[:, keep]) / np.sqrt(value[keep])
-        self._out = (value[keep] / (1.0 + value[keep]))[:, None]
+        self._Q = (vector[:, keep] / np.sqrt(value[keep])).T @ U
+        self._out = value[keep] / (1.0 + value[keep])
 
     def __call__(self, x: Array) -> Array:
-        """Columns (R, D) less what U predicts of them."""
-        return np.asarray(x - self._Q @ (self._out * (self._Q.T @ x))) if self._Q.shape[1] else x
+        """Columns (D, R) less what U predicts of them."""
+        return np.asarray(x - ((x @ self._Q.T) * self._out) @ self._Q) if len(self._Q) else x
 
 
 def _drawn_in(residual: Array) -> Array:
