@@ -50,6 +50,7 @@ from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 from modcal_core.verdict.status import judge
+from modcal_core.verdict.where import with_places
 
 _MOST_KEPT = 200  # postures that a calibration remembers
 
@@ -133,7 +134,8 @@ def calibrate(
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
     )
-    judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, cell.stated)
+    case = fitted_case(final, samples, sets, wrong, left, cell.distances)
+    judged = with_places(judge(case, grounds, cell.stated), case)
     report = Report(
         samples=samples,
         sets=sets,
@@ -258,7 +260,8 @@ def evaluate(
         rejected_runs=runs_of(samples, wrong),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
-    judged = judge(case, grounds, cell.stated)
+    outside = (*unseen_note(scored, calibration), *applied.notes)
+    judged = with_places(judge(case, grounds, cell.stated), case, outside)
     return Report(
         samples=samples,
         sets=sets,
@@ -268,8 +271,7 @@ def evaluate(
         parameters=calibration.parameters,
         notes=(
             *moved_note(missed["final"], calibration, refit_base, refit_tool),
-            *unseen_note(scored, calibration),
-            *applied.notes,
+            *outside,
         ),
         steps=(
             Step("geometry", missed["geometric"]),
