@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from modcal_core.calibration.agreeing import disagreement
 from modcal_core.diagnosis.dependence import dependence
 from modcal_core.verdict.case import Case, derivatives, weights
+from modcal_core.verdict.status import MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
 
 
@@ -24,5 +26,14 @@ def with_places(judged: Verdict, case: Case, notes: Sequence[str] = ()) -> Verdi
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
     found = dependence(case.model, samples, weights(case.spread, samples), fitted)
-    said = [*notes, *([found.sentence] if found else [])]
+    said = [*notes, *_apart(case), *([found.sentence] if found else [])]
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
+
+
+def _apart(case: Case) -> Iterator[str]:
+    """What the rejected stations look like, where they are too many to be single wrong readings."""
+    if case.wrong.mean() > MOST_REJECTED:
+        other = disagreement(case.samples, case.model.chain)
+        if other is not None:
+            what = other.what[0].upper() + other.what[1:]
+            yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
