@@ -14,10 +14,10 @@ from modcal_core.verdict.status import MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
 
 
-def with_places(judged: Verdict, case: Case, notes: Sequence[str] = ()) -> Verdict:
+def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Verdict:
     """An open verdict with sentences that say where; any other as it is.
 
-    notes: sentences on what lies outside what a frozen calibration has seen. The sentences explain the reasons that are
+    outside: sentences on what lies outside what a frozen calibration has seen. The sentences explain the reasons that are
     there and are none of their own: they have the kind "predictable", which stands in the way of no tolerance.
     """
     if judged.status != "open":
@@ -26,7 +26,8 @@ def with_places(judged: Verdict, case: Case, notes: Sequence[str] = ()) -> Verdi
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
     found = dependence(case.model, samples, weights(case.spread, samples), fitted)
-    said = [*notes, *_apart(case), *([found.sentence] if found else [])]
+    named = " ".join(judged.open_because)
+    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case), *([found.sentence] if found else [])]
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
 
 
