@@ -15,6 +15,7 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, refit_cell, with_frames
 from modcal_core.calibration.conventions import proved
+from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.doubts import LIMIT_OF_REACH, require_plausible
 from modcal_core.calibration.gauge import least_change
 from modcal_core.calibration.identifiability import identifiability
@@ -50,7 +51,9 @@ from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 from modcal_core.verdict.status import judge
+from modcal_core.verdict.where import with_places
 
+MOST_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
 _MOST_KEPT = 200  # postures that a calibration remembers
 
 
@@ -126,6 +129,7 @@ def calibrate(
         regimes=regimes_of(final.model, samples),
         contradictions=(
             *contradictions_of_distances(distances),
+            *contradicted_together(final, train, cell.distances),
             *doubtful(left, scored, samples, chain),
             *absurd,
             *long_tool(final.model),
@@ -133,7 +137,8 @@ def calibrate(
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
     )
-    judged = judge(fitted_case(final, samples, sets, wrong, left, cell.distances), grounds, cell.stated)
+    case = fitted_case(final, samples, sets, wrong, left, cell.distances)
+    judged = with_places(judge(case, grounds, cell.stated), case)
     report = Report(
         samples=samples,
         sets=sets,
@@ -256,9 +261,10 @@ def evaluate(
         contradictions=doubtful(missed, scored, samples, calibration.nominal.chain),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
+        outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
-    judged = judge(case, grounds, cell.stated)
+    judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
     return Report(
         samples=samples,
         sets=sets,
@@ -306,12 +312,15 @@ def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit
     )
 
 
-def unseen_note(samples: Samples, calibration: Calibration) -> tuple[str, ...]:
-    """A sentence for joints that go where the calibration has never seen them, and what is done there."""
+def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
+    """A sentence for joints that go where the calibration has never seen them, and what is done there.
+
+    beyond: share of the samples that may do so without a word.
+    """
     low, high = calibration.seen
     margin = 0.02 * (high - low)
     out = (samples.q < low - margin) | (samples.q > high + margin)
-    if not out.any():
+    if out.any(axis=1).mean() <= beyond:
         return ()
     worst = [
         f"{name} (seen {low[j]:.2f} … {high[j]:.2f}, here {samples.q[:, j].min():.2f} … {samples.q[:, j].max():.2f})"

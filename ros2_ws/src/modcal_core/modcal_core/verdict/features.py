@@ -17,6 +17,7 @@ from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.shapes import periodic
+from modcal_core.diagnosis.memory import play
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -132,6 +133,8 @@ class _Builder:
         parts = [self._times(axes, come), self._times(self._ends(), come)]
         for some in numbers[1:]:
             parts += [self._times([axes[j]], some[j : j + 1]) for j in range(len(axes))]
+        if not s.moving.any():
+            parts += [self._times([axis], _standard(ahead)) for axis, ahead in zip(axes, play(s), strict=True)]
         return self._group("the way that the joints arrived and moved", parts)
 
     def load(self) -> Group | None:

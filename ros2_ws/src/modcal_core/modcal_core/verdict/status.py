@@ -14,6 +14,7 @@ from modcal_core.verdict.contributions import Contribution, contributions, mean_
 from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
@@ -54,6 +55,8 @@ def judge(
         *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
         *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
     )
+    if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
+        reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
     told = known.position is not None and (known.rotation is not None or not angles)
     status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
     return Verdict(
