@@ -58,9 +58,9 @@ def test_what_happens_while_running(what: str, tmp_path: Path) -> None:
             node.create_subscription(kind, f"calibrator/{topic}", lambda m, t=topic: heard[t].append(m.data), LATCHED)
         wait(lambda: said.level(SAMPLES) >= 0, 60.0)
         cell = Process(
-            "simulated_cell", domain, tmp_path, urdf=URDF, seed=5, start_delay_s=8.0, stations=60, repeat="true",
-            dwell_s=0.75, travel_s=0.45, joint_rate_hz=50.0, tracker_rate_hz=20.0, publish_clock="true",
-            clock_rate_hz=50.0, time_factor=4.0, **CELL[what],  # each tick wakes every node
+            "simulated_cell", domain, tmp_path, urdf=URDF, seed=5, start_delay_s=12.0, stations=60, repeat="true",
+            dwell_s=0.75, travel_s=0.2, joint_rate_hz=40.0, tracker_rate_hz=20.0, publish_clock="true",
+            clock_rate_hz=40.0, time_factor=6.0, **CELL[what],  # each tick wakes every node
         )  # fmt: skip
         with running(cell):
             wait(lambda: int(said.text(SAMPLES).split()[0]) >= 50, 120.0)

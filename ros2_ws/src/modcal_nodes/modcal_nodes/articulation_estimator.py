@@ -214,8 +214,9 @@ class ArticulationEstimator(Node):
         self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)
-        marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
-        self._axis.publish(marks)
+        if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
+            marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
+            self._axis.publish(marks)
 
     def _publish_status(self, state: State, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]

@@ -270,13 +270,19 @@ class ImpedanceSetpoint(LifecycleNode):
         assert self._arm is not None
         tip = self._arm.chain.tip
         self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, 1.0 / self._chosen["rate_hz"]))
-        trajectory = JointTrajectory(joint_names=list(setpoint.names))
-        set_seconds(trajectory.header.stamp, now)
-        trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)]
-        self._trajectory.publish(trajectory)
-        self._pose.publish(fill_target(PoseStamped(), setpoint, now))
-        self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
-        self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+        # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
+        if self._trajectory.get_subscription_count():
+            trajectory = JointTrajectory(joint_names=list(setpoint.names))
+            set_seconds(trajectory.header.stamp, now)
+            point = fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)
+            trajectory.points = [point]
+            self._trajectory.publish(trajectory)
+        if self._pose.get_subscription_count():
+            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+        if self._stiffness.get_subscription_count():
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
         self._counts["setpoints"] += 1
 
     def _finish(self, stop: Stop) -> None:
