@@ -77,6 +77,7 @@ def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | No
     residual = _drawn_in((residual * weight)[:, rows])
     take = (weight[:, rows] > 0.0).ravel()
     r = residual.ravel()[take]
+    whole = float(r @ r)
     out = _orthonormal((fitted * weight)[..., rows].reshape(len(fitted), -1)[:, take]) if fitted is not None else None
     r = r if out is None else r - out @ (out.T @ r)
     fold = np.tile(_folds(samples.station[rows]), 6)[take]
@@ -89,7 +90,8 @@ def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | No
         left = np.linalg.norm(X, axis=0)
         X = X[:, left > 0.02 * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
         if X.shape[1]:
-            found.append((_predicted(X / np.linalg.norm(X, axis=0), r, fold), X.shape[1], pair.place, pair.driver))
+            share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
+            found.append((share, X.shape[1], pair.place, pair.driver))
     return _named(found)
 
 
@@ -104,7 +106,7 @@ def _named(found: list[tuple[float, int, str, str]]) -> Dependence | None:
 
 
 def _predicted(X: Array, r: Array, fold: np.ndarray) -> float:
-    """The share of r (R,) that X (R, D) predicts of each fold, fitted to the others, at the best ridge."""
+    """The squares of r (R,) that X (R, D) predicts of each fold, fitted to the others, at the best ridge."""
     parts = [(X[fold == k], r[fold == k]) for k in range(_FOLDS)]
     grams, sides = [x.T @ x for x, _ in parts], [x.T @ y for x, y in parts]
     G, g = sum(grams), sum(sides)
@@ -114,7 +116,7 @@ def _predicted(X: Array, r: Array, fold: np.ndarray) -> float:
         missed = 0.0
         for (x, y), gram, side in zip(parts, grams, sides, strict=True):
             missed += float(np.sum((y - x @ np.linalg.solve(G - gram + ridge * unit * np.eye(len(G)), g - side)) ** 2))
-        best = max(best, 1.0 - missed / max(float(r @ r), 1e-300))
+        best = max(best, float(r @ r) - missed)
     return best
 
 
