@@ -40,7 +40,7 @@ from modcal_nodes.setpoint.arm import Arm, limits, task
 from modcal_nodes.waiting import waiting
 
 _TICKS = 2000  # of which the times are remembered
-_LET_GO = 1.0  # s, the longest that letting go takes
+_LET_GO = 2.0  # s, the longest that letting go takes
 _AT_CONFIGURE = (
     "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "stale_s",
     "rate_hz",
@@ -216,12 +216,15 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if operation is None:
             return
         try:
-            operation.let_go(why, self._now())
+            ticked = self._now()
+            operation.let_go(why, ticked)
             end = time.monotonic() + _LET_GO
             while self._operation is not None and time.monotonic() < end and self.context.ok():
-                self._hear_on()
-                self._tick_once()
                 time.sleep(1.0 / self._chosen["rate_hz"])
+                self._hear_on()
+                if (now := self._now()) > ticked:  # a simulated time goes on when the arm does
+                    ticked = now
+                    self._tick_once()
         except Exception as error:
             self.faults.note("letting go", error)
         if self._operation is not None:

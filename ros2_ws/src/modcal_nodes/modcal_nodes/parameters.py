@@ -279,7 +279,8 @@ VIEWER = {
 }
 
 
-# May be changed while the node runs. Of the impedance_setpoint: with the next pull.
+# May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
+# not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
     "recorder": (RECORDER, "patience_s least_free_mb"),
     "calibrator": (
@@ -298,7 +299,8 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "blend_s slow_force_n slow_moment_nm stand_force_n stand_moment_nm most_force_n most_moment_nm most_speed_m_s "
         "most_acceleration_m_s2 most_turning_rad_s most_turning_rad_s2 most_displacement_m most_turn_rad "
         "joint_speed_rad_s joint_speed_m_s joint_acceleration_rad_s2 joint_acceleration_m_s2 least_gain gravity "
-        "servo_lag_s hand_n_m tare_s patience_s horizon_s",
+        "servo_lag_s hand_n_m tare_s patience_s horizon_s "
+        "base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool cutoff_hz stale_s rate_hz",
     ),
     "acceleration_limits": (
         ACCELERATION_LIMITS,
