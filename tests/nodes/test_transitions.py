@@ -72,7 +72,9 @@ def test_illegal_transitions_are_answered_in_every_state(cell: Cell) -> None:
         Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVATE,
         Transition.TRANSITION_DEACTIVATE, UNKNOWN,
     }  # fmt: skip
-    for state, onwards in zip(legal, (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, None), strict=True):
+    for state, onwards in zip(
+        legal, (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, None), strict=True
+    ):
         for transition in sorted(every - legal[state]):
             assert not arm.change(wait, transition)
             assert cell.state() == state
