@@ -61,7 +61,7 @@ def environment(domain: int) -> dict[str, str]:
 
 # On a machine that does other things as well everything takes longer; what succeeds in time is not held up by it.
 SLOWER = 4.0
-_MUTUAL = 0.5  # s, within which two sides of a service have found each other
+MUTUAL = 0.5  # s, within which two sides of a service have found each other
 
 
 class Process:
@@ -116,7 +116,7 @@ def meet(wait: Callable[[Callable[[], Any], float], Any], client: Any) -> None:
     """Wait for a server, and a moment more: one that was just found may not have found the caller, and its answer is lost."""
     if not client.service_is_ready():
         wait(client.service_is_ready, 60.0)
-        found = time.monotonic() + _MUTUAL
+        found = time.monotonic() + MUTUAL
         wait(lambda: time.monotonic() > found, 10.0)
 
 

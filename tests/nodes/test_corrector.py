@@ -369,7 +369,7 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
         assert np.abs(matrix(arm.poses[-1].pose.pose) - truth(made, AWAY, "tool")).max() < 1e-12
         assert "neither tip nor tool" in set_parameter("target", ParameterValue(type=4, string_value="elbow")).reason
         assert not set_parameter("horizon_s", ParameterValue(type=3, double_value=1e9)).successful
-        assert "read at the start" in set_parameter("calibration", ParameterValue(type=4, string_value="x")).reason
+        assert "read-only" in set_parameter("calibration", ParameterValue(type=4, string_value="x")).reason
 
         reset = node.create_client(Trigger, "corrector/reset")
         wait(reset.service_is_ready, 20.0)

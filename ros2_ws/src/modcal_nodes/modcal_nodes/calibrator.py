@@ -11,7 +11,6 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -35,10 +34,11 @@ from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, read_state, write_state
 from modcal_nodes.calibrating.telling import Times, model_status, sample_status
 from modcal_nodes.files import write_folder
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import Health, Status
 from modcal_nodes.hearing import Ear, hearing_status, tracker_status
 from modcal_nodes.inputs import read_cell
-from modcal_nodes.parameters import CALIBRATOR, declare, values
+from modcal_nodes.parameters import CALIBRATOR, declare, follow, values
 from modcal_nodes.running import LATCHED, SENSOR, run
 
 _POLL = 0.1  # s
@@ -46,15 +46,15 @@ _REST = 0.003  # s
 _SOLVE = "solve"
 
 
-class Calibrator(Node):
+class Calibrator(GuardedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets."""
 
     def __init__(self) -> None:
         super().__init__("calibrator")
         declare(self, CALIBRATOR)
         self._chosen = chosen = values(self, CALIBRATOR)
-        if chosen["accept"] not in (ASKED, BETTER):
-            raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+        _check(chosen)
+        follow(self, CALIBRATOR, chosen, _check, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = Path(chosen["state"]) if chosen["state"] else None
         state = read_state(self._folder) if self._folder else State()
@@ -65,8 +65,7 @@ class Calibrator(Node):
         self._candidate: Solved | None = None
         creeping = tuple(place for place in chosen["wandering"] if place)
         wander = Wander(creeping, chosen["wander_m"], chosen["wander_rad"]) if creeping else None
-        policy = Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
-        self._supervisor = Supervisor(policy, wander)
+        self._supervisor = Supervisor(_policy(chosen), wander)
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
         self._verdict = "nothing solved yet"
@@ -89,6 +88,11 @@ class Calibrator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
         self.create_timer(1.0, self._tell, clock=steady)
+
+    def _take_parameters(self) -> None:
+        self._supervisor.follow(_policy(self._chosen))
+        for ear in self._ears:
+            ear.patience = self._chosen["silent_s"]
 
     # hearing
 
@@ -350,6 +354,16 @@ class Calibrator(Node):
         solving = self._workshop.doing == _SOLVE
         yield model_status(self._supervisor, self._verdict, self._standing, trouble, solving, candidate)
         yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
+
+
+def _check(chosen: dict[str, Any]) -> None:
+    """Raises BadTable for a policy that there is none of."""
+    if chosen["accept"] not in (ASKED, BETTER):
+        raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+
+
+def _policy(chosen: dict[str, Any]) -> Policy:
+    return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 
 def main() -> None:

@@ -16,13 +16,13 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from modcal_msgs_py.bag_metadata import qos_profile
 from modcal_msgs_py.topics import TYPES
 from modcal_msgs_py.types import jazzy
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, WARN
 from modcal_nodes.waiting import waiting
 
@@ -59,14 +59,17 @@ class Complaint(NamedTuple):
 class Tape:
     """One wanted topic. ``needed``: whether it is a fault when nobody publishes it."""
 
-    def __init__(self, node: Node, topic: str, take: Callable[[Taken], None], needed: bool, patience: float) -> None:
+    def __init__(
+        self, node: GuardedNode, topic: str, take: Callable[[Taken], None], needed: bool, patience: float
+    ) -> None:
         """Begin to wait for publishers. take: gets every message. patience: seconds of silence that are accepted."""
         self.topic, self.needed = topic, needed
         self.type_name: str | None = None
         self.count = self.bytes = self.publishers = 0
         self.rate = 0.0
         self.kept: deque[Taken] = deque()
-        self._node, self._take, self._patience = node, take, patience
+        self._node, self._take, self.patience = node, take, patience
+        self._keep = node.guarded(topic, self._keep_one)  # each message of a burst is guarded by itself
         self._ears: dict[Offer, Subscription] = {}
         self._types: set[str] = set()
         self._seen: set[tuple[int, int]] = set()
@@ -132,10 +135,10 @@ class Tape:
             )
             return Complaint(ERROR, "types", text)
         silence = time.monotonic() - self._last
-        if silence > self._patience and self.publishers == 0 and self.needed:
+        if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
             return Complaint(WARN, "nobody", text)
-        if silence > self._patience and self.publishers and not any(offer.latched for offer in self._ears):
+        if silence > self.patience and self.publishers and not any(offer.latched for offer in self._ears):
             text = f"{self.topic}: silent for {silence:.0f} s: see that its publisher is alive"
             return Complaint(WARN, "silent", text)
         if self.lost:
@@ -174,7 +177,7 @@ class Tape:
         for behind in waiting(self._ears[offer], _AT_ONCE, raw=True):
             self._keep(offer, *behind)
 
-    def _keep(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+    def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         published = info["source_timestamp"]
         self._last = time.monotonic()
         if published and self._known(published, cdr):
