@@ -155,9 +155,9 @@ FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bag without messages": (empty, "holds no message"),
     "file that is not MCAP": (text_file, "is not an MCAP file"),
     "file of no bytes": (zero_bytes, "is empty"),
-    "folder without a bag": (bare_folder, "holds no .mcap file"),
-    "folder of bags": (folder_of_bags, "holds no .mcap file: give one of the bags in it: morning"),
-    "SQLite bag": (sqlite_bag, "is a SQLite bag: convert it"),
+    "folder without a bag": (bare_folder, "holds no .mcap or .db3 file"),
+    "folder of bags": (folder_of_bags, "holds no .mcap or .db3 file: give one of the bags in it: morning"),
+    "SQLite bag": (sqlite_bag, "cannot be read as a SQLite bag"),
     "path that does not exist": (lambda folder: folder / "no_such_bag", "does not exist"),
 }
 
