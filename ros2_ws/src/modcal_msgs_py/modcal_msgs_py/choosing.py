@@ -28,7 +28,7 @@ from modcal_msgs_py.topics import (
 _POSE, _POINT = "tracker/pose", "tracker/point"
 # Parts of names of what was commanded, or computed from the joints
 _NOT_MEASURED = re.compile(
-    r"command|desired|target|goal|setpoint|reference|expected|corrected|predicted|broadcaster|tcp|cartesian|odom|initial"
+    r"command|desired|target_|goal|setpoint|reference|expected|corrected|predicted|broadcaster|tcp|cartesian|odom|initial"
     r"|(^|[/_])(ee|eef|fk|flange|tool0|plan|path)([/_]|$)"
 )
 _SHOWN = 12  # topics in a refusal

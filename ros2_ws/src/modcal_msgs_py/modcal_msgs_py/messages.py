@@ -213,7 +213,6 @@ class RecordingBuilder:
         joints = tuple(_joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics)
         description, notes = self._chosen_description(joints)
         warnings = [
-            *(() if self._roles is None else self._roles.notes),
             *notes,
             *(
                 f"{count} messages on {topic} had no stamp; the time they were received was taken."
@@ -222,11 +221,13 @@ class RecordingBuilder:
             *(f"{count} messages on {topic} were left out: {why}." for (topic, why), count in self._lost.items()),
         ]
         by_type = frozenset[str]() if self._roles is None else self._roles.by_type
+        found = [] if self._roles is None else list(self._roles.notes)
         readings = []
         for (topic, kind, frame), rows in self._readings.items():
             if topic not in chosen:
                 continue
             if topic in by_type and description is not None and _is_link(frame, description):
+                found = [note for note in found if not note.startswith(f"{topic} ")]
                 warnings.append(
                     f"{topic} is in {frame}, a link of the robot: it looks computed from the joints and is not used; "
                     f"if it was measured, state --topic {self._role_of_kind(kind)}={topic}."
@@ -244,7 +245,7 @@ class RecordingBuilder:
             signals=tuple(_signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
             robot_description=description,
             source=self._source,
-            warnings=tuple(self._notes + warnings),
+            warnings=(*self._notes, *found, *warnings),
             listed=self._listed(),
             lost=tuple(lost.items()),
         )

@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 _LONGEST_TEXT = 1 << 18  # of a definition; real ones have some kilobytes
+_LINE = "=" * 80 + "\n"  # between the definitions of a text
 
 
 @cache
@@ -44,13 +45,15 @@ def definitions(type_name: str, text: str) -> dict[str, Any]:
     if len(text) > _LONGEST_TEXT:
         return {}
     try:
-        return dict(get_types_from_idl(text) if _is_idl(text) else get_types_from_msg(text, type_name))
+        if "\nIDL: " not in f"\n{text}":
+            return dict(get_types_from_msg(text, type_name))
+        found: dict[str, Any] = {}
+        for part in text.split(_LINE):
+            head, _, body = part.partition("\n")
+            found.update(get_types_from_idl(body) if head.startswith("IDL: ") else {})
+        return found
     except Exception:
         return {}
-
-
-def _is_idl(text: str) -> bool:
-    return "\nIDL: " in text or text.startswith("IDL: ") or ("module " in text and "struct " in text)
 
 
 def store_with(type_name: str, text: str) -> Typestore:
