@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def nan_joint(r: Recording) -> Recording:
     position = r.joints[0].position.copy()
-    position[7:9, 2] = np.nan
+    position[:, 2] = np.nan
     return with_joints(r, position=position)
 
 
@@ -53,7 +53,7 @@ def unnormalised(r: Recording) -> Recording:
 
 def nan_reading(r: Recording) -> Recording:
     values = r.readings[0].values.copy()
-    values[3] = np.nan
+    values[:] = np.nan
     return with_reading(r, values=values)
 
 
@@ -65,8 +65,8 @@ def few(r: Recording) -> Recording:
 
 
 CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
-    "joint position is NaN": (lambda: nan_joint(stations()), [], "joint elbow_joint: position is no number in 2 of 80"),
-    "reading is NaN": (lambda: nan_reading(stations()), [], r"/tracker/pose \(tracker\): not a number in 1 of 80"),
+    "every joint position is NaN": (lambda: nan_joint(stations()), [], "joint elbow_joint: position is not finite in any of 80 messages"),
+    "every reading is NaN": (lambda: nan_reading(stations()), [], r"/tracker/pose \(tracker\): not finite in all of 80"),
     "positions in millimetres": (lambda: scaled(stations(), 1000.0), [], "looks like millimetres.*record metres"),
     "joints in degrees": (
         lambda: with_joints(stations(), position=np.degrees(stations().joints[0].position)), [], "looks like degrees.*radians"
@@ -156,9 +156,9 @@ FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bag without messages": (empty, "holds no message"),
     "file that is not MCAP": (text_file, "is not an MCAP file"),
     "file of no bytes": (zero_bytes, "is empty"),
-    "folder without a bag": (bare_folder, "holds no .mcap file"),
-    "folder of bags": (folder_of_bags, "holds no .mcap file: give one of the bags in it: morning"),
-    "SQLite bag": (sqlite_bag, "is a SQLite bag: convert it"),
+    "folder without a bag": (bare_folder, "holds no .mcap or .db3 file"),
+    "folder of bags": (folder_of_bags, "holds no .mcap or .db3 file: give one of the bags in it: morning"),
+    "SQLite bag": (sqlite_bag, "cannot be read as a SQLite bag"),
     "path that does not exist": (lambda folder: folder / "no_such_bag", "does not exist"),
 }
 

@@ -22,6 +22,8 @@ from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.dropouts import READINGS as READINGS_LOST
+from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.kinds.kind import scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
@@ -137,8 +139,6 @@ def one(value: float) -> Callable[[Array], Array]:
 BAD: dict[str, tuple[str, Callable[[Array], Array], str]] = {
     "millimetres of wire": ("range", lambda v: 1e3 * v, "it looks like millimetres: record metres"),
     "a zero": ("range", one(0.0), r"1 of 30 ranges are zero or negative, first at stamp 1700000014.000 s"),
-    "no number": ("range", one(np.nan), "not a number in 1 of 30 readings"),
-    "no end": ("ray", one(np.inf), "not a number in 1 of 30 readings"),
     "a bearing in parts": ("bearing", lambda v: 0.5 * v, "a bearing has length 0.500"),
     "a bearing of zero": ("bearing", one(0.0), r"a bearing has length 0.000 at 1700000014.000 s, 1 ± 0.001 is allowed"),
     "millimetres of height": ("touch", lambda v: 1e3 * v, "it looks like millimetres"),
@@ -156,6 +156,17 @@ def test_readings_that_cannot_be_are_refused(name: str) -> None:
     assert isinstance(refused.value, ModcalError)
     assert "\n" not in str(refused.value)
     assert f"/{kinds()[kind].topic} ({kind})" in str(refused.value)
+
+
+@pytest.mark.parametrize(("kind", "value"), [("range", np.nan), ("ray", np.inf), ("bearing", np.nan)])
+def test_readings_that_say_nothing_are_left_out(kind: str, value: float) -> None:
+    """A sensor without an echo."""
+    clean = cleaned(recorded(kind, one(value)), ur10().names)
+    assert len(clean.recording.readings[0].stamps) == 29
+    assert clean.lost == ((READINGS_LOST, 1),)
+    assert f"/{kinds()[kind].topic} ({kind}): not finite in 1 of 30 messages" in clean.notes[0]
+    with pytest.raises(BadRecording, match="not finite in all of 30 readings"):
+        cleaned(recorded(kind, lambda v: np.full_like(v, value)), ur10().names)
 
 
 def test_every_kind_says_what_it_cannot_see() -> None:

@@ -275,7 +275,7 @@ def test_what_cannot_be_repaired_is_refused(tmp_path: Path, rng: np.random.Gener
     (tmp_path / "old" / "old_0.db3").write_bytes(b"SQLite format 3\x00")
     refused(tmp_path / "old", tmp_path / "new", "is a SQLite bag")
     (tmp_path / "nothing").mkdir()
-    refused(tmp_path / "nothing", tmp_path / "new", "holds no .mcap file")
+    refused(tmp_path / "nothing", tmp_path / "new", "holds no .mcap or .db3 file")
     refused(cut, tmp_path / "nothing", "nothing: exists already")
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "bag_0.mcap").write_bytes(cut.read_bytes())

@@ -16,6 +16,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
@@ -52,6 +53,8 @@ def prepare(
 
     since, until: stamps [s] between which dropped readings are counted.
     """
+    clean = cleaned(recording, chain.names)
+    recording = clean.recording
     require_usable(recording, chain)
     aligned, notes = align(recording, chain.names, lambda q: forward(chain, q)[:, :3, 3], clock_limit)
     samples = cut_stations(aligned, chain.names, rules)
@@ -63,7 +66,8 @@ def prepare(
             said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
             notes = (said, *notes)
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
-    return Prepared(samples, recording.warnings + notes, dropped(aligned, samples, rules, since, until))
+    lost = together([clean.lost, dropped(aligned, samples, rules, since, until)])
+    return Prepared(samples, recording.warnings + clean.notes + notes, lost)
 
 
 def prepare_pieces(

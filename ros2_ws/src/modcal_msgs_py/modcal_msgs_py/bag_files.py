@@ -13,36 +13,53 @@ import yaml
 
 from modcal_core.errors import BadRecording
 
+SUFFIXES = tuple(f"{kind}{packed}" for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
+
 
 def bag_files(path: Path) -> tuple[list[Path], list[str]]:
-    """The MCAP files of a bag, in order, and what a person should know of the folder."""
+    """The files of a bag, MCAP or SQLite, in order, and what a person should know of the folder."""
     if not path.exists():
         raise BadRecording(str(path), "does not exist", "give a bag folder or a .mcap file")
     if path.is_file():
         return [path], []
     metadata = path / "metadata.yaml"
-    found = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
+    found = [file for suffix in SUFFIXES for file in path.glob(f"*{suffix}")]
+    found.sort(key=lambda p: (len(p.name), p.name))
     if metadata.is_file():
         try:
-            information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-            names = [path / Path(name).name for name in information["relative_file_paths"]]
-        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
+            names = listed_files(path)
+        except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise BadRecording(
-                str(metadata), f"is damaged ({type(error).__name__})", "remove it; the .mcap is enough"
+                str(metadata), f"is damaged ({type(error).__name__})", "remove it; the other files are enough"
             ) from error
         missing = [name for name in names if not name.is_file()]
         if missing:
             raise BadRecording(str(missing[0]), "is named by metadata.yaml but not there", "put the file back")
-        if any(name.suffix != ".mcap" for name in names):
-            raise BadRecording(str(names[0]), "is not MCAP", "convert it: ros2 bag convert, with storage_id mcap")
+        if strange := [name for name in names if not name.name.endswith(SUFFIXES)]:
+            said = "is neither MCAP nor SQLite"
+            raise BadRecording(str(strange[0]), said, "convert it: ros2 bag convert, with storage_id mcap")
         return names, []
     if found:
         return found, [f"{path.name} has no metadata.yaml: the recorder was stopped before it could close the bag."]
-    if any(path.glob("*.db3")):
-        raise BadRecording(str(path), "is a SQLite bag", "convert it: ros2 bag convert, with storage_id mcap")
-    inside = sorted({inner.parent.name for inner in path.glob("*/*.mcap")})
+    inside = sorted({inner.parent.name for suffix in SUFFIXES for inner in path.glob(f"*/*{suffix}")})
     remedy = f"give one of the bags in it: {', '.join(inside[:3])}" if inside else "give a bag folder or a .mcap file"
-    raise BadRecording(str(path), "holds no .mcap file", remedy)
+    raise BadRecording(str(path), "holds no .mcap or .db3 file", remedy)
+
+
+def listed_files(folder: Path) -> list[Path]:
+    """The files that metadata.yaml names, wherever it was written; of packed ones the name with or without suffix.
+
+    Raises what YAML, or another layout than rosbag2's, leads to.
+    """
+    text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
+    if not isinstance(stated, list) or not all(isinstance(name, str) and name for name in stated):
+        raise TypeError("relative_file_paths is no list of names")
+    out = []
+    for name in (folder / Path(name).name for name in stated):
+        packed = [name.with_name(f"{name.name}{end}") for end in (".zstd", ".zst")]
+        out.append(next((p for p in packed if p.is_file()), name) if not name.is_file() else name)
+    return out
 
 
 @contextmanager

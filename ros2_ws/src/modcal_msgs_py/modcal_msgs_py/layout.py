@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+_MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
 _HEAD = 4  # bytes that say how the rest is encoded; alignment counts from there
 
 
@@ -117,6 +118,7 @@ class _Walk:
     made: Layout
     data: bytes
     order: str
+    steps: int = 0
 
     def fields(self, fields: Fields, path: str, at: int) -> int:
         for name, kind in fields:
@@ -124,6 +126,9 @@ class _Walk:
         return at
 
     def field(self, kind: Kind, path: str, at: int) -> int:
+        self.steps += 1
+        if self.steps > _MAX_STEPS:
+            raise ValueError("has more fields than a layout is good for")
         if isinstance(kind, Many):
             return self.many(kind, path, at)
         if kind == "string":

@@ -14,21 +14,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.measurements.recording import Listed, Piece, Recording
 from modcal_msgs_py.bag_files import bag_files
-from modcal_msgs_py.fields import fields_of
+from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
+from modcal_msgs_py.choosing import Topics, resolve
+from modcal_msgs_py.fields import KNOWN, fields_of
 from modcal_msgs_py.layout import Bytes, Fields, Layout
-from modcal_msgs_py.mcap_walk import Block, McapFile
-from modcal_msgs_py.messages import RecordingBuilder
-from modcal_msgs_py.topics import ADDED, role_of
+from modcal_msgs_py.mcap_walk import Block
+from modcal_msgs_py.messages import NO_POSITIONS, RecordingBuilder
+from modcal_msgs_py.topics import ADDED, TRANSFORMS
 
 _LEFT_OUT = (
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/PointCloud2",
     "rosgraph_msgs/msg/Clock",
-    "tf2_msgs/msg/",
 )
+_NO_TOPICS = Topics()
 PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
 _MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
@@ -36,54 +38,80 @@ _MOST_KEPT = 64
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
 
 
-def read_bag(path: Path, layouts: bool = True) -> Recording:
-    """The recording in a bag folder or a bare .mcap file.
+def read_bag(path: Path, layouts: bool = True, topics: Topics = _NO_TOPICS) -> Recording:
+    """The recording in a bag folder or a bare file, MCAP or SQLite, packed with zstd or not.
 
     A cut file is read to its last whole message, with a warning in the recording. layouts: False decodes all messages
-    one by one, which gives the same. Raises BadRecording for what is no bag.
+    one by one, which gives the same. topics: what is said of them. Raises BadRecording for what is no bag.
     """
-    (whole,) = read_pieces(path, None, layouts)
+    (whole,) = read_pieces(path, None, layouts, topics=topics)
     return whole.recording
 
 
 def read_pieces(
-    path: Path, most: int | None = PIECE, layouts: bool = True, heard: Callable[[float], None] = lambda _: None
+    path: Path,
+    most: int | None = PIECE,
+    layouts: bool = True,
+    heard: Callable[[float], None] = lambda _: None,
+    topics: Topics = _NO_TOPICS,
 ) -> Iterator[Piece]:
     """The same recording in pieces of so many joint states, so that it may be longer than memory holds.
 
     heard: is told the share of the files that has been read.
     Where the clock of the joint states was set back, a piece goes on until the end.
     """
-    builder = RecordingBuilder(str(path))
-    warnings: list[str] = []
-    files, notes = bag_files(path)
-    warnings += notes
-    total, since = 0, -np.inf
-    for i, name in enumerate(files):
-        file = McapFile(name)
-        try:
-            reader = _Reader(file, builder, layouts)
-            for block in file.blocks():
-                reader.take(block)
-                heard((i + file.share) / len(files))
-                if most is not None and builder.joint_states >= most:
-                    recording = builder.recording()
-                    if (border := _border(recording)) is not None:
-                        yield Piece(recording, since, border.stamp)
-                        since = border.stamp
-                        builder.forget_before(border.received - OVERLAP)
-        except BadRecording as error:
-            # the last of several files may have been begun and no more
-            if len(files) == 1 or file.count:
-                raise
-            file.cut = f"it {error.limit}"
-        total += file.count
-        if file.cut:
-            warnings.append(f"{name.name} was read up to its message {file.count}: {file.cut}.")
-    if total == 0:
-        raise BadRecording(str(path), "holds no message", "check that the topics were published while recording")
-    recording = builder.recording()
+    packed, notes = bag_files(path)
+    with unpacked(packed) as files:
+        roles = resolve(_listed(files), topics, path.name)
+        builder = RecordingBuilder(str(path), roles)
+        warnings = list(notes)
+        total, since = 0, -np.inf
+        for i, name in enumerate(files):
+            file = bag_file(name)
+            try:
+                reader = _Reader(file, builder, layouts)
+                for block in file.blocks():
+                    reader.take(block)
+                    heard((i + file.share) / len(files))
+                    if most is not None and builder.joint_states >= most:
+                        recording = builder.recording()
+                        if (border := _border(recording)) is not None:
+                            yield Piece(recording, since, border.stamp)
+                            since = border.stamp
+                            builder.forget_before(border.received - OVERLAP)
+            except BadRecording as error:
+                # the last of several files may have been begun and no more
+                if len(files) == 1 or file.count:
+                    raise
+                file.cut = f"it {error.limit}"
+            total += file.count
+            if file.cut:
+                warnings.append(f"{name.name} was read up to its message {file.count}: {file.cut}.")
+        if total == 0:
+            why = f" ({file.cut})" if file.cut else ""
+            remedy = "check that the topics were published while recording"
+            raise BadRecording(str(path), f"holds no message{why}", remedy)
+        recording = builder.recording()
     yield Piece(replace(recording, warnings=(*warnings, *recording.warnings)), since)
+
+
+def list_topics(path: Path) -> tuple[Listed, ...]:
+    """The topics of a bag, with the number of their messages. Raises BadRecording for what is no bag."""
+    with unpacked(bag_files(path)[0]) as files:
+        return _listed(files)
+
+
+def _listed(files: list[Path]) -> tuple[Listed, ...]:
+    """The topics of the files of a bag; of a file that is none, as far as others tell, nothing."""
+    counts: dict[tuple[str, str], int] = {}
+    for name in files:
+        try:
+            found = topics_of(bag_file(name))
+        except BadRecording:
+            continue  # said when it is read
+        for key, count in found.items():
+            counts[key] = counts.get(key, 0) + count
+    return tuple(Listed(topic, type_name, count) for (topic, type_name), count in counts.items())
 
 
 class _Border(NamedTuple):
@@ -93,8 +121,8 @@ class _Border(NamedTuple):
 
 def _border(recording: Recording) -> _Border | None:
     """Where a piece is to end, with an overlap behind it; None where stamps go back, or it is too short for that."""
-    joints = max(recording.joints, key=lambda track: len(track.stamps))
-    if (np.diff(joints.stamps) < 0.0).any() or (np.diff(joints.received) < 0.0).any():
+    joints = max(recording.joints, key=lambda track: len(track.stamps), default=None)
+    if joints is None or (np.diff(joints.stamps) < 0.0).any() or (np.diff(joints.received) < 0.0).any():
         return None
     row = int(np.searchsorted(joints.received, joints.received[-1] - OVERLAP))
     if joints.received[row] - joints.received[0] < 2.0 * OVERLAP:
@@ -103,55 +131,93 @@ def _border(recording: Recording) -> _Border | None:
 
 
 class _Reader:
-    """Decodes the blocks of one file. layouts: those that were met, by topic."""
+    """Decodes the blocks of one file. layouts: those that were met, by topic.
 
-    def __init__(self, file: McapFile, builder: RecordingBuilder, layouts: bool) -> None:
+    A message that cannot be decoded costs itself: it is counted, and said at the end. Topics of no known role are
+    signals that an error may depend on; of these nothing is decoded but by layouts, which no definition that a file
+    brings along can lead astray.
+    """
+
+    def __init__(self, file: BagFile, builder: RecordingBuilder, layouts: bool) -> None:
         self._file, self._builder = file, builder
         self._use_layouts = layouts
         self._layouts: dict[tuple[str, str], list[Layout]] = {}
+        self._said: set[tuple[str, str]] = set()
 
     def take(self, block: Block) -> None:
         """Decode a block, topic by topic."""
+        block, unreadable = message_unpacked(block)
+        if unreadable:
+            self._builder.lose("packed topics", "they cannot be unpacked", unreadable)
         channels = np.ascontiguousarray(block.heads["channel"])
         topics: dict[tuple[str, str], list[int]] = {}
         for channel in np.flatnonzero(np.bincount(channels)).tolist():
             topics.setdefault(self._file.known[channel], []).append(channel)
         for (topic, type_name), ids in topics.items():
             which = np.flatnonzero(channels == ids[0] if len(ids) == 1 else np.isin(channels, ids))
-            if not type_name.startswith(_LEFT_OUT):
+            if not type_name.startswith(_LEFT_OUT) and self._builder.reads(topic, type_name):
                 self._topic(topic, type_name, block, which)
         self._file.count += len(channels)
 
     def _topic(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        own = role_of(topic, type_name) in ADDED  # a package's, which takes messages one by one
-        fields = fields_of(type_name, self._file.schemas) if self._use_layouts and not own else None
-        met = self._layouts.setdefault((topic, type_name), [])
-        pieces = [] if fields is None else _sorted(block, which, fields, met)
-        if not pieces:
+        role = self._builder.role(topic, type_name)
+        own = role in ADDED  # a package's, which takes messages one by one
+        fields = None if own else fields_of(type_name, self._file.schemas)
+        if own or (fields is not None and not self._use_layouts):
             self._one_by_one(topic, type_name, block, which)
+            return
+        if fields is None:
+            return
+        met = self._layouts.setdefault((topic, type_name), [])
+        pieces = _sorted(block, which, fields, met) or [_Piece(None, which, np.empty((0, 0), np.uint8))]
         for piece in pieces:
-            if piece.layout is None:
+            if piece.layout is not None:
+                received = 1e-9 * block.heads["received"][piece.which]
+                self._rows(topic, type_name, piece.layout, piece.rows, received)
+            elif type_name in KNOWN and type_name != TRANSFORMS:
                 self._one_by_one(topic, type_name, block, piece.which)
             else:
-                received = 1e-9 * block.heads["received"][piece.which]
-                self._builder.add_rows(topic, type_name, piece.layout, piece.rows, received)
+                self._row_by_row(topic, type_name, fields, block, piece.which)
+
+    def _rows(self, topic: str, type_name: str, layout: Layout, rows: Bytes, received: NDArray[np.float64]) -> None:
+        try:
+            self._builder.add_rows(topic, type_name, layout, rows, received)
+        except BadRecording as error:
+            self._builder.lose(topic, _why(error), len(rows))
+
+    def _row_by_row(self, topic: str, type_name: str, fields: Fields, block: Block, which: NDArray[np.int64]) -> None:
+        """Messages whose layouts change from one to the next."""
+        content = np.frombuffer(block.content, np.uint8)
+        for i in which.tolist():
+            start, stop = int(block.starts[i]), int(block.stops[i])
+            layout = Layout.of(fields, bytes(block.content[start:stop]))
+            if layout is None:
+                self._builder.lose(topic, f"they are no {type_name}")
+                continue
+            rows = layout.rows(content, np.array([start]))
+            self._rows(topic, type_name, layout, rows, np.array([1e-9 * int(block.heads["received"][i])]))
 
     def _one_by_one(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
         from modcal_msgs_py.types import store_with  # reading the definitions of all types takes half a second
 
-        store = store_with(self._file.schemas)
+        store = store_with(type_name, self._file.schemas.get(type_name, ""))
         if type_name not in store.types:
             return
         for i in which.tolist():
             try:
                 message = store.deserialize_cdr(bytes(block.content[block.starts[i] : block.stops[i]]), type_name)
-            except Exception as error:  # the decoder raises whatever the bytes lead it to
-                raise BadRecording(
-                    f"{self._file.path.name}: message {self._file.count + i + 1} on {topic}",
-                    f"is not a {type_name} ({type(error).__name__})",
-                    "record again, or leave the topic out",
-                ) from error
-            self._builder.add(topic, type_name, message, 1e-9 * int(block.heads["received"][i]))
+            except Exception:  # the decoder raises whatever the bytes lead it to
+                self._builder.lose(topic, f"they are no {type_name}")
+                continue
+            try:
+                self._builder.add(topic, type_name, message, 1e-9 * int(block.heads["received"][i]))
+            except BadRecording as error:
+                self._builder.lose(topic, _why(error))
+
+
+def _why(error: ModcalError) -> str:
+    """Why a message was refused, without what is of this message alone."""
+    return NO_POSITIONS if error.limit == NO_POSITIONS else "names and positions do not go together"
 
 
 class _Piece(NamedTuple):

@@ -25,8 +25,10 @@ from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.bag_files import appearing, bag_files
+from modcal_msgs_py.bag_files import appearing, bag_files, listed_files
 from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
+from modcal_msgs_py.bag_open import PACKED
+from modcal_msgs_py.mcap_index import read_index
 from modcal_msgs_py.mcap_walk import McapFile, RawMessage
 from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
 
@@ -82,29 +84,39 @@ def repair_bag(path: Path, out: Path, heard: Heard = lambda stage, share: None) 
 def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     """(files in order, what metadata.yaml states, what is wrong with the folder)."""
     if not path.is_dir():
+        _require_mcap(path)
         return [path], {}, []
     metadata = path / "metadata.yaml"
     stated: Any = None
     if metadata.is_file():
         try:
             stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-            names = [path / Path(name).name for name in stated["relative_file_paths"]]
-        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+            names = listed_files(path)
+        except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
             stated = None
     if not isinstance(stated, dict):
         found = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
         if not found:
-            bag_files(path)  # refuses, and says what the folder holds instead
+            others, _ = bag_files(path)  # refuses, and says what the folder holds instead
+            _require_mcap(others[0])
         wrong = "metadata.yaml is damaged" if metadata.is_file() else "metadata.yaml is missing"
         return found, {}, [f"{wrong}: the recorder did not close the bag."]
-    if any(name.suffix != ".mcap" for name in names):
-        bag_files(path)
+    for name in names:
+        _require_mcap(name)
     missing = [name for name in names if not name.is_file()]
     return (
         [name for name in names if name not in missing],
         stated,
         [f"{name.name} is named by metadata.yaml, but not there." for name in missing],
     )
+
+
+def _require_mcap(file: Path) -> None:
+    """Raises BadRecording for a file of a bag that cannot be repaired here."""
+    if ".db3" in file.name:
+        raise BadRecording(str(file), "is a SQLite bag", "repair it with sqlite3's .recover, or convert it")
+    if file.name.endswith(PACKED):
+        raise BadRecording(str(file), "is packed", "unpack it first: zstd -d")
 
 
 def _examined(files: list[Path], heard: Heard) -> tuple[dict[str, int], list[str]]:
@@ -140,17 +152,15 @@ def _listed(stated: dict[str, Any]) -> dict[str, int]:
 def _index_fault(path: Path, count: int) -> str | None:
     """What the index at the end of a file lacks, for readers that go by it."""
     try:
-        with path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-            if summary is None or summary.statistics is None:
-                return "it has no index"
-            if summary.statistics.message_count != count:
-                return f"its index counts {summary.statistics.message_count} messages, it holds {count}"
-            with_chunks = summary.statistics.chunk_count
-            if len(summary.chunk_indexes) != with_chunks:
-                return f"its index lists {len(summary.chunk_indexes)} of {with_chunks} chunks"
-    except (McapError, struct.error, UnicodeDecodeError, ValueError, TypeError, OSError) as error:
-        return f"its index is damaged ({type(error).__name__})"
+        index = read_index(path)
+    except (ValueError, OSError) as error:
+        return f"its index is damaged ({error})"
+    if index is None or index.messages is None:
+        return "it has no index"
+    if index.messages != count:
+        return f"its index counts {index.messages} messages, it holds {count}"
+    if index.listed != index.chunks:
+        return f"its index lists {index.listed} of {index.chunks} chunks"
     return None
 
 
@@ -267,7 +277,7 @@ def _distro(files: list[Path]) -> str:
         with name.open("rb") as stream:
             try:
                 header = make_reader(stream).get_header()
-            except (McapError, struct.error, UnicodeDecodeError, ValueError):
+            except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError):
                 continue
         return "jazzy" if header.library == LIBRARY else "unknown"
     return "unknown"

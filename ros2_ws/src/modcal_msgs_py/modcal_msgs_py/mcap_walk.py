@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 from modcal_core.errors import BadRecording
 
 MAGIC = b"\x89MCAP0\r\n"
+ZSTD = b"\x28\xb5\x2f\xfd"
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
-_HEAD = np.dtype(  # of a message's record
+HEAD = np.dtype(  # of a message's record
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -45,7 +46,11 @@ _INDEX = np.dtype([("received", "<u8"), ("offset", "<u8")])
 _LOOSE = 1 << 22  # bytes of messages outside of chunks that are taken at once
 _MESSAGE_HEAD = 22  # bytes before the CDR bytes that a record counts as its own
 _LOOSE_RECORDS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
-_MOST_UNPACKED = 1 << 30  # bytes; a chunk that says it is larger is unpacked as it comes
+_MAX_CHUNK = 1 << 28  # bytes of an unpacked chunk; recorders write some MiB
+# What a file may unpack to: nothing that was recorded is packed more than some hundred times as tightly, and a file
+# made to fill the memory is packed ten thousand times as tightly.
+_MAX_RATIO, _FREE = 400, 1 << 25
+_MAX_WINDOW = 1 << 27  # bytes that a zstd decompressor may keep behind it
 PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
 
 Content: TypeAlias = "bytes | bytearray"
@@ -98,6 +103,7 @@ class McapFile:
     cut: str | None = None
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
     share: float = 0.0
+    _unpacked: int = 0
 
     def messages(self) -> Iterator[RawMessage]:
         """Every whole message, in the order of the file. Raises BadRecording for a file that is not MCAP."""
@@ -136,12 +142,13 @@ class McapFile:
             if body + length > size:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(data[body:size], np.empty(0, np.int64), whole=False)
+                    none = np.empty(0, np.int64)
+                    yield from self._chunk(data[body:size], none, whole=False, room=self._room(size))
                 return
             at_next = body + length
             if opcode == Opcode.CHUNK:
                 offsets, at_next = _message_indexes(data, at_next, size)
-                yield from self._chunk(data[body : body + length], offsets, whole=True)
+                yield from self._chunk(data[body : body + length], offsets, whole=True, room=self._room(at_next))
             elif opcode in _LOOSE_RECORDS:
                 at_next = _end_of_loose(data, at, size)
                 yield from self._records(data[at:at_next] + PADDING, np.empty(0, np.int64))
@@ -154,19 +161,27 @@ class McapFile:
             at = at_next
         self.cut = "it ends without an index"
 
-    def _chunk(self, body: bytes, offsets: NDArray[np.int64], whole: bool) -> Iterator[Block]:
+    def _room(self, read: int) -> int:
+        """Bytes that may still be unpacked when so many bytes of the file have been read."""
+        return max(0, min(_MAX_CHUNK, _FREE + _MAX_RATIO * read - self._unpacked))
+
+    def _chunk(self, body: bytes, offsets: NDArray[np.int64], whole: bool, room: int) -> Iterator[Block]:
         try:
             _, _, unpacked_size, crc = _CHUNK.unpack_from(body)
             (name_length,) = struct.unpack_from("<I", body, _CHUNK.size)
             start = _CHUNK.size + 4 + name_length + 8
             compression = body[_CHUNK.size + 4 : _CHUNK.size + 4 + name_length].decode()
-            content = _unpacked(compression, body[start:], unpacked_size, whole)
-        except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, zstandard.ZstdError) as error:
+            if unpacked_size > room and whole:
+                self.cut = f"a chunk of {len(body)} bytes declares {unpacked_size}, {room} is the limit"
+                return
+            content = _unpacked(compression, body[start:], min(unpacked_size, room))
+        except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError) as error:
             # of a chunk that is cut already, this says nothing new
             if whole:
                 self.cut = f"a chunk cannot be unpacked ({error})"
             return
         size = len(content) - len(PADDING)
+        self._unpacked += size
         if whole and (size != unpacked_size or (crc and zlib.crc32(memoryview(content)[:size]) != crc)):
             self.cut = "a chunk's checksum is wrong"
             return
@@ -211,7 +226,7 @@ class McapFile:
         known[list(self.known)] = True
         known = known[heads["channel"]]
         if known.any():
-            heads, starts = heads[known], places[known] + _HEAD.itemsize
+            heads, starts = heads[known], places[known] + HEAD.itemsize
             stops = starts + heads["length"].astype(np.int64) - _MESSAGE_HEAD
             yield Block(content, heads, starts, stops)
 
@@ -220,7 +235,7 @@ class McapFile:
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             self.schema_records[schema.id] = schema
-            if schema.encoding == "ros2msg":
+            if schema.encoding in ("ros2msg", "ros2idl"):
                 self.schemas[schema.name] = schema.data.decode(errors="replace")
             return
         channel = Channel.read(stream)
@@ -241,7 +256,8 @@ def _message_indexes(data: mmap.mmap, at: int, size: int) -> tuple[NDArray[np.in
             break
         found.append(np.frombuffer(data[body + 6 : body + length - (length - 6) % _INDEX.itemsize], _INDEX)["offset"])
         at = body + length
-    return np.sort(np.concatenate(found)).astype(np.int64) if found else np.empty(0, np.int64), at
+    # as signed numbers, so that an offset beyond all bounds comes first and is seen
+    return np.sort(np.concatenate(found).astype(np.int64)) if found else np.empty(0, np.int64), at
 
 
 def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
@@ -258,9 +274,9 @@ def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
 def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
     """The heads of the messages whose records stand at these places (n,)."""
     if not len(places):
-        return np.empty(0, _HEAD)
-    everywhere = np.ndarray((len(content) - _HEAD.itemsize + 1,), f"V{_HEAD.itemsize}", content, 0, (1,))
-    return everywhere[places].view(_HEAD)
+        return np.empty(0, HEAD)
+    everywhere = np.ndarray((len(content) - HEAD.itemsize + 1,), f"V{HEAD.itemsize}", content, 0, (1,))
+    return everywhere[places].view(HEAD)
 
 
 def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], int]]:
@@ -268,7 +284,7 @@ def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArr
 
     None at all, if any of them does not.
     """
-    if not len(offsets) or offsets[0] < 0 or offsets[-1] + _HEAD.itemsize > len(content):
+    if not len(offsets) or offsets[0] < 0 or offsets[-1] + HEAD.itemsize > len(content):
         return {}
     heads = _heads(content, offsets)
     length = heads["length"].astype(np.int64)
@@ -276,6 +292,7 @@ def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArr
     if (
         (heads["opcode"] != Opcode.MESSAGE).any()
         or (length < _MESSAGE_HEAD).any()
+        or (length > len(content)).any()
         or ends[-1] > len(content) - len(PADDING)
     ):
         return {}
@@ -288,26 +305,28 @@ def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArr
     }
 
 
-def _unpacked(compression: str, content: bytes, size: int, whole: bool) -> Content:
-    """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had."""
+def _unpacked(compression: str, content: bytes, size: int) -> Content:
+    """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had.
+
+    size: that it should have; of what is longer, at most one byte more is unpacked, so that it is noticed.
+    """
     if compression == "":
         return content + PADDING
     if compression == "zstd":
-        if whole and size <= _MOST_UNPACKED:
-            return _unpacked_at_once(content, size)
-        return zstandard.ZstdDecompressor().decompressobj().decompress(content) + PADDING
+        return _unpacked_at_once(content, size)
     if compression == "lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size) + PADDING
-    raise RuntimeError(f"unknown compression {compression}")
+        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1) + PADDING
+    raise RuntimeError(f"unknown compression {compression[:20]!r}")
 
 
 def _unpacked_at_once(content: bytes, size: int) -> bytearray:
-    """The content of a whole chunk that says how large it is, written straight to where it stays.
+    """The content of a chunk that says how large it is, written straight to where it stays.
 
     What is longer than it says is returned longer, so that it is noticed.
     """
     out = bytearray(size + len(PADDING))
-    with zstandard.ZstdDecompressor().stream_reader(content) as stream, memoryview(out) as view:
+    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
+    with decompressor.stream_reader(content) as stream, memoryview(out) as view:
         at = 0
         while at < size and (count := stream.readinto(view[at:size])):
             at += count
@@ -317,7 +336,9 @@ def _unpacked_at_once(content: bytes, size: int) -> bytearray:
 
 def _other_format(start: bytes) -> str:
     if start.startswith(b"SQLite format 3"):
-        return "convert it: ros2 bag convert, with storage_id mcap"
-    if start.startswith(b"\x28\xb5\x2f\xfd"):
-        return "unpack it first: zstd -d"
+        return "let its name end in .db3"
+    if start.startswith(ZSTD):
+        return "let its name end in .mcap.zstd, or unpack it: zstd -d"
+    if start.startswith(b"#ROSBAG"):
+        return "it is a bag of ROS 1: convert it with rosbags-convert"
     return "give a bag folder or a .mcap file"

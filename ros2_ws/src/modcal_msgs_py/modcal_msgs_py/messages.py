@@ -6,8 +6,9 @@ Everything here works on attributes, so that a message from rclpy and one decode
 from __future__ import annotations
 
 import math
+import re
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,14 +20,31 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
     PART,
     JointTrack,
+    Listed,
     ReadingTrack,
     Recording,
     SignalTrack,
 )
 from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
+from modcal_msgs_py.choosing import Roles, could_be
 from modcal_msgs_py.layout import Bytes, Layout, numeric_paths
+from modcal_msgs_py.readings import READING, columns_of, stated_by, stated_in
 from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import ADDED, JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, role_of
+from modcal_msgs_py.topics import (
+    ADDED,
+    JOINT_STATES,
+    NOTES,
+    READINGS,
+    ROBOT_DESCRIPTION,
+    TEMPERATURE,
+    TF_STATIC,
+    TRANSFORMS,
+    role_of,
+)
+from modcal_msgs_py.transforms import Transforms
+
+NO_POSITIONS = "it holds names without positions"
+_MAX_DESCRIPTIONS = 8  # different ones that are kept of a topic
 
 
 @dataclass
@@ -74,25 +92,46 @@ class RecordingBuilder:
     A topic that stands at the contract's own name is preferred to one of the same role in a namespace.
     """
 
-    def __init__(self, source: str = "recording") -> None:
-        """Start with nothing; ``source`` names the recording in messages to people."""
-        self._source = source
+    def __init__(self, source: str = "recording", roles: Roles | None = None) -> None:
+        """Start with nothing; ``source`` names the recording in messages to people.
+
+        roles: of the topics; None: those of the contract's names.
+        """
+        self._source, self._roles = source, roles
+        self._transforms = None if roles is None or roles.tf is None else Transforms(*roles.tf)
         self._joints: dict[tuple[str, tuple[str, ...]], _Rows] = {}
         self._readings: dict[tuple[str, str, str], _Rows] = {}
         self._signals: dict[tuple[str, str], _Rows] = {}
-        self._description: dict[str, str] = {}
+        self._description: dict[str, list[str]] = {}
         self._notes: list[str] = []
         self._unstamped: dict[str, int] = {}
+        self._lost: dict[tuple[str, str], int] = {}
+
+    def role(self, topic: str, type_name: str) -> str | None:
+        """What a topic is used as."""
+        return role_of(topic, type_name) if self._roles is None else self._roles.role(topic, type_name)
+
+    def reads(self, topic: str, type_name: str) -> bool:
+        """Whether messages of this topic are wanted at all."""
+        if type_name == TRANSFORMS:
+            return self._transforms is not None
+        return self._roles is None or topic not in self._roles.left_out
+
+    def lose(self, topic: str, why: str, count: int = 1) -> None:
+        """Count messages that were left out."""
+        self._lost[topic, why] = self._lost.get((topic, why), 0) + count
 
     def add(self, topic: str, type_name: str, message: Any, received: float = math.nan) -> None:
         """Take one message, received at this time [s]. Raises BadRecording for one that contradicts itself."""
-        role = role_of(topic, type_name)
-        if role == JOINT_STATES:
+        role = self.role(topic, type_name)
+        if type_name == TRANSFORMS:
+            self._add_transforms(topic, message, received)
+        elif role == JOINT_STATES:
             self._add_joint_state(topic, message, received)
         elif role in READINGS:
             self._add_reading(topic, READINGS[role], message, received)
         elif role == ROBOT_DESCRIPTION:
-            self._description[topic] = str(message.data)
+            self._describe(topic, str(message.data))
         elif role == NOTES:
             self._notes.append(str(message.data))
         elif role == TEMPERATURE:
@@ -111,7 +150,7 @@ class RecordingBuilder:
 
     def add_rows(self, topic: str, type_name: str, layout: Layout, rows: Bytes, received: Array) -> None:
         """Take messages of one layout, as rows (n, bytes), received at these times (n,) [s]: ``add`` for each."""
-        role = role_of(topic, type_name)
+        role = self.role(topic, type_name)
 
         def column(path: str) -> Array:
             return layout.numbers(rows, path).astype(float)
@@ -124,15 +163,18 @@ class RecordingBuilder:
                 self._unstamped[topic] = self._unstamped.get(topic, 0) + int(without.sum())
                 stamps = np.where(without, received, stamps)
         frame = layout.texts.get("header/frame_id", "")
-        if role == JOINT_STATES:
+        if type_name == TRANSFORMS:
+            self._add_transform_rows(topic, layout, received, column)
+        elif role == JOINT_STATES:
             columns = [column(path) for path in ("position", "velocity", "effort")]
             self._add_joint_rows(topic, layout, stamps, received, columns)
         elif role in READINGS:
             kind = READINGS[role]
-            values = np.hstack([column(path) for path in READING_PATHS[kind]])
-            self._readings.setdefault((topic, kind, frame), _Rows(kinds()[kind].width)).extend(stamps, received, values)
+            values = columns_of(kind, type_name, layout, column)
+            own = stated_in(type_name, len(values), column)
+            self._reading_rows(topic, kind, frame).extend(stamps, received, np.hstack([values, own]))
         elif role == ROBOT_DESCRIPTION:
-            self._description[topic] = layout.texts["data"]
+            self._describe(topic, layout.texts["data"])
         elif role == NOTES:
             self._notes += [layout.texts["data"]] * len(rows)
         elif role == TEMPERATURE:
@@ -154,8 +196,11 @@ class RecordingBuilder:
         for tracks in (self._joints, self._readings, self._signals):
             for rows in tracks.values():
                 rows.forget_before(received)
+        if self._transforms is not None:
+            self._transforms.forget_before(received)
         self._notes.clear()
         self._unstamped.clear()
+        self._lost.clear()
 
     def recording(self) -> Recording:
         """Everything taken so far."""
@@ -165,25 +210,77 @@ class RecordingBuilder:
             for role, kind in READINGS.items()
         }
         chosen = {topic for topics in reading_topics.values() for topic in topics}
-        descriptions = _preferred(set(self._description), ROBOT_DESCRIPTION)
+        joints = tuple(_joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics)
+        description, notes = self._chosen_description(joints)
         warnings = [
-            f"{count} messages on {topic} had no stamp; the time they were received was taken."
-            for topic, count in self._unstamped.items()
+            *notes,
+            *(
+                f"{count} messages on {topic} had no stamp; the time they were received was taken."
+                for topic, count in self._unstamped.items()
+            ),
+            *(f"{count} messages on {topic} were left out: {why}." for (topic, why), count in self._lost.items()),
         ]
+        by_type = frozenset[str]() if self._roles is None else self._roles.by_type
+        found = [] if self._roles is None else list(self._roles.notes)
+        readings = []
+        for (topic, kind, frame), rows in self._readings.items():
+            if topic not in chosen:
+                continue
+            if topic in by_type and description is not None and _is_link(frame, description):
+                found = [note for note in found if not note.startswith(f"{topic} ")]
+                warnings.append(
+                    f"{topic} is in {frame}, a link of the robot: it looks computed from the joints and is not used; "
+                    f"if it was measured, state --topic {self._role_of_kind(kind)}={topic}."
+                )
+                continue
+            readings.append(_reading_track(kind, frame, rows, topic, topic in by_type))
+        if self._transforms is not None:
+            readings.append(self._transforms.track(description))
+        lost: dict[str, int] = {}
+        for (_, why), count in self._lost.items():
+            lost[f"messages: {why}"] = lost.get(f"messages: {why}", 0) + count
         return Recording(
-            joints=tuple(
-                _joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics
-            ),
-            readings=tuple(
-                _reading_track(kind, frame, rows, topic)
-                for (topic, kind, frame), rows in self._readings.items()
-                if topic in chosen
-            ),
+            joints=joints,
+            readings=tuple(readings),
             signals=tuple(_signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
-            robot_description=self._description[min(descriptions)] if descriptions else None,
+            robot_description=description,
             source=self._source,
-            warnings=tuple(self._notes + warnings),
+            warnings=(*self._notes, *found, *warnings),
+            listed=self._listed(),
+            lost=tuple(lost.items()),
         )
+
+    def _listed(self) -> tuple[Listed, ...]:
+        """The topics that there are, with what they are used as and what they could be."""
+        return tuple(
+            Listed(one.topic, one.type_name, one.count, self.role(one.topic, one.type_name), _could(one))
+            for one in (() if self._roles is None else self._roles.listed)
+        )
+
+    def _role_of_kind(self, kind: str) -> str:
+        return next(role for role, name in READINGS.items() if name == kind)
+
+    def _describe(self, topic: str, text: str) -> None:
+        """Keep a robot description, if it is another one than those before."""
+        kept = self._description.setdefault(topic, [])
+        if text not in kept and len(kept) < _MAX_DESCRIPTIONS:
+            kept.append(text)
+
+    def _chosen_description(self, joints: tuple[JointTrack, ...]) -> tuple[str | None, list[str]]:
+        """The description that has most of the recorded joints, the earlier of equals; and what to say of others."""
+        topics = sorted(_preferred(set(self._description), ROBOT_DESCRIPTION))
+        texts = [(topic, text) for topic in topics for text in self._description[topic]]
+        if not texts:
+            return None, []
+        names = {name for track in joints for name in track.names}
+
+        def known(text: str) -> int:
+            return sum(f'"{name}"' in text or f"'{name}'" in text for name in names)
+
+        topic, chosen = max(texts, key=lambda pair: known(pair[1]))  # the first of equals
+        others = len(self._description[topic]) - 1
+        said = f"{topic} was published with {others + 1} different contents: that with most recorded joints was taken."
+        return chosen, [said] if others else []
 
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
         self._add_joints(topic, message, self._stamp(topic, message, received), received)
@@ -204,8 +301,33 @@ class RecordingBuilder:
         self._joints.setdefault((topic, names), _Rows(3 * n)).extend(stamps, received, np.hstack(known))
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
-        rows = self._readings.setdefault((topic, kind, str(message.header.frame_id)), _Rows(kinds()[kind].width))
-        rows.append(self._stamp(topic, message, received), received, READING[kind](message))
+        rows = self._reading_rows(topic, kind, str(message.header.frame_id))
+        values = (*READING[kind](message), *stated_by(message))
+        rows.append(self._stamp(topic, message, received), received, values)
+
+    def _reading_rows(self, topic: str, kind: str, frame: str) -> _Rows:
+        """The rows of a track: its numbers, and what is stated of the error of position and orientation."""
+        return self._readings.setdefault((topic, kind, frame), _Rows(kinds()[kind].width + 2))
+
+    def _add_transforms(self, topic: str, message: Any, received: float) -> None:
+        if self._transforms is None:
+            return
+        for one in message.transforms:
+            values = np.array([READING["pose"](one)], dtype=float)
+            stamp = np.array([seconds(one.header.stamp)])
+            frames = str(one.header.frame_id), str(one.child_frame_id)
+            self._transforms.add(*frames, stamp, np.array([received]), values, topic == TF_STATIC)
+
+    def _add_transform_rows(self, topic: str, layout: Layout, received: Array, column: Any) -> None:
+        if self._transforms is None:
+            return
+        for i in range(layout.counts["transforms"]):
+            at = f"transforms[{i}]"
+            stamps = column(f"{at}/header/stamp/sec")[:, 0] + 1e-9 * column(f"{at}/header/stamp/nanosec")[:, 0]
+            paths = [f"translation/{a}" for a in "xyz"] + [f"rotation/{a}" for a in "xyzw"]
+            values = np.hstack([column(f"{at}/transform/{path}") for path in paths])
+            frames = layout.texts[f"{at}/header/frame_id"], layout.texts[f"{at}/child_frame_id"]
+            self._transforms.add(*frames, stamps, received, values, topic == TF_STATIC)
 
     def _add_said(self, topic: str, said: Said, stamp: float, received: float) -> None:
         """Take what a package makes of its own message. Raises BadTable where it makes no sense of it."""
@@ -214,8 +336,8 @@ class RecordingBuilder:
         elif isinstance(said, Joints):
             self._add_joints(topic, said, stamp, received)
         elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
-            rows = self._readings.setdefault((topic, said.kind, said.frame), _Rows(len(said.values)))
-            rows.append(stamp, received, tuple(map(float, said.values)))
+            rows = self._reading_rows(topic, said.kind, said.frame)
+            rows.append(stamp, received, (*map(float, said.values), math.nan, math.nan))
         else:
             raise BadTable(
                 f"topic {topic}", f"its package made {said!r} of a message", "yield Signal, Joints or Reading of a kind"
@@ -238,33 +360,10 @@ class RecordingBuilder:
         return stamp
 
 
-def _pose(message: Any) -> tuple[float, ...]:
-    p, q = message.pose.position, message.pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-
-
-# the numbers of a reading, by the type of its message, and the same in a layout
-_NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
-    "geometry_msgs/msg/PoseStamped": _pose,
-    "geometry_msgs/msg/PointStamped": lambda m: (m.point.x, m.point.y, m.point.z),
-    "geometry_msgs/msg/Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
-    "sensor_msgs/msg/Range": lambda m: (m.range,),
-}
-_PATHS = {
-    "geometry_msgs/msg/PoseStamped": [
-        *(f"pose/position/{a}" for a in "xyz"),
-        *(f"pose/orientation/{a}" for a in "xyzw"),
-    ],
-    "geometry_msgs/msg/PointStamped": [f"point/{a}" for a in "xyz"],
-    "geometry_msgs/msg/Vector3Stamped": [f"vector/{a}" for a in "xyz"],
-    "sensor_msgs/msg/Range": ["range"],
-}
-READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
-READING_PATHS = {name: _PATHS[kind.message] for name, kind in kinds().items()}
-
-
 def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:
     """How many joints there are. Raises BadRecording unless every name has one position."""
+    if not positions and names:
+        raise BadRecording(f"{topic} at stamp {stamp:.3f} s", NO_POSITIONS, "publish one position for every name")
     if positions != len(names) or len(set(names)) != len(names):
         raise BadRecording(
             f"{topic} at stamp {stamp:.3f} s",
@@ -280,9 +379,22 @@ def _joint_track(topic: str, names: tuple[str, ...], rows: _Rows) -> JointTrack:
     return JointTrack(names, stamps, position, velocity, effort, received, topic)
 
 
-def _reading_track(kind: str, frame: str, rows: _Rows, topic: str) -> ReadingTrack:
-    stamps, received, values = rows.columns()
-    return ReadingTrack(kind, frame, stamps, values, received, topic)
+def _reading_track(kind: str, frame: str, rows: _Rows, topic: str, by_type: bool) -> ReadingTrack:
+    stamps, received, columns = rows.columns()
+    values, stated = columns[:, :-2], columns[:, -2:]
+    return ReadingTrack(
+        kind, frame, stamps, values, received, topic, stated if np.isfinite(stated).any() else None, by_type
+    )
+
+
+def _is_link(frame: str, description: str) -> bool:
+    """Whether a robot description has a link of this name."""
+    frame = frame.strip("/")
+    return bool(frame) and re.search(rf"<link\b[^>]*\bname\s*=\s*[\"']{re.escape(frame)}[\"']", description) is not None
+
+
+def _could(one: Listed) -> tuple[str, ...]:
+    return could_be(one.topic, one.type_name)
 
 
 def _signal_track(name: str, rows: _Rows, topic: str) -> SignalTrack:

@@ -22,6 +22,14 @@ TYPES = {
     **{kind.topic: kind.message for kind in kinds().values()},
 }
 ADDED = added_topics()
+POSES = (  # types of messages that hold a pose
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+)
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TF, TF_STATIC = "/tf", "/tf_static"
 LATCHED = (ROBOT_DESCRIPTION, NOTES)
 
 for _topic, _added in ADDED.items():
@@ -30,9 +38,20 @@ for _topic, _added in ADDED.items():
     TYPES[_topic] = _added.message
 
 
+def accepted(role: str) -> tuple[str, ...]:
+    """The types of messages that a role may have; where positions are asked for, a pose will do."""
+    own = TYPES[role]
+    if own == POSES[0]:
+        return POSES
+    return (own, *POSES) if own == "geometry_msgs/msg/PointStamped" else (own,)
+
+
+_ACCEPTED = {role: accepted(role) for role in TYPES}
+
+
 def role_of(topic: str, type_name: str) -> str | None:
     """The contract's name for a topic, in whatever namespace it stands; None for a topic of no known role."""
-    for role, expected in TYPES.items():
-        if (topic == f"/{role}" or topic.endswith(f"/{role}")) and type_name == expected:
+    for role, types in _ACCEPTED.items():
+        if (topic == f"/{role}" or topic.endswith(f"/{role}")) and type_name in types:
             return role
     return None

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache
+import contextlib
+from functools import cache, lru_cache
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+_LONGEST_TEXT = 1 << 18  # of a definition; real ones have some kilobytes
+_LINE = "=" * 80 + "\n"  # between the definitions of a text
 
 
 @cache
@@ -31,13 +35,37 @@ def serialise(message: Any, type_name: str) -> bytes:
     return bytes(jazzy().serialize_cdr(message, type_name))
 
 
-def store_with(schemas: dict[str, str]) -> Typestore:
-    """The Jazzy types, and besides them the types that these definitions (name → text) add."""
-    missing = {name: text for name, text in schemas.items() if name not in jazzy().types}
-    if not missing:
+@lru_cache(maxsize=256)
+def definitions(type_name: str, text: str) -> dict[str, Any]:
+    """What a definition text, as MSG or IDL, says of a type and of those it uses; nothing where it cannot be read.
+
+    A text comes from a file and may say anything. The reader of definitions is not made for that: it raises whatever
+    the text leads it to, and goes as deep as the text does.
+    """
+    if len(text) > _LONGEST_TEXT:
+        return {}
+    try:
+        if "\nIDL: " not in f"\n{text}":
+            return dict(get_types_from_msg(text, type_name))
+        found: dict[str, Any] = {}
+        for part in text.split(_LINE):
+            head, _, body = part.partition("\n")
+            found.update(get_types_from_idl(body) if head.startswith("IDL: ") else {})
+        return found
+    except Exception:
+        return {}
+
+
+def store_with(type_name: str, text: str) -> Typestore:
+    """The Jazzy types, and besides them those that the definition of this type adds, as far as they can be had."""
+    if type_name in jazzy().types or not text:
         return jazzy()
+    return _store_with(type_name, text)
+
+
+@lru_cache(maxsize=16)
+def _store_with(type_name: str, text: str) -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in missing.items():
-        types = get_types_from_msg(text, name)
-        store.register({k: v for k, v in types.items() if k not in store.types})
+    with contextlib.suppress(Exception):  # as above
+        store.register({k: v for k, v in definitions(type_name, text).items() if k not in store.types})
     return store

@@ -19,6 +19,7 @@ from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
+from modcal_msgs_py.choosing import Topics
 from modcal_nodes.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
@@ -30,7 +31,18 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_KEYS = {"distances", "fixed", "known", "own_target", "sockets", "moved", "own_in_recordings", *STATEMENTS}
+_TOPIC_KEYS = {"topics", "ignore", "tf"}
+_KEYS = {
+    *_TOPIC_KEYS,
+    "distances",
+    "fixed",
+    "known",
+    "own_target",
+    "sockets",
+    "moved",
+    "own_in_recordings",
+    *STATEMENTS,
+}
 _MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
@@ -90,6 +102,23 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
         None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
     )
+
+
+def read_topics(path: Path | None, said: Topics) -> Topics:
+    """What is said of topics, and what a cell file says of roles that this says nothing of. Raises BadTable."""
+    data = None if path is None else read_yaml(path)
+    if not isinstance(data, Mapping):
+        return said
+    topics, ignored, tf = data.get("topics") or {}, data.get("ignore") or [], data.get("tf")
+    pairs = [
+        f"{role}={name}"
+        for role, names in (topics.items() if isinstance(topics, Mapping) else [("", topics)])
+        for name in (names if isinstance(names, list) else [names])
+    ]
+    good = isinstance(topics, Mapping) and isinstance(ignored, list) and (tf is None or isinstance(tf, str))
+    if not good or not all(isinstance(name, str) for name in ignored):
+        raise BadTable(str(path), "topics, ignore and tf are not {ROLE: NAME}, [TOPIC] and PARENT:CHILD", _REMEDY)
+    return said.over(Topics.of(pairs, ignored, tf))
 
 
 def stated_from(data: Mapping[str, Any]) -> Stated:

@@ -12,8 +12,9 @@ import numpy as np
 
 from modcal_core.calibration.moves import Move
 from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.loop import calibrate
-from modcal_core.measurements.dropped import together
+from modcal_core.measurements.dropped import BETWEEN, together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.sequence import after, between
@@ -22,14 +23,18 @@ from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_tree import document
+from modcal_core.verdict.readings import COMPUTED
 from modcal_core.verdict.tolerance import Asked, Statistic
+from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
-from modcal_nodes.inputs import read_cell, stated_from
+from modcal_nodes.inputs import read_cell, read_topics, stated_from
 from modcal_nodes.progress import Watch, silent
 from modcal_nodes.results import calibration_files, delta_files
 from modcal_nodes.tracing import began, trace_of
 from modcal_nodes.wishes import Wishes
+
+NO_TOPICS = Topics()
 
 
 @dataclass(frozen=True)
@@ -54,11 +59,12 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
     """
     asked = tolerance_asked(wishes.tolerance_mm, wishes.tolerance_of)
     cell = read_cell(wishes.cell_file, wishes.fixed, stated_from(asdict(wishes)))
-    recording, pieces = begun(bag, watch)
+    topics = read_topics(wishes.cell_file, Topics.of(wishes.topic, wishes.ignore, wishes.tf))
+    recording, pieces = begun(bag, watch, topics)
     chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
     prepared = prepare_pieces(pieces, chain, clock_limit=wishes.clock_limit)
     for other in more:
-        added = prepare_pieces(read(other, watch), chain, clock_limit=wishes.clock_limit)
+        added = prepare_pieces(read(other, watch, topics), chain, clock_limit=wishes.clock_limit)
         samples, late = after(added.samples, prepared.samples)
         if late:
             said = f"{other.name} overlaps the recordings before it in time: its stamps were put {late:.1f} s later."
@@ -71,16 +77,20 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
             together([prepared.dropped, added.dropped]),
         )
     watch("fitting the geometry")
-    result = calibrate(
-        prepared.samples,
-        chain,
-        np.random.default_rng(wishes.seed),
-        cell,
-        wishes.block,
-        read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
-        progress=lambda effect: watch(f"trying {effect}"),
-        look_for_effects=not wishes.geometry_only,
-    )
+    try:
+        result = calibrate(
+            prepared.samples,
+            chain,
+            np.random.default_rng(wishes.seed),
+            cell,
+            wishes.block,
+            read_inertias(text, chain) if isinstance(chain, Chain) and text is not None else None,
+            progress=lambda effect: watch(f"trying {effect}"),
+            look_for_effects=not wishes.geometry_only,
+        )
+    except NotEnoughData as error:
+        raise too_little(error, prepared) from error
+    _require_measured(recording, result.report)
     watch("writing the report")
     serial = isinstance(chain, Chain) and text is not None
     robot = str(document(text).get("name") or "robot") if serial and text is not None else "delta"
@@ -98,16 +108,37 @@ def tolerance_asked(mm: float | None, of: str) -> Asked | None:
     return None if mm is None else Asked(mm, cast(Statistic, of))
 
 
-def begun(bag: Path, watch: Watch = silent) -> tuple[Recording, Iterator[Piece]]:
+def too_little(error: NotEnoughData, prepared: Prepared) -> NotEnoughData:
+    """The refusal, with what was left out before."""
+    left_out = ", ".join(f"{n} {reason}" for reason, n in prepared.dropped if reason != BETWEEN)
+    return NotEnoughData(
+        error.offender, f"{error.limit}; left out: {left_out}" if left_out else error.limit, error.remedy
+    )
+
+
+def _require_measured(recording: Recording, report: Report) -> None:
+    """Raises BadRecording where a topic that nobody named turns out to hold what was computed from the joints."""
+    reasons = () if report.judged is None else report.judged.open_because
+    computed = [reason for reason in reasons if COMPUTED in reason]
+    by_type = [reading.topic for reading in recording.readings if reading.by_type]
+    if computed and by_type:
+        raise BadRecording(
+            f"topic {by_type[0]}",
+            f"was taken for the tracker's, as the only one that can be; but {computed[0].rstrip('.')}",
+            f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one",
+        )
+
+
+def begun(bag: Path, watch: Watch = silent, topics: Topics = NO_TOPICS) -> tuple[Recording, Iterator[Piece]]:
     """The beginning of a bag, which says whose it is, and all of it in pieces."""
-    pieces = read(bag, watch)
+    pieces = read(bag, watch, topics)
     first = next(pieces)
     return first.recording, chained([first], pieces)
 
 
-def read(bag: Path, watch: Watch) -> Iterator[Piece]:
+def read(bag: Path, watch: Watch, topics: Topics = NO_TOPICS) -> Iterator[Piece]:
     """All of a bag in pieces, the watch being told how far it has been read."""
-    return read_pieces(bag, heard=lambda share: watch(f"reading {bag.name}", share))
+    return read_pieces(bag, heard=lambda share: watch(f"reading {bag.name}", share), topics=topics)
 
 
 def named(report: Report, recording: Recording, prepared: Prepared) -> Report:

@@ -32,3 +32,6 @@ class Wishes:
     instrument_deg: float | None = None
     tolerance_mm: float | None = None
     tolerance_of: str = "p95"
+    topic: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    tf: str | None = None

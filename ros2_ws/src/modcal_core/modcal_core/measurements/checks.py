@@ -17,7 +17,10 @@ POSITIONS = "tracker/pose or tracker/point"
 
 
 def require_usable(recording: Recording, chain: Mechanism) -> None:
-    """Raises BadRecording unless there are joint states of every joint, and readings, in SI units and finite."""
+    """Raises BadRecording unless there are joint states of every joint, and readings, in SI units.
+
+    What is not finite has been left out before (see ``dropouts``).
+    """
     _require_joints(recording, chain)
     _require_readings(recording, chain)
 
@@ -25,7 +28,8 @@ def require_usable(recording: Recording, chain: Mechanism) -> None:
 def _require_joints(recording: Recording, chain: Mechanism) -> None:
     tracks = [t for t in recording.joints if len(t.stamps)]
     if not tracks:
-        raise BadRecording("joint states", "no message on joint_states", "record the topic, or check its name and QoS")
+        remedy = "record the topic, or check its name and QoS"
+        raise BadRecording("joint states", "no message on joint_states", _stated(recording, "joint_states") or remedy)
     known = sorted({name for t in tracks for name in t.names})
     missing = [name for name in chain.names if name not in known]
     if missing:
@@ -42,13 +46,6 @@ def _require_joints(recording: Recording, chain: Mechanism) -> None:
 
 def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> None:
     position = track.position[:, j]
-    bad = np.flatnonzero(~np.isfinite(position))
-    if len(bad):
-        raise BadRecording(
-            f"joint {name}",
-            f"position is no number in {len(bad)} of {len(position)} messages, first at {track.stamps[bad[0]]:.3f} s",
-            "mend the driver, or record again",
-        )
     k = chain.names.index(name)
     largest = float(np.abs(position).max())
     stated = max(abs(chain.lower[k]), abs(chain.upper[k]))
@@ -67,20 +64,30 @@ def _require_readings(recording: Recording, chain: Mechanism) -> None:
         raise BadRecording(
             "tracker",
             f"no message on {POSITIONS}, nor on {', '.join(k.topic for k in kinds().values() if not k.direct)}",
-            "check that the tracker runs and sees its target, and the topic's name and QoS",
+            _stated(recording, "tracker/pose", "tracker/point")
+            or "check that the tracker runs and sees its target, and the topic's name and QoS",
         )
     for track in tracks:
         _require_reading(track, chain)
 
 
+def _stated(recording: Recording, *roles: str) -> str:
+    """The remedy where topics are there that could play one of these roles; nothing where there are none."""
+    seen: dict[str, None] = {}
+    for one in recording.listed:
+        if one.role is not None or one.count == 0:
+            continue
+        if "tf" in one.could:
+            if "tracker/pose" in roles:
+                seen["--tf PARENT:CHILD"] = None
+        elif fitting := [role for role in roles if role in one.could]:
+            seen[f"--topic {fitting[0]}={one.topic}"] = None
+    if not seen:
+        return ""
+    return "state which it is, if one of these measures it: " + ", ".join(seen)
+
+
 def _require_reading(track: ReadingTrack, chain: Mechanism) -> None:
     name = f"{track.topic} ({track.frame})"
-    bad = np.flatnonzero(~np.isfinite(track.values).all(axis=1))
-    if len(bad):
-        raise BadRecording(
-            name,
-            f"not a number in {len(bad)} of {len(track.values)} readings, first at stamp {track.stamps[bad[0]]:.3f} s",
-            "leave out readings without a target, or record again",
-        )
     if (complaint := kinds()[track.kind].complaint(track, chain.reach())) is not None:
         raise BadRecording(name, *complaint)

@@ -63,8 +63,8 @@ def together(parts: list[Dropped]) -> Dropped:
 
 
 def unexpected(counts: Dropped) -> int:
-    """How many were dropped though the arm stood still, or for a reason that has nothing to do with its motion."""
-    return sum(n for reason, n in counts if reason != BETWEEN)
+    """How many readings were dropped though the arm stood still, or for a reason that its motion does not explain."""
+    return sum(n for reason, n in counts if reason != BETWEEN and reason.startswith("readings"))
 
 
 def _rows_of(track: ReadingTrack, samples: Samples, since: float, until: float) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
 from modcal_core.measurements.returns import LEAST_RETURNS, returns
@@ -60,11 +61,13 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
     findings += _receive_finding(recording)
     if chain is not None:
         try:
-            require_usable(recording, chain)
+            clean = cleaned(recording, chain.names)
+            require_usable(clean.recording, chain)
         except ModcalError as error:
             findings.append(f"Cannot be used for calibration: {error}.")
         else:
-            findings += _returns_finding(recording, chain)
+            findings += [*clean.notes, *_returns_finding(clean.recording, chain)]
+            recording = clean.recording
     return Inspection(tuple(facts), _uses(recording, chain), tuple(findings))
 
 

@@ -6,7 +6,7 @@ the time each message was received, which is how a clock that is off shows itsel
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,7 +42,8 @@ class ReadingTrack:
 
     kind: one of measurements/kinds, of which pose, point, range, bearing, touch and ray have names here. values: (m, 7)
     x y z qx qy qz qw for poses, as many numbers as the kind has for others, in m and unit length. frame: the readings'
-    frame_id.
+    frame_id. stated: what the instrument says of its own error at each reading, RMS over space of position [m] and
+    angle [rad], (m, 2), NaN where it says nothing; None: nowhere. by_type: whether nobody named the topic.
     """
 
     kind: str
@@ -51,6 +52,14 @@ class ReadingTrack:
     values: Array
     received: Array
     topic: str = "/tracker/pose"
+    stated: Array | None = None
+    by_type: bool = False
+
+    def rows(self, keep: Array) -> ReadingTrack:
+        """The track with these readings only."""
+        stated = None if self.stated is None else self.stated[keep]
+        columns = {name: getattr(self, name)[keep] for name in ("stamps", "values", "received")}
+        return replace(self, stated=stated, **columns)
 
 
 @dataclass(frozen=True)
@@ -64,8 +73,25 @@ class SignalTrack:
 
 
 @dataclass(frozen=True)
+class Listed:
+    """A topic of a recording. count: messages, None where nobody counted. role: what it is used as.
+
+    could: roles that it could play if somebody said so.
+    """
+
+    topic: str
+    type_name: str
+    count: int | None = None
+    role: str | None = None
+    could: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Recording:
-    """Joint states, readings and signals of one recording, and what was noticed while reading it."""
+    """Joint states, readings and signals of one recording, and what was noticed while reading it.
+
+    listed: all topics that there are. lost: messages that could not be read, counted by reason.
+    """
 
     joints: tuple[JointTrack, ...] = ()
     readings: tuple[ReadingTrack, ...] = ()
@@ -73,6 +99,8 @@ class Recording:
     robot_description: str | None = None
     source: str = "recording"
     warnings: tuple[str, ...] = field(default=())
+    listed: tuple[Listed, ...] = ()
+    lost: tuple[tuple[str, int], ...] = ()
 
     @property
     def duration(self) -> float:

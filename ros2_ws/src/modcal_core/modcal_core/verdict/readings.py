@@ -26,6 +26,8 @@ _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
 _REPEATED = 3  # readings in a row that are the same to the last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
 
+COMPUTED = "computed from the joints"
+
 
 def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
     """A sentence for each thing that makes the readings doubtful.
@@ -54,7 +56,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
             digit = f", their last digit ({1e3 * step:g} mm)," if step > FINEST else ""
             return (
                 f"The {model} reproduces the readings to {1e6 * left:.2g} µm{digit} which no instrument does: they "
-                "were probably computed from the joints (a TCP topic, a pendant's column) or simulated without noise, "
+                f"were probably {COMPUTED} (a TCP topic, a pendant's column) or simulated without noise, "
                 "and are no measurement. Record an instrument that looks at the arm from outside.",
             )
     return ()

@@ -11,7 +11,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.online.stream import Stream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.messages import READING
+from modcal_msgs_py.readings import READING
 from modcal_msgs_py.stamps import seconds
 
 

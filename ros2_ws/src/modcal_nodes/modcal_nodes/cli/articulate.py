@@ -15,10 +15,14 @@ from modcal_core.articulation.urdf import describe
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
 from modcal_core.report.articulation import Articulation, to_html, to_json_data
 from modcal_core.robots.kinematics import forward
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.bag_files import SUFFIXES
+from modcal_msgs_py.choosing import Topics
+from modcal_msgs_py.mcap_read import list_topics, read_bag
+from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.files import to_json, write_folder
@@ -40,18 +44,34 @@ class _Read:
 
 @click.command("articulate")
 @click.argument("bag", type=_EXISTING)
-@click.option("--topic", default=None, help="Poses or points of the handle, or joint_states. Default: the first found.")
+@click.option(
+    "--topic",
+    "topic",
+    multiple=True,
+    metavar="NAME",
+    help="Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
+)
+@click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable.")
+@click.option("--tf", "tf", default=None, metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for joint states. Default: the bag's.")
 @click.option("--calibration", type=_EXISTING, default=None, help="For joint states: the arm as it was calibrated.")
 @click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
 @click.option("--tip", default=None, metavar="LINK", help="The link that holds the handle.")
 @click.option("--points", is_flag=True, help="Make nothing of rotations.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the samples that first guesses are made from.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the samples that first guesses are made from.",
+)
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 @speaking
 def articulate_command(
     bag: Path,
-    topic: str | None,
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
     urdf: Path | None,
     calibration: Path | None,
     base: str | None,
@@ -68,10 +88,12 @@ def articulate_command(
     BAG is a bag with tracker poses or points, or joint states of the arm that holds the handle; or a text file with
     x y z, or x y z qx qy qz qw, in every line [m].
     """
-    if bag.is_file() and bag.suffix != ".mcap":
+    if bag.is_file() and not bag.name.endswith(SUFFIXES):
         read = _Read(_text_track(bag), None, "")
     else:
-        read = _of_bag(read_bag(bag), topic, urdf, calibration, base, tip)
+        handle = next((name for name in topic if "=" not in name), None)
+        topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
+        read = _of_bag(read_bag(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip)
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))
     values = read.values[rows]
     track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
@@ -95,6 +117,17 @@ def articulate_command(
     if _URDF not in files:  # one of an earlier call would tell of another joint
         (out / _URDF).unlink(missing_ok=True)
     voice.result(data, partial(say, said), f"Report: {out / 'report.html'}")
+
+
+def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
+    """What is said of the topics, with one of poses or points that is no tracker's by its name taken for one."""
+    name = None if handle is None else "/" + handle.strip("/")
+    for one in () if name is None else list_topics(bag):
+        if one.topic == name and role_of(one.topic, one.type_name) is None:
+            for role in ("tracker/pose", "tracker/point"):
+                if one.type_name in accepted(role):
+                    return topics.over(Topics(((role, one.topic),)))
+    return topics
 
 
 def _text_track(path: Path) -> Array:
@@ -158,5 +191,7 @@ def _of_bag(
 
 
 def _reading(reading: ReadingTrack) -> _Read:
+    """A track without the readings that say nothing."""
+    (reading,) = cleaned(Recording(readings=(reading,)), ()).recording.readings
     order = np.argsort(reading.stamps, kind="stable")
     return _Read(reading.values[order], reading.stamps[order], reading.frame)

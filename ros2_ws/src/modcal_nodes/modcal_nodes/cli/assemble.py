@@ -23,10 +23,12 @@ from modcal_core.modules.poe import chain_of, module_frames
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.urdf import urdf_of
 from modcal_core.prepare import prepare
+from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.saying import Voice, say, speaking
+from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
 _LIBRARY = click.option(
@@ -93,8 +95,18 @@ def modules_command() -> None:
     help="YAML of what is known; made if it is not there.",
 )  # fmt: skip
 @_LIBRARY
+@topic_options
 @speaking
-def learn_command(spec: Path, bag: Path, store: Path, library_file: Path | None, voice: Voice) -> None:
+def learn_command(
+    spec: Path,
+    bag: Path,
+    store: Path,
+    library_file: Path | None,
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
+    voice: Voice,
+) -> None:
     """Learn from BAG, a recording of the assembly SPEC, what its modules (by serial number) are off by."""
     assembly, library = read_assembly(spec, library_file)
     if not any(m.serial for m in assembly.modules):
@@ -102,7 +114,7 @@ def learn_command(spec: Path, bag: Path, store: Path, library_file: Path | None,
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     with voice.working() as watch:
         watch(f"reading {bag.name}")
-        prepared = prepare(read_bag(bag), chain_of(assembly, library))
+        prepared = prepare(read_bag(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
         watch("fitting the modules")
         new = witness(assembly, library, prepared.samples)
         others = [w for w in known.witnesses if w.assembly.name != assembly.name]

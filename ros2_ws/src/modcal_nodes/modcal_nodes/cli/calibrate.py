@@ -21,23 +21,26 @@ from modcal_core.report.report import Report
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
 from modcal_core.verdict.tolerance import STATISTICS
+from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.cli.show import show_report
+from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.files import write_folder
-from modcal_nodes.inputs import read_calibration, read_cell, stated_from
+from modcal_nodes.inputs import read_calibration, read_cell, read_topics, stated_from
 from modcal_nodes.recorded import begun, calibrate_bag, named, tolerance_asked
 from modcal_nodes.results import report_files
 from modcal_nodes.tracing import trace_of
 from modcal_nodes.wishes import Wishes
 
 EXISTING = click.Path(exists=True, path_type=Path)
+SEED = click.IntRange(min=0)  # what NumPy takes
 _SPLITS = click.option(
     "--block",
     type=click.IntRange(min=1),
     default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
-_SEED = click.option("--seed", type=int, default=0, show_default=True, help="Of the split.")
+_SEED = click.option("--seed", type=SEED, default=0, show_default=True, help="Of the split.")
 _CLOCK = click.option(
     "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
@@ -115,7 +118,7 @@ def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with the options of a calibration, one for each field of :class:`Wishes`."""
-    return _with((*_ROBOT, _CELL, *_STATED, _SPLITS, _SEED, _CLOCK))(command)
+    return _with((*_ROBOT, _CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK))(command)
 
 
 @click.command("calibrate")
@@ -142,7 +145,7 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice
 @click.argument("bag", type=EXISTING)
 @click.option("--refit-base", is_flag=True, help="Find the base again: the tracker or the robot was moved.")
 @click.option("--refit-tool", is_flag=True, help="Find the tool again: it was changed.")
-@_with((_CELL, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, _OUT))
+@_with((_CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, _OUT))
 @speaking
 def evaluate_command(
     calibration: Path,
@@ -150,6 +153,9 @@ def evaluate_command(
     refit_base: bool,
     refit_tool: bool,
     cell_file: Path | None,
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
     block: int | None,
     seed: int,
     clock_limit: float,
@@ -164,7 +170,7 @@ def evaluate_command(
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     cell = read_cell(cell_file, stated=stated_from(stated))
     with voice.working() as watch:
-        recording, pieces = begun(bag, watch)
+        recording, pieces = begun(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
         prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
         watch("scoring")
         rng = np.random.default_rng(seed)

@@ -13,9 +13,11 @@ from rich.table import Table
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
+from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.robot import delta_of
 from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -26,12 +28,21 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
 @click.option("--base", default=None, metavar="LINK")
 @click.option("--tip", default=None, metavar="LINK")
+@topic_options
 @speaking
 def info_command(
-    bag: Path, urdf: Path | None, delta: Path | None, base: str | None, tip: str | None, voice: Voice
+    bag: Path,
+    urdf: Path | None,
+    delta: Path | None,
+    base: str | None,
+    tip: str | None,
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
+    voice: Voice,
 ) -> None:
     """Say what is in BAG, what it can be used for, and what looks wrong."""
-    recording = read_bag(bag)
+    recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:
         chain, _ = delta_of(recording, delta, urdf, base, tip)
@@ -44,6 +55,7 @@ def info_command(
         "bag": str(bag),
         "duration_s": recording.duration,
         "topics": [asdict(track) for track in seen.tracks],
+        "listed": [asdict(one) for one in recording.listed],
         "robot": None if chain is None else {"base": chain.base, "tip": chain.tip, "joints": list(chain.names)},
         "uses": list(seen.uses),
         "findings": [*findings, *seen.findings],
@@ -68,7 +80,16 @@ def _show(data: dict[str, Any], console: Console) -> None:
     console.print(f"{data['duration_s']:.1f} s")
     if robot := data["robot"]:
         console.print(f"robot: {robot['base']} → {robot['tip']}, {len(robot['joints'])} joints", highlight=False)
+    for one in data["listed"]:
+        if one["role"] is None and one["could"]:
+            kind = one["type_name"].rpartition("/")[2]
+            console.print(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}", highlight=False)
     for use in data["uses"]:
         console.print(f"can be used for {use}", style="green", highlight=False)
     for finding in data["findings"]:
         console.print(finding, style="yellow", highlight=False)
+
+
+def _said(role: str) -> str:
+    """A role as a person asks for it."""
+    return "the tracker, by --tf PARENT:CHILD" if role == "tf" else f"{role}, by --topic"

@@ -18,10 +18,13 @@ from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_msgs_py.bag_files import SUFFIXES
+from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.by_joint import numbers_by_joint
 from modcal_nodes.cli.robot import robot_of
 from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.files import to_json, to_yaml, write_folder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -56,12 +59,13 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Where a joint stands [rad; m]. Default: 0.")
 @click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="How fast it moves [rad/s; m/s]. Default: 0.")
 @click.option("--workspace", type=click.IntRange(min=1), default=None, help="That many postures within the limits.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of those postures.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of those postures.")
 @click.option("--share", type=float, default=1.0, show_default=True, help="Of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="In the base link [m/s²].")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="Folder of limits.json and joint_limits.yaml."
 )
+@topic_options
 @speaking
 def limits_command(
     source: Path,
@@ -77,6 +81,9 @@ def limits_command(
     seed: int,
     share: float,
     gravity: tuple[float, float, float],
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
     out: Path | None,
     voice: Voice,
     **by_joint: tuple[str, ...],
@@ -89,7 +96,8 @@ def limits_command(
     acceleration: by itself (equivalent), with all others within theirs (coupled), and one set for all postures
     (constant).
     """
-    recording = read_bag(source) if source.is_dir() or source.suffix == ".mcap" else None
+    topics = Topics.of(topic, ignore, tf)
+    recording = read_bag(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
     if recording is not None and (at or velocity or workspace):
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:

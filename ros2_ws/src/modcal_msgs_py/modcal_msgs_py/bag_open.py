@@ -1,0 +1,123 @@
+"""The files of a bag as something to walk through: MCAP or SQLite, whole files or single messages packed with zstd.
+
+What is packed says how much it will be; it is unpacked no further than anything that was recorded would.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import zstandard
+
+from modcal_core.errors import BadRecording
+from modcal_msgs_py.db3_walk import Db3File, block_of
+from modcal_msgs_py.mcap_index import read_index
+from modcal_msgs_py.mcap_walk import ZSTD, Block, McapFile
+
+PACKED = (".zstd", ".zst")
+_MAX_RATIO, _FREE = 400, 1 << 25  # as of a chunk
+_MAX_MESSAGE = 1 << 26  # bytes of one unpacked message
+_PIECE = 1 << 20
+
+BagFile: TypeAlias = McapFile | Db3File
+
+
+def bag_file(path: Path) -> BagFile:
+    """A file of a bag, to be walked; told by its first bytes and its name."""
+    with path.open("rb") as stream:
+        start = stream.read(16)
+    if path.suffix == ".db3" or start.startswith(b"SQLite format 3"):
+        return Db3File(path)
+    return McapFile(path)
+
+
+@contextmanager
+def unpacked(files: list[Path]) -> Iterator[list[Path]]:
+    """The files with those that are packed as a whole unpacked beside the others, while the block lasts.
+
+    Raises BadRecording for a file that cannot be unpacked, or that would fill the disk.
+    """
+    if not any(file.suffix in PACKED for file in files):
+        yield files
+        return
+    folder = Path(tempfile.mkdtemp(prefix="modcal-"))
+    try:
+        yield [_unpacked(file, folder / f"{i}" / file.stem) if file.suffix in PACKED else file
+               for i, file in enumerate(files)]  # fmt: skip
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _unpacked(file: Path, out: Path) -> Path:
+    out.parent.mkdir()
+    limit = min(_FREE + _MAX_RATIO * file.stat().st_size, shutil.disk_usage(out.parent).free // 2)
+    written = 0
+    try:
+        with file.open("rb") as source, out.open("wb") as target:
+            stream = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(source)
+            while piece := stream.read(_PIECE):
+                written += len(piece)
+                if written > limit:
+                    raise BadRecording(str(file), f"unpacks to more than {limit} bytes", "unpack it by hand: zstd -d")
+                target.write(piece)
+    except zstandard.ZstdError as error:
+        if not written:
+            raise BadRecording(str(file), f"cannot be unpacked ({error})", "give the file as it was written") from error
+    return out
+
+
+def message_unpacked(block: Block) -> tuple[Block, int]:
+    """The block with its messages unpacked, where single messages were packed, and how many could not be."""
+    content = np.frombuffer(block.content, np.uint8)
+    if not len(block.starts) or (block.stops - block.starts < len(ZSTD)).all():
+        return block, 0
+    starts = np.minimum(block.starts, len(content) - len(ZSTD))
+    packed = (content[starts[:, None] + np.arange(len(ZSTD))] == np.frombuffer(ZSTD, np.uint8)).all(axis=1)
+    if not packed.any():  # CDR begins with a zero
+        return block, 0
+    rows, lost = [], 0
+    room = _FREE + _MAX_RATIO * len(content)
+    decompressor = zstandard.ZstdDecompressor(max_window_size=1 << 27)
+    for head, start, stop, zipped in zip(
+        block.heads, block.starts.tolist(), block.stops.tolist(), packed.tolist(), strict=True
+    ):
+        data = bytes(block.content[start:stop])
+        if zipped:
+            try:
+                limit = min(room, _MAX_MESSAGE)
+                data = decompressor.stream_reader(data).read(limit + 1)
+            except zstandard.ZstdError:
+                data = b""
+            room -= len(data)
+            if not data or len(data) > limit:
+                lost += 1
+                continue
+        rows.append((int(head["channel"]), int(head["received"]), data))
+    return block_of(rows), lost
+
+
+def topics_of(file: BagFile) -> dict[tuple[str, str], int]:
+    """How many messages a file has by topic and type: by its index, or else by walking through all of it."""
+    if isinstance(file, Db3File):
+        return file.topics()
+    try:
+        index = read_index(file.path)
+    except (ValueError, OSError):
+        index = None
+    if index is not None and index.topics and index.messages == sum(index.topics.values()):
+        return index.topics
+    walked = McapFile(file.path)
+    out: dict[tuple[str, str], int] = {}
+    for block in walked.blocks():
+        for channel, count in enumerate(np.bincount(block.heads["channel"]).tolist()):
+            if count:
+                out[walked.known[channel]] = out.get(walked.known[channel], 0) + count
+    for channel in walked.channels.values():
+        out.setdefault((channel.topic, walked.topics[channel.topic]), 0)
+    return out

@@ -1,0 +1,88 @@
+"""The numbers of a reading, in messages and in layouts; what an instrument says of its own error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_msgs_py.layout import Layout
+from modcal_msgs_py.topics import POSES
+
+_WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
+_PARTS = {  # where position and orientation stand
+    "geometry_msgs/msg/PoseStamped": ("pose/position", "pose/orientation"),
+    "geometry_msgs/msg/TransformStamped": ("transform/translation", "transform/rotation"),
+    **{name: ("pose/pose/position", "pose/pose/orientation") for name in _WITH_COVARIANCE},
+}
+_PATHS = {
+    "geometry_msgs/msg/PointStamped": [f"point/{a}" for a in "xyz"],
+    "geometry_msgs/msg/Vector3Stamped": [f"vector/{a}" for a in "xyz"],
+    "sensor_msgs/msg/Range": ["range"],
+}
+
+
+def _parts(message: Any) -> tuple[Any, Any]:
+    """Position and orientation of a message with a pose."""
+    if hasattr(message, "transform"):
+        return message.transform.translation, message.transform.rotation
+    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    return pose.position, pose.orientation
+
+
+def _pose(message: Any) -> tuple[float, ...]:
+    p, q = _parts(message)
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+def _point(message: Any) -> tuple[float, ...]:
+    p = message.point if hasattr(message, "point") else _parts(message)[0]
+    return (p.x, p.y, p.z)
+
+
+_NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/PointStamped": _point,
+    "geometry_msgs/msg/Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
+    "sensor_msgs/msg/Range": lambda m: (m.range,),
+}
+READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
+
+
+def columns_of(kind: str, type_name: str, layout: Layout, column: Callable[[str], Array]) -> Array:
+    """Readings (n, width) of a kind, out of messages of this type."""
+    if type_name not in _PARTS:
+        return np.hstack([column(path) for path in _PATHS[type_name]])
+    p, q = _PARTS[type_name]
+    paths = [f"{p}/{a}" for a in "xyz"]
+    if kinds()[kind].message in POSES:
+        paths += [f"{q}/{a}" for a in "xyzw"]
+    return np.hstack([column(path) for path in paths])
+
+
+def stated_by(message: Any) -> Array:
+    """What a message says of its own error, as :func:`deviations`, (2,)."""
+    covariance = getattr(getattr(message, "pose", None), "covariance", None)
+    if covariance is None or len(covariance) != 36:
+        return np.full(2, np.nan)
+    return deviations(np.asarray(covariance, dtype=float)[None])[0]
+
+
+def stated_in(type_name: str, n: int, column: Callable[[str], Array]) -> Array:
+    """The same of messages of this type, (n, 2)."""
+    return deviations(column("pose/covariance")) if type_name in _WITH_COVARIANCE else np.full((n, 2), np.nan)
+
+
+def deviations(covariance: Array) -> Array:
+    """RMS over space of position [m] and angle [rad] of covariances (n, 36) as geometry_msgs lays them out, (n, 2).
+
+    NaN where nothing, or nothing that can be, is stated: zeros, and the −1 of drivers that do not know.
+    """
+    C = covariance.reshape(-1, 6, 6)
+    variances = np.stack([np.diagonal(C[:, k : k + 3, k : k + 3], axis1=1, axis2=2) for k in (0, 3)], axis=1)
+    good = np.isfinite(variances).all(axis=2) & (variances >= 0.0).all(axis=2) & (variances.max(axis=2) > 0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.where(good, np.sqrt(np.where(good[:, :, None], variances, 0.0).sum(axis=2)), np.nan)

@@ -1,0 +1,138 @@
+"""Bags of ordinary cells: what says nothing is left out, counted and said; a bag is refused when too little is left."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgs import bag_forms as forms
+from msgs.bag_forms import Cell, Message
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.types import jazzy
+from modcal_nodes.cli.main import run
+
+OBJECT = "<robot name='cup'><link name='cup'/></robot>"
+GEOMETRY = ["--geometry-only"]
+
+
+@pytest.fixture(scope="module")
+def c() -> Cell:
+    return forms.cell(60)
+
+
+def calibrated(bag: Path, *options: str) -> Any:
+    assert run(["calibrate", str(bag), "--geometry-only", *options, "--out", str(bag.parent / "out")]) == 0
+    return json.loads((bag.parent / "out" / "report.json").read_text())
+
+
+def plain(c: Cell) -> list[Message]:
+    return [*forms.joints(c), *forms.described(c), *forms.readings(c)]
+
+
+def test_everything_that_happens_in_a_cell_at_once(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Dropped, counted and said, and the result is that of the same bag without these messages."""
+    q, poses = c.q.copy(), c.poses.copy()
+    q[11, 3] = np.nan
+    poses[20] = np.nan
+    poses[30] = 0.0
+    messages = plain(Cell(c.stamps, c.names, q, poses, c.urdf))
+    topic, kind, message, ns = messages[5]
+    messages[5] = topic, kind, bytes(jazzy().serialize_cdr(message, kind))[:-30], ns
+    messages += [("/joint_states", forms.JOINT_STATE, forms.joint_state(ns, ["finger"], []), ns) for ns in c.stamps]
+    messages.append(forms.text("/robot_description", OBJECT, c.stamps[9]))
+    report = calibrated(forms.write(tmp_path / "bag", messages))
+    dropped = report["recording"]["dropped"]
+    assert dropped["joint states without a finite position"] == 1
+    assert dropped["readings that are not finite"] == 1
+    assert dropped["readings without a target (a quaternion of zeros)"] == 1
+    assert dropped["messages: it holds names without positions"] == 60
+    assert dropped["messages: they are no sensor_msgs/msg/JointState"] == 1
+    said = " ".join(capfd.readouterr().out.split())
+    for words in ("in 1 of 59 messages", "without a target", "names without positions", "2 different contents"):
+        assert words in said
+    gone = np.isin(np.arange(60), (5, 11, 20, 30))
+    rest = Cell([t for t, g in zip(c.stamps, gone, strict=True) if not g], c.names, c.q[~gone], c.poses[~gone], c.urdf)
+    clean = calibrated(forms.write(tmp_path / "clean" / "bag", plain(rest)))
+    assert report["recording"]["stations"] == clean["recording"]["stations"] == 56
+    assert report["error_mm"] == clean["error_mm"]
+
+
+def test_too_little_left_is_refused_with_how_much(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    poses = c.poses.copy()
+    poses[8:] = 0.0
+    bag = forms.write(tmp_path / "bag", plain(Cell(c.stamps, c.names, c.q, poses, c.urdf)))
+    assert run(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err
+    assert "8 stations" in said
+    assert "left out: 52 readings without a target" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> None:
+    """Two candidates: no choice is made; stated, both ways give the same."""
+    moved = se3.exp([0.3, 0.0, 0.1, 0.0, 0.2, 0.0])
+    other = forms.readings(c, "/other/pose", change=lambda T: moved @ T, frame="other")
+    bag = forms.write(
+        tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(c, "/vrpn/tool/pose"), *other]
+    )
+    assert run(["calibrate", str(bag), *GEOMETRY, "--out", str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+    named = ["--topic", "tracker/pose=/vrpn/tool/pose", "--ignore", "/other/pose"]
+    by_option = calibrated(bag, *named)
+    cell_file = tmp_path / "cell.yaml"
+    cell_file.write_text("topics: {tracker/pose: /vrpn/tool/pose}\nignore: [/other/pose]\n")
+    assert calibrated(bag, "--cell", str(cell_file))["error_mm"] == by_option["error_mm"]
+    arguments = ["evaluate", str(tmp_path / "out"), str(bag), *named, "--out", str(tmp_path / "evaluated")]
+    assert run(arguments) == 0
+
+
+@pytest.mark.parametrize("text", ["topics: 3", "topics: {tracker/pose: 3}", "topics: {tool: /a}", "tf: 3", "tf: a", "ignore: /a",
+                                  "ignore: [3]", "topics: [a]", "topics: {tracker/pose: {a: b}}"])  # fmt: skip
+def test_a_cell_file_that_states_nothing_sensible(
+    text: str, c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cell.yaml").write_text(text)
+    bag = forms.write(tmp_path / "bag", plain(c))
+    assert run(["calibrate", str(bag), "--cell", str(tmp_path / "cell.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert capfd.readouterr().err.count("\n") == 1
+
+
+def test_a_pose_that_was_computed_is_never_taken_by_its_type(
+    c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A name that tells nothing, and a frame that is no link: it is told by how well the model reproduces it."""
+    from cells import ur10
+
+    from modcal_core.robots.kinematics import forward
+    from modcal_core.robots.urdf import read_chain
+
+    T = forward(read_chain(c.urdf, None, "tool0", frozenset(ur10().names)), c.q)
+    computed = Cell(c.stamps, c.names, c.q, se3.to_pose(T), c.urdf)
+    bag = forms.write(
+        tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(computed, "/arm/state", frame="cell")]
+    )
+    assert run(["calibrate", str(bag), *GEOMETRY, "--out", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err
+    assert "topic /arm/state: was taken for the tracker's, as the only one that can be; but" in said
+    assert "computed from the joints" in said
+    assert not (tmp_path / "out").exists()
+    stated = calibrated(bag, "--topic", "tracker/pose=/arm/state")
+    assert stated["status"] == "open"
+
+
+@pytest.mark.parametrize("kind", [forms.TRANSFORM, forms.WITH_COVARIANCE])
+def test_an_instrument_on_the_tool_is_found_to_be_inverse(kind: str, c: Cell, tmp_path: Path) -> None:
+    def seen(T: Array) -> Array:
+        return se3.inverse(T)
+
+    bag = forms.write(
+        tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(c, "/camera/target", kind, seen)]
+    )
+    report = calibrated(bag)
+    assert report["convention"] == "pose inverted"
+    assert report["error_mm"]["final"]["rms"] < 0.5

@@ -1,0 +1,191 @@
+"""Bags that are damaged, or made to do damage: each costs what is damaged, is said, and ends in no traceback."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from cli.recordings import stations
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import Recording
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_repair import repair_bag
+from modcal_msgs_py.mcap_walk import MAGIC
+from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.types import definition, message_class, serialise
+
+LINE = "=" * 80 + "\n"
+EVENT = f"""service_msgs/ServiceEventInfo info
+std_srvs/srv/SetBool_Request[<=1] request
+std_srvs/srv/SetBool_Response[<=1] response
+{LINE}MSG: service_msgs/ServiceEventInfo
+uint8 event_type
+{LINE}MSG: std_srvs/srv/SetBool_Request
+bool data
+{LINE}MSG: std_srvs/srv/SetBool_Response
+bool success
+string message
+"""
+SELF = f"my_msgs/Node left\nfloat64 value\n{LINE}MSG: my_msgs/Node\nmy_msgs/Node left\nfloat64 value\n"
+# each type has ten of the one before: thirty-two of them have more fields than there are atoms
+WIDE = "my_msgs/T31 a\n" + "".join(
+    f"{LINE}MSG: my_msgs/T{i}\n" + "".join(f"my_msgs/T{i - 1} f{k}\n" for k in range(10)) for i in range(31, 0, -1)
+)
+
+
+def bag_with(
+    path: Path, others: list[tuple[str, str, str, bytes]], compression: CompressionType = CompressionType.ZSTD
+) -> Path:
+    """A joint state at 1, 2, … 5 s, and a message of each other topic (topic, type, definition, bytes) at its side."""
+    kind = "sensor_msgs/msg/JointState"
+    header, stamp = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression)
+        writer.start("ros2")
+        own = writer.register_channel(
+            "/joint_states", "cdr", writer.register_schema(kind, "ros2msg", definition(kind)[0].encode())
+        )
+        channels = [
+            (writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", text.encode())), data)
+            for topic, name, text, data in others
+        ]
+        for t in range(1, 6):
+            message = message_class(kind)(
+                header(stamp(t, 0), ""), ["a", "b"], np.array([0.1 * t, 0.2]), np.empty(0), np.empty(0)
+            )
+            writer.add_message(own, t * 10**9, serialise(message, kind), t * 10**9)
+            for channel, data in channels:
+                writer.add_message(channel, t * 10**9 + 1, data, t * 10**9)
+        writer.finish()
+    return path
+
+
+def joints_of(path: Path) -> Recording:
+    recording = read_bag(path)
+    assert [len(track.stamps) for track in recording.joints] == [5]
+    return recording
+
+
+@pytest.mark.parametrize(
+    ("type_name", "text"),
+    [
+        ("std_srvs/srv/SetBool_Event", EVENT),
+        ("std_srvs/srv/SetBool_Event", ""),
+        ("my_msgs/msg/Node", SELF),
+        ("my_msgs/msg/Wide", WIDE),
+        ("my_msgs/msg/Broken", "float64 [ x ]]\x00 = \n"),
+        ("my_msgs/msg/Long", "float64 x\n" * 100_000),
+        ("my_msgs/msg/Big", "Empty[1000000000] x\n" + LINE + "MSG: my_msgs/Empty\n"),
+        ("my_msgs/msg/Huge", "float64[4000000000] x\n"),
+        ("wide", "wstring x\n"),
+        ("", ""),
+    ],
+)  # fmt: skip
+def test_a_definition_that_cannot_be_read_costs_its_topic(tmp_path: Path, type_name: str, text: str) -> None:
+    path = bag_with(tmp_path / "bag.mcap", [("/other", type_name, text, bytes(64))])
+    began = time.perf_counter()
+    joints_of(path)
+    assert time.perf_counter() - began < 2.0
+
+
+def test_definitions_of_a_bag_are_still_read(tmp_path: Path) -> None:
+    """What is refused is what cannot be read, no more: a type of one's own is a signal as before."""
+    text = f"my_msgs/Inner inner\nstring[] names\n{LINE}MSG: my_msgs/Inner\nfloat64 value\n"
+    cdr = b"\0\1\0\0" + struct.pack("<dI", 3.5, 0)
+    recording = joints_of(bag_with(tmp_path / "bag.mcap", [("/heat", "my_msgs/msg/Heat", text, cdr)]))
+    (signal,) = recording.signals
+    assert signal.name == "signal:/heat"
+    assert signal.values.tolist() == [[3.5]] * 5
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", bytes(7), b"\xff" * 40])
+def test_a_malformed_message_costs_itself(tmp_path: Path, data: bytes) -> None:
+    kind = "sensor_msgs/msg/Imu"
+    bag = bag_with(tmp_path / "bag.mcap", [("/imu", kind, definition(kind)[0], data)])
+    said = " ".join(joints_of(bag).warnings)
+    assert "5 messages on /imu were left out: they are no sensor_msgs/msg/Imu." in said
+
+
+def index_offsets(data: bytes) -> list[int]:
+    """Where, in a file, the offsets of messages stand in the records behind chunks."""
+    at, found = len(MAGIC), []
+    while at + 9 <= len(data) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == Opcode.MESSAGE_INDEX:
+            found += list(range(at + 9 + 6 + 8, at + 9 + length, 16))
+        at += 9 + length
+    return found
+
+
+@pytest.mark.parametrize("byte", [0, 3, 7])
+def test_a_flipped_bit_in_a_message_index_changes_nothing(tmp_path: Path, byte: int) -> None:
+    write_recording(stations(20), tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_0.mcap"
+    whole = file.read_bytes()
+    before = read_bag(tmp_path / "bag")
+    for at in index_offsets(whole)[::7]:
+        for bit in (0x01, 0x80):
+            data = bytearray(whole)
+            data[at + byte] ^= bit
+            file.write_bytes(data)
+            after = read_bag(file)
+            assert np.array_equal(after.joints[0].position, before.joints[0].position)
+            assert repair_bag(file, tmp_path / "new").saved
+
+
+def chunk(records: bytes, size: int, compression: str) -> bytes:
+    """A whole file with one chunk that says that it unpacks to so many bytes."""
+    name = compression.encode()
+    body = struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(records))
+    body += records
+    header = struct.pack("<II", 0, 0)
+    return MAGIC + struct.pack("<BQ", 1, len(header)) + header + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
+
+
+def bomb() -> bytes:
+    """12 GB of zeros in less than 400 kB."""
+    packer = zstandard.ZstdCompressor(level=19).compressobj()
+    zeros = bytes(1 << 20)
+    return b"".join(packer.compress(zeros) for _ in range(200)) + packer.flush()
+
+
+@pytest.mark.parametrize(
+    ("make", "declared", "compression"),
+    [
+        (bomb, 12 << 30, "zstd"),
+        (bomb, 200 << 20, "zstd"),  # as it is: more than any recorder would pack
+        (bomb, 1, "zstd"),
+        (lambda: bytes(100), 2**64 - 1, "lz4"),
+        (lambda: bytes(100), 2**64 - 1, "zstd"),
+        (lambda: bytes(100), 2**63, "lz4"),
+        (lambda: bytes(100), 2**64 - 1, ""),
+        (lambda: bytes(100), 100, "\x1b[31mred"),
+    ],
+)  # fmt: skip
+def test_a_chunk_that_would_fill_the_memory_is_not_unpacked(
+    tmp_path: Path, make: Callable[[], bytes], declared: int, compression: str
+) -> None:
+    (tmp_path / "bomb.mcap").write_bytes(chunk(make(), declared, compression))
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    for act in (read_bag, lambda path: repair_bag(path, tmp_path / "new")):
+        with pytest.raises(BadRecording, match="holds no (whole )?message"):
+            act(tmp_path / "bomb.mcap")
+    assert time.perf_counter() - began < 2.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
+
+
+def test_the_reason_is_in_the_refusal(tmp_path: Path) -> None:
+    (tmp_path / "bomb.mcap").write_bytes(chunk(bytes(100), 12 << 30, "zstd"))
+    with pytest.raises(
+        BadRecording, match=r"holds no message \(a chunk of 144 bytes declares 12884901888, \d+ is the limit\)"
+    ):
+        read_bag(tmp_path / "bomb.mcap")
