@@ -121,11 +121,11 @@ def meet(wait: Callable[[Callable[[], Any], float], Any], client: Any) -> None:
 
 
 @contextlib.contextmanager
-def listener(domain: int) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
+def listener(domain: int, kind: type[Node] = Node) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
     """A node of the test's own, and ``wait(condition, seconds)`` that spins it until the condition is true."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node("test_listener", context=context)
+    node = kind("test_listener", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 

@@ -21,6 +21,7 @@ from modcal_nodes.running import run
 from modcal_nodes.taping import Complaint, Taken, Tape
 
 _LOOK_SECONDS = 0.1
+_REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
 _MEASURE_SECONDS = 1.0
 _FEW_MINUTES = 10.0
 _MB = 1e6
@@ -240,4 +241,4 @@ def _free_bytes(place: Path) -> int:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Recorder)
+    run(Recorder, rest=_REST)
