@@ -17,11 +17,13 @@ from modcal_core.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 MOST_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", "o", "soft"), ("explain", "s", "good"), ("held_out", "^", "after"))
 _MOST_REJECTED = 300
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def small(width: float, height: float, left: float = 0.55, bottom: float = 0.42) -> tuple[Figure, Axes]:
@@ -40,6 +42,11 @@ def label(axes: Axes, x: str, y: str) -> None:
     """Names of both axes."""
     axes.set_xlabel(x, fontsize=8)
     axes.set_ylabel(y, fontsize=8)
+
+
+def in_decades(axis: Axis) -> None:
+    """Write a logarithmic axis as powers of ten in plain letters: setting them as formulas takes half of a picture."""
+    axis.set_major_formatter(lambda value, _: "10" + f"{round(np.log10(value)):d}".translate(_RAISED))
 
 
 def thinned(count: int, most: int) -> np.ndarray:
@@ -96,6 +103,7 @@ def spread_chart(report: Report) -> Chart | None:
     axes.semilogy(count[known], spread[known], "o", ms=3.0, color=LIGHT["after"])
     axes.semilogy(count[~known], spread[~known], "x", ms=5.0, color=LIGHT["bad"])
     axes.minorticks_off()
+    in_decades(axes.yaxis)
     axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")
     label(axes, "combination of parameters, the best known first", "deviation ÷ expected")
     alt = f"{seen.rank} of {seen.parameters} combinations of parameters are shown by the data."
