@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.conventions import INVERTED, proved
 from modcal_core.errors import BadRecording
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3, so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.chain import Chain

@@ -15,8 +15,9 @@ from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.urdf_inertias import Inertias

@@ -14,12 +14,12 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
-from modcal_core.loop import ship
 from modcal_nodes.files import to_yaml
 
 

@@ -11,9 +11,10 @@ from cells import ur10
 from verdict.visits import visited
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import Report
 

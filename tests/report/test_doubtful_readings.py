@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 

@@ -10,8 +10,9 @@ import pytest
 from cells import ur10
 from verdict.visits import moved_by, tour, visited
 
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case

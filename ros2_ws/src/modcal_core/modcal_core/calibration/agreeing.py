@@ -259,7 +259,9 @@ class _Search:
             what = f"joint {name} is reported as standing still and moves by some {swing:.0f}°: it looks never reported"
             return self._said(rows, what, remedy)
         if np.ptp(reported) < _STILL:
-            what = f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
+            what = (
+                f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
+            )
             return self._said(rows, what, remedy)
         off = seen - reported
         if _spread(off) < 2.0 * _ANGLE:

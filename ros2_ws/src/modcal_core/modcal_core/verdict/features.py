@@ -35,13 +35,38 @@ _MOST_SIGNALS = 40
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that belong together. name: for a person, after "can be predicted from". columns: (D, 6, N). few: whether
-    a few of them are expected to matter, not all a little.
+    """Columns that belong together, each of which may matter a little. name: for a person, after "can be predicted
+    from". columns: (D, 6, N).
     """
 
     name: str
     columns: Array
-    few: bool = False
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Very many columns, a few of which may matter: in each part all motions (k, 6, N) times all numbers (c, N).
+
+    Columns are numbered part after part, motion after motion.
+    """
+
+    motions: tuple[Array, ...]
+    numbers: tuple[Array, ...]
+
+    def squares(self) -> Array:
+        """Squared lengths of the columns, (D,)."""
+        parts = zip(self.motions, self.numbers, strict=True)
+        return np.concatenate([(np.sum(u**2, axis=1) @ (x**2).T).ravel() for u, x in parts])
+
+    def written(self, which: np.ndarray) -> Array:
+        """The columns of these numbers (k,), in full, (k, 6, N)."""
+        ends = np.cumsum([0, *(len(u) * len(x) for u, x in zip(self.motions, self.numbers, strict=True))])
+        out = np.empty((len(which), 6, self.numbers[0].shape[-1]))
+        for first, last, u, x in zip(ends[:-1], ends[1:], self.motions, self.numbers, strict=True):
+            here = (which >= first) & (which < last)
+            motion, number = np.divmod(which[here] - first, len(x))
+            out[here] = u[motion] * x[number][:, None]
+        return out
 
 
 def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
@@ -57,7 +82,14 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
     for group in (builder.history(), builder.load(), builder.signals()):
         if group is not None:
             yield group
-    yield builder.single_waves()
+
+
+def single_waves(model: Model, samples: Samples, weight: Array) -> tuple[str, Waves]:
+    """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints.
+
+    With what they are called, for a person. weight: of the samples' six components, (6, N).
+    """
+    return "single waves of the joint positions", _Builder(model, samples, weight).single_waves()
 
 
 class _Builder:
@@ -174,15 +206,17 @@ class _Builder:
         said = f"what was recorded of {', '.join(called[:_MOST_NAMED])}{more}"
         return self._group(said, [self._times(where, numbers)])
 
-    def single_waves(self) -> Group:
-        """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints."""
+    def single_waves(self) -> Waves:
+        """See the function of this name."""
         axes = list(zip(self.places, self.axis, strict=True))
-        parts = [self._times([axis], self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :]) for j, axis in enumerate(axes)]
+        motions = [self._motions([axis]) for axis in axes]
+        numbers = [self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
         turns = [self._waves(j, 1) for j in range(self.chain.n)]
         both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
         if both:
-            parts.append(self._times([*axes, *self._ends()], np.stack(both)))
-        return self._group("single waves of the joint positions", parts, few=True)
+            motions.append(self._motions([*axes, *self._ends()]))
+            numbers.append(np.stack(both))
+        return Waves(tuple(motions), tuple(numbers))
 
     def _ends(self) -> list[tuple[int, int]]:
         """All directions of base and tool."""
@@ -210,8 +244,11 @@ class _Builder:
         N = len(self.samples)
         if not where:
             return np.empty((0, 6, N))
-        unit = np.stack([self._unit(place, direction) for place, direction in where])
-        return (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, N)
+        return (self._motions(where)[:, None] * numbers[None, :, None, :]).reshape(-1, 6, N)
+
+    def _motions(self, where: list[tuple[int, int]]) -> Array:
+        """Motions of the tool (k, 6, N) per unit of these directions at these places."""
+        return np.stack([self._unit(place, direction) for place, direction in where])
 
     def _unit(self, place: int, direction: int) -> Array:
         N = len(self.samples)
@@ -223,16 +260,16 @@ class _Builder:
         out[3:, self.view.pose] = row[3 * N :].reshape(3, -1)
         return out * self.weight
 
-    def _group(self, name: str, parts: list[Array], few: bool = False) -> Group:
+    def _group(self, name: str, parts: list[Array]) -> Group:
         columns = np.concatenate(parts)
         size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
         columns = columns[size > 1e-9 * size.max(initial=1e-300)]
-        if len(columns) > _MOST_COLUMNS and not few:
+        if len(columns) > _MOST_COLUMNS:
             flat = columns.reshape(len(columns), -1)
             flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
             mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
             columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
-        return Group(name, columns, few)
+        return Group(name, columns)
 
 
 def _standard(x: Array) -> Array:

@@ -24,8 +24,9 @@ from modcal_core.calibration.split import block_length
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, derivatives, weights
-from modcal_core.verdict.features import groups
-from modcal_core.verdict.ridge import FOLDS, Baseline, Few, Layout, Regressor, Ridge
+from modcal_core.verdict.features import groups, single_waves
+from modcal_core.verdict.few import Few
+from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
 from modcal_core.verdict.verdict import Share
 
 _MOST = 500  # samples; a longer recording is thinned evenly
@@ -73,7 +74,7 @@ def predictable(case: Case) -> Predictable:
     r = layout.flat(_drawn_in(residual * weight))
     U = _parameters(J * weight, case)
     free = U if case.fitted else U[:0]
-    baseline, project = Baseline(layout.flat(free), layout), _Projection(layout.flat(free))
+    baseline, project = Baseline(layout.flat(free), layout), Projection(layout.flat(free))
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
     for group in groups(case.model, samples, weight):
@@ -84,7 +85,10 @@ def predictable(case: Case) -> Predictable:
         keep = size > _LEAST_NEW * before
         if keep.any():
             columns = (columns if keep.all() else columns[keep]) / size[keep, None]
-            tests.append((Few if group.few else Ridge).of(group.name, columns, baseline))
+            tests.append(Ridge.of(group.name, columns, baseline))
+    name, waves = single_waves(case.model, samples, weight)
+    few = Few.of(name, waves, baseline, project, _LEAST_NEW)
+    tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 
 
@@ -160,21 +164,6 @@ def _parameters(J: Array, case: Case) -> Array:
         return _FREE * J / np.maximum(size, 1e-300)[:, None, None]
     value, vector = np.linalg.eigh(case.known.covariance)
     return np.asarray((np.sqrt(_DOUBT * np.maximum(value, 0.0))[:, None] * (vector.T @ flat)).reshape(J.shape))
-
-
-class _Projection:
-    """What is left of columns when a regression on U is taken out of them."""
-
-    def __init__(self, U: Array) -> None:
-        """U: regressors (K, R) of unit variance, of which there may be none."""
-        value, vector = np.linalg.eigh(U @ U.T)
-        keep = value > 1e-12 * value.max(initial=1e-300)
-        self._Q = (vector[:, keep] / np.sqrt(value[keep])).T @ U
-        self._out = value[keep] / (1.0 + value[keep])
-
-    def __call__(self, x: Array) -> Array:
-        """Columns (D, R) less what U predicts of them."""
-        return np.asarray(x - ((x @ self._Q.T) * self._out) @ self._Q) if len(self._Q) else x
 
 
 def _drawn_in(residual: Array) -> Array:

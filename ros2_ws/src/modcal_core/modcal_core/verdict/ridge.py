@@ -12,7 +12,6 @@ from scipy.linalg import cho_factor, cho_solve
 from modcal_core.geometry.so3 import Array
 
 FOLDS = 5
-_ALIKE = 0.1  # ridge in units of a column's square; columns that are nearly the same share what they explain
 _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
 
 
@@ -20,19 +19,20 @@ _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected t
 class Layout:
     """How components of samples (6, N), sorted by fold, lie in one vector (R,), sample after sample.
 
-    sample, component: of each of the R. spans: first and end of each fold in it.
+    sample, component: of each of the R. spans: first and end of each fold in it. samples: the same among samples.
     """
 
     sample: np.ndarray
     component: np.ndarray
     spans: tuple[tuple[int, int], ...]
+    samples: tuple[tuple[int, int], ...]
 
     @classmethod
     def of(cls, ends: np.ndarray, seen: np.ndarray) -> Layout:
         """ends: first sample of each fold, and N. seen: which components there are, (6, N)."""
         sample, component = np.nonzero(seen.T)
         folds = np.searchsorted(sample, ends).tolist()
-        return cls(sample, component, tuple(pairwise(folds)))
+        return cls(sample, component, tuple(pairwise(folds)), tuple(pairwise(ends.tolist())))
 
     def flat(self, x: Array) -> Array:
         """(D, 6, N) as (D, R), or (6, N) as (R,)."""
@@ -76,26 +76,59 @@ class Baseline:
         left = r - self._U.T @ cho_solve((self._whole, True), whole, check_finite=False)
         return Trials(r, left, np.stack(values))
 
-    def trained(self, columns: Array) -> Trained:
-        """How columns (D, R) are trained."""
-        own = np.stack([columns[:, a:b] @ self._U[:, a:b].T for a, b in self.layout.spans])
-        return Trained(columns, self.layout.spans, own.sum(axis=0) - own)
+    def trained(self, columns: Columns) -> Trained:
+        """How columns are trained."""
+        own = columns.products(self._U.T)
+        return Trained(columns, own.sum(axis=0) - own)
+
+
+class Projection:
+    """What is left of columns when a regression on U is taken out of them."""
+
+    def __init__(self, U: Array) -> None:
+        """U: regressors (K, R) of unit variance, of which there may be none."""
+        value, vector = np.linalg.eigh(U @ U.T)
+        keep = value > 1e-12 * value.max(initial=1e-300)
+        self.Q = (vector[:, keep] / np.sqrt(value[keep])).T @ U
+        self.out = value[keep] / (1.0 + value[keep])
+
+    def __call__(self, x: Array) -> Array:
+        """Columns (D, R) less what U predicts of them."""
+        return np.asarray(x - ((x @ self.Q.T) * self.out) @ self.Q) if len(self.Q) else x
+
+
+class Columns(Protocol):
+    """D regressors of R rows each."""
+
+    def products(self, x: Array) -> Array:
+        """Products with x (R, m) over each fold, (FOLDS, D, m)."""
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Columns (D, R) as they are."""
+
+    columns: Array
+    layout: Layout
+
+    def products(self, x: Array) -> Array:
+        """Products with x (R, m) over each fold, (FOLDS, D, m)."""
+        return np.stack([self.columns[:, a:b] @ x[a:b] for a, b in self.layout.spans])
 
 
 @dataclass(frozen=True)
 class Trained:
-    """Columns (D, R) that are trained on what the parameters leave of the other folds.
+    """Columns that are trained on what the parameters leave of the other folds.
 
-    spans: first and end of each fold. against: products with the parameters over the other folds, (FOLDS, D, K).
+    against: products with the parameters over the other folds, (FOLDS, D, K).
     """
 
-    columns: Array
-    spans: tuple[tuple[int, int], ...]
+    columns: Columns
     against: Array
 
     def products(self, trials: Trials) -> Array:
         """Products with what each fold's regressors are trained on, (FOLDS, D, m)."""
-        own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.spans])
+        own = self.columns.products(trials.residual)
         return np.asarray(own.sum(axis=0) - own - self.against @ trials.values)
 
 
@@ -119,6 +152,8 @@ class Ridge:
     """
 
     name: str
+    columns: Array
+    layout: Layout
     trained: Trained
     factors: list[list[tuple[Array, bool]]]
 
@@ -131,52 +166,15 @@ class Ridge:
         whole = np.sum(grams, axis=0)
         ridges = [D / (share * R) for share in _EXPECTED]
         factors = [[cho_factor(whole - g + ridge * np.eye(D), check_finite=False) for g in grams] for ridge in ridges]
-        return cls(name, baseline.trained(columns), factors)
+        return cls(name, columns, baseline.layout, baseline.trained(Plain(columns, baseline.layout)), factors)
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each size of ridge."""
-        products, columns = self.trained.products(trials), self.trained.columns
+        products = self.trained.products(trials)
         out = []
         for factors in self.factors:
             prediction = np.empty_like(trials.left)
-            for (a, b), own, factor in zip(self.trained.spans, products, factors, strict=True):
-                prediction[a:b] = columns[:, a:b].T @ cho_solve(factor, own, check_finite=False)
+            for (a, b), own, factor in zip(self.layout.spans, products, factors, strict=True):
+                prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, own, check_finite=False)
             out.append(prediction)
-        return out
-
-
-@dataclass(frozen=True)
-class Few:
-    """Least squares on the few of many columns (D, R) of unit length that go best with the other folds, a number of
-    them at a time (sure independence screening; Fan & Lv 2008).
-    """
-
-    name: str
-    trained: Trained
-    counts: tuple[int, ...] = (2, 8)
-
-    @classmethod
-    def of(cls, name: str, columns: Array, baseline: Baseline) -> Few:
-        """name: of the columns, for a person."""
-        return cls(name, baseline.trained(columns))
-
-    def predictions(self, trials: Trials) -> list[Array]:
-        """Predictions (R, m) of what is left in the trials, one for each number of columns."""
-        R, m = trials.left.shape
-        columns = self.trained.columns
-        out = [np.empty_like(trials.left) for _ in self.counts]
-        most = min(max(self.counts), len(columns))
-        for (a, b), products in zip(self.trained.spans, self.trained.products(trials), strict=True):
-            size = np.abs(products)
-            top = np.argpartition(-size, most - 1, axis=0)[:most]
-            top = np.take_along_axis(top, np.argsort(-np.take_along_axis(size, top, 0), axis=0), 0)  # (most, m)
-            X = columns[top.T.ravel()].reshape(m, most, R)
-            here = X[:, :, a:b]
-            gram = X @ X.transpose(0, 2, 1) - here @ here.transpose(0, 2, 1)  # over the other folds
-            target = np.take_along_axis(products, top, 0).T
-            for prediction, count in zip(out, self.counts, strict=True):
-                n = min(count, most)
-                held = gram[:, :n, :n] + _ALIKE * np.eye(n)
-                solution = np.linalg.solve(held, target[:, :n, None])
-                prediction[a:b] = (solution.transpose(0, 2, 1) @ here[:, :n])[:, 0].T
         return out

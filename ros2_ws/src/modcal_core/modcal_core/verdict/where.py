@@ -27,7 +27,11 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
     found = dependence(case.model, samples, weights(case.spread, samples), fitted)
     named = " ".join(judged.open_because)
-    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case), *([found.sentence] if found else [])]
+    said = [
+        *(sentence for sentence in outside if sentence not in named),
+        *_apart(case),
+        *([found.sentence] if found else []),
+    ]
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
 
 
