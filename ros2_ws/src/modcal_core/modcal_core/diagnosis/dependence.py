@@ -30,7 +30,7 @@ _RIVAL = 0.97  # of the named share; what predicts as much from elsewhere is nam
 _FOLDS = 5
 _RIDGE = (1e-4, 1e-2, 1.0)  # of the mean square of the columns
 _MOST = 400  # samples; more are thinned evenly
-_LEAST = 25  # stations; with fewer nothing is said
+_LEAST = 15  # stations; with fewer nothing is said
 _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
 _MOST_SIGNALS = 20
@@ -50,9 +50,9 @@ class Dependence:
 
     @property
     def sentence(self) -> str:
-        """For a person, to stand among the reasons of an open verdict."""
+        """For a person, to follow "what is left goes with"."""
         more = f"; as well: {'; '.join(self.rivals)}" if self.rivals else ""
-        return f"What is left goes with {self.driver}, as an error of {self.place} ({self.share:.0%} of it{more})."
+        return f"{self.driver}, as an error of {self.place} ({self.share:.0%} of it{more})"
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class _Builder:
             q = self.samples.q[:, j]
             who = f"joint {name}"
             if constant:
-                yield self._pair(who, "nothing: it is constant", axis, self.one)
+                yield self._pair(who, "nothing, being constant", axis, self.one)
             yield self._pair(who, f"the position of {name} itself", axis, self._hats(q))
             if chain.revolute[j]:
                 yield self._pair(who, f"the position of {name} itself", axis, self._waves(j, 5))
@@ -216,7 +216,7 @@ class _Builder:
         gravity, sight = self._down_in_tool(), self._sight_in_tool()
         for who, where in (("the tool", tool), ("the base", base)):
             if constant:
-                yield self._pair(who, "nothing: it is constant", where, self.one)
+                yield self._pair(who, "nothing, being constant", where, self.one)
             yield self._pair(who, "the order of the stations", where, self.order)
             yield self._pair(who, "how the joints arrived", where, self.came)
             for signal in self.at.signal_names()[:_MOST_SIGNALS]:

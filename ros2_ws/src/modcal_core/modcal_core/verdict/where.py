@@ -27,14 +27,22 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
     found = dependence(case.model, samples, weights(case.spread, samples), fitted)
     named = " ".join(judged.open_because)
-    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case), *([found.sentence] if found else [])]
+    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
+    if found is not None:
+        said.append(f"What is left goes with {found.sentence}.")
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
 
 
 def _apart(case: Case) -> Iterator[str]:
     """What the rejected stations look like, where they are too many to be single wrong readings."""
-    if case.wrong.mean() > MOST_REJECTED:
-        other = disagreement(case.samples, case.model.chain)
-        if other is not None:
-            what = other.what[0].upper() + other.what[1:]
-            yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    if case.wrong.mean() <= MOST_REJECTED:
+        return
+    other = disagreement(case.samples, case.model.chain)
+    if other is not None:
+        what = other.what[0].upper() + other.what[1:]
+        yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    if case.fitted:
+        samples = case.samples.select(np.flatnonzero(case.wrong))
+        found = dependence(case.model, samples, weights(case.spread, samples))
+        if found is not None:
+            yield f"What the rejected stations miss by goes with {found.sentence}."
