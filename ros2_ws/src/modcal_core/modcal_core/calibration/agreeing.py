@@ -83,7 +83,10 @@ def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
-    return _Search(samples.select(rows), chain).found()
+    try:
+        return _Search(samples.select(rows), chain).found()
+    except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
+        return None
 
 
 class _Search:
@@ -259,7 +262,9 @@ class _Search:
             what = f"joint {name} is reported as standing still and moves by some {swing:.0f}°: it looks never reported"
             return self._said(rows, what, remedy)
         if np.ptp(reported) < _STILL:
-            what = f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
+            what = (
+                f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
+            )
             return self._said(rows, what, remedy)
         off = seen - reported
         if _spread(off) < 2.0 * _ANGLE:

@@ -1,8 +1,8 @@
 """When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
-times is named. When none does, only a part of the stations may be wrong, or one joint (:mod:`agreeing`); else the robot or
-the pairing as a whole is wrong.
+times is named. When none does, only a part of the stations may be wrong, or one joint (:mod:`agreeing`); else the robot
+or the pairing as a whole is wrong.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from modcal_core.verdict.verdict import Reason, Verdict
 def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Verdict:
     """An open verdict with sentences that say where; any other as it is.
 
-    outside: sentences on what lies outside what a frozen calibration has seen. The sentences explain the reasons that are
-    there and are none of their own: they have the kind "predictable", which stands in the way of no tolerance.
+    outside: sentences on what lies outside what a frozen calibration has seen. The sentences explain the reasons that
+    are there and are none of their own: they have the kind "predictable", which stands in the way of no tolerance.
     """
     if judged.status != "open":
         return judged
@@ -29,7 +29,7 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
     if found is not None:
-        said.append(f"What is left goes with {found.sentence}.")
+        said.append(f"What is left {found.sentence}.")
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
 
 
@@ -45,4 +45,4 @@ def _apart(case: Case) -> Iterator[str]:
         samples = case.samples.select(np.flatnonzero(case.wrong))
         found = dependence(case.model, samples, weights(case.spread, samples))
         if found is not None:
-            yield f"What the rejected stations miss by goes with {found.sentence}."
+            yield f"What the rejected stations miss by {found.sentence}."
