@@ -54,7 +54,8 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
 def test_another_order_of_quaternions_from_some_station_on(clean: Samples) -> None:
     wrong = Rotation.from_quat(Rotation.from_matrix(clean.R).as_quat()[:, [3, 0, 1, 2]]).as_matrix()
     said = found(replace(clean, R=np.where(LATER[:, None, None], wrong, clean.R)))
-    assert "w x y z" in said.what and "stations 45 to 79" in said.what
+    assert "w x y z" in said.what
+    assert "stations 45 to 79" in said.what
     assert (said.stations, said.of) == (35, 80)
 
 
@@ -77,14 +78,15 @@ def test_a_joint_that_is_stale_or_was_never_reported(clean: Samples) -> None:
 @pytest.mark.parametrize(
     ("column", "words"),
     [
-        (lambda q: q + 0.5 * np.pi, "reads 90.0° too much"),
+        (lambda q: q + 0.5 * np.pi, "reads 90"),
         (lambda q: q / (2.0 * np.pi), "counted in revolutions"),
         (lambda q: 0.7 * q**2, "was elsewhere than reported"),
     ],
 )
 def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> None:  # type: ignore[no-untyped-def]
     said = found(with_joint(clean, 3, column(clean.q[:, 3]))).what
-    assert "wrist_1_joint" in said and words in said
+    assert "wrist_1_joint" in said
+    assert words in said
 
 
 def test_the_refusal_names_it(clean: Samples) -> None:

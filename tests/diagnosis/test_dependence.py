@@ -16,7 +16,9 @@ from modcal_core.loop import calibrate, evaluate
 from modcal_core.measurements.samples import Samples
 
 CHAIN = ur10()
-KNOWN = Cell(stated=Stated(0.01, 0.09, 0.001, 0.006))  # what the readings scatter by, and a little
+KNOWN = Cell(
+    stated=Stated(repeatability_mm=0.01, repeatability_deg=0.001, instrument_mm=0.09, instrument_deg=0.006)
+)  # what the readings scatter by, and a little
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +61,8 @@ def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
 def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
     ahead = play(made.samples, (0.8,))[2, 0]
     text = said(with_error(made, 2, 8e-4 * ahead))
-    assert "how elbow_joint arrived" in text and "as an error of joint elbow_joint" in text
+    assert "how elbow_joint arrived" in text
+    assert "as an error of joint elbow_joint" in text
 
 
 def test_play_follows_only_beyond_its_width(made: Recorded) -> None:

@@ -246,6 +246,17 @@ class _Builder:
         powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
         who = "the tracker's readings"
         yield _Pair(who, "the distance from the tracker", powers[:, None] * radial)
+        before = np.zeros_like(x)
+        order = np.lexsort((self.samples.stamps, self.samples.frame))
+        before[:, order[1:]] = np.diff(x[:, order], axis=1)
+        moved = np.zeros((1, 6, self.N))
+        moved[0, :3] = before
+        yield _Pair(who, "the last move of the target (a filter, or a late clock)", moved)
+        if len(self.view.pose):
+            turns = np.zeros((3, len(self.order), 6, self.N))
+            for axis in range(3):
+                turns[axis, :, 3 + axis, self.view.pose] = self.order[:, self.view.pose].T
+            yield _Pair("the tracker's orientations alone", "the order of the stations", turns.reshape(-1, 6, self.N))
         z = (x - x.mean(axis=1, keepdims=True)) / np.maximum(x.std(axis=1, keepdims=True), 1e-9)
         one = [z[i] for i in range(3)]
         two = [z[i] * z[j] for i in range(3) for j in range(i + 1)]
