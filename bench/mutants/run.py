@@ -281,7 +281,9 @@ def main() -> None:
     options = parse.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # also in the background: what was started is ended, files put back
         signal.signal(number, signal.default_int_handler)
-    mutants = [m for m in SAMPLE[:: options.every] if not options.only or any(_meant(m, pattern) for pattern in options.only)]
+    mutants = [
+        m for m in SAMPLE[:: options.every] if not options.only or any(_meant(m, pattern) for pattern in options.only)
+    ]
     if options.list:
         for mutant in mutants:
             try:

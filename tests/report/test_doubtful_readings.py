@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
+from modcal_core.errors import BadRecording
 from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
@@ -70,3 +71,22 @@ def test_topics_that_repeat_themselves_are_named() -> None:
     assert "readings stand still over 5 stations" in said(replace(made.samples, position=position, R=R))
     q[40:44] = q[40]
     assert "joint positions stand still over 4 stations" in said(replace(made.samples, q=q))
+
+
+def test_readings_computed_before_the_joints_were_rounded() -> None:
+    exact = record(5, 100).exact
+    step = np.radians(1e-3)
+    assert "before these were rounded" in said(replace(exact, q=step * np.round(exact.q / step)))
+    measured = record(5, 100, noise_m=2e-5, noise_rad=2e-5).samples
+    assert said(replace(measured, q=step * np.round(measured.q / step))) == ""
+
+
+def test_positions_rounded_to_the_size_of_the_error() -> None:
+    made = record(6, 100)
+    assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
+
+
+def test_readings_in_a_plane() -> None:
+    made = record(7, 60)
+    with pytest.raises(BadRecording, match="coordinate z of the readings"):
+        said(replace(made.samples, position=made.samples.position * [1.0, 1.0, 0.0]))

@@ -11,6 +11,7 @@ from verdict.visits import visited
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
+from modcal_core.geometry import so3
 from modcal_core.loop import Result, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
@@ -59,6 +60,24 @@ def test_more_than_was_stated_is_open() -> None:
     assert judged.status == "open"
     assert [r.kind for r in judged.reasons] == ["above_floor"]
     assert "was stated" in judged.open_because[0]
+
+
+def test_a_stated_floor_far_above_what_is_left_is_contradicted() -> None:
+    """Micrometres stated as millimetres: no model predicts what an arm does not repeat."""
+    samples = visited(3, 80, 0, "point")
+    judged = verdict_of(samples, Stated(repeatability_mm=30.0, instrument_mm=20.0))
+    assert judged.status == "open"
+    assert "the statement cannot be true" in judged.open_because[0]
+    twice = Stated(repeatability_mm=0.06, instrument_mm=0.06)  # cautious, as data sheets are
+    assert verdict_of(samples, twice).status == "at_floor"
+
+
+def test_orientations_that_drift_alone_are_open() -> None:
+    samples = visited(5, 100, 8)
+    angle = np.outer(np.linspace(0.0, 6e-3, len(samples)), [0.0, 0.0, 1.0])
+    judged = verdict_of(replace(samples, R=so3.exp(angle) @ samples.R))
+    assert judged.status == "open"
+    assert any("the order of the stations" in said for said in judged.open_because)
 
 
 def test_orientation_alone_can_be_open() -> None:

@@ -25,6 +25,7 @@ from modcal_core.robots.mechanism import Mechanism, forward
 
 _ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
 _OF_REACH = 0.006  # the same for positions
+_CLEARLY = 2.0  # times both; what misses by less may be the arm's own error, or that of a few stations drawn
 _DRAWN = 5  # stations
 _DRAWS = 240
 _LEAST = 12  # stations that must agree, and be explained
@@ -83,7 +84,10 @@ def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
-    return _Search(samples.select(rows), chain).found()
+    try:
+        return _Search(samples.select(rows), chain).found()
+    except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
+        return None
 
 
 class _Search:
@@ -102,23 +106,23 @@ class _Search:
         if agree.mean() > _MOST_AGREE:
             return None
         if placed is not None and agree.sum() >= max(_LEAST, 0.2 * len(agree)):
-            rest = np.flatnonzero(~agree)
+            rest = np.flatnonzero(~self._within(placed, self.A, self.samples, _CLEARLY))
             if len(rest) >= _LEAST // 2:
                 said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
                 if said is not None:
                     return said
         return self._joint_throughout()
 
-    def _within(self, placed: _Placed, A: Array, samples: Samples) -> np.ndarray:
+    def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
         angle, gap = placed.missed(A, samples)
-        return (angle < self.limit[0]) & (gap < self.limit[1])
+        return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
     def _placed(self, A: Array, samples: Samples) -> _Placed:
         """Base and tool from these stations."""
         if self.poses:
             Y, X = _hand_eye(A[:, :3, :3], samples.R)
         else:
-            Y, X = _by_positions(A, samples.position), np.eye(3)
+            Y, X = _by_positions(A[None], samples.position[None])[0], np.eye(3)
         _, x, t = _linear(Y, A, samples.position)
         return _Placed(Y, X, x, t)
 
@@ -136,8 +140,7 @@ class _Search:
                 first = int(self.rng.integers(max(len(rows) - 2 * drawn, 1)))
                 some = first + self.rng.choice(min(2 * drawn, len(rows)), drawn, replace=False)
             placed = self._placed(A[some], samples.select(some))
-            angle, gap = placed.missed(A, samples)
-            inside = (angle < 2.0 * self.limit[0]) & (gap < 2.0 * self.limit[1])
+            inside = self._within(placed, A, samples, _CLEARLY)
             if inside.sum() > agree.sum():
                 best, agree = placed, inside
         for _ in range(3):

@@ -1,11 +1,11 @@
 """What the rest of a model depends on: which joint, tool, base or instrument, and in which of its circumstances.
 
 Where the verdict is open, a person has to know where to look, whether or not an effect exists for what is wrong. A
-*place* is what errs: a joint about its axis, a link in all directions, tool, base, or the instrument. A *driver* is what
-the error goes with: the joint's own position, how it arrived, the order of the stations, a load, gravity, a signal, the
-distance. For each pair flexible functions of the driver, as motions of the place, are fitted to four fifths of the
-stations and predict the rest (ridge). The share of the squares that they predict ranks the pairs; of pairs that predict
-nearly as much the one with the fewest functions is named.
+*place* is what errs: a joint about its axis, a link in all directions, tool, base, or the instrument. A *driver* is
+what the error goes with: the joint's own position, how it arrived, the order of the stations, a load, gravity, a
+signal, the distance. For each pair flexible functions of the driver, as motions of the place, are fitted to four fifths
+of the stations and predict the rest (ridge). The share of the squares that they predict ranks the pairs; of pairs that
+predict nearly as much the one with the fewest functions is named.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from modcal_core.robots.chain import Chain
 WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _NEARLY = 0.93  # of the best share; with fewer functions that is plainer
 _RIVAL = 0.97  # of the named share; what predicts as much from elsewhere is named beside it
+CONSTANT = ""  # the driver of an error that depends on nothing
 _FOLDS = 5
 _RIDGE = (1e-4, 1e-2, 1.0)  # of the mean square of the columns
 _MOST = 400  # samples; more are thinned evenly
-_LEAST = 25  # stations; with fewer nothing is said
+_LEAST = 15  # stations; with fewer nothing is said
 _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
 _MOST_SIGNALS = 20
@@ -50,9 +51,14 @@ class Dependence:
 
     @property
     def sentence(self) -> str:
-        """For a person, to stand among the reasons of an open verdict."""
+        """For a person, to follow "what is left ..."."""
         more = f"; as well: {'; '.join(self.rivals)}" if self.rivals else ""
-        return f"What is left goes with {self.driver}, as an error of {self.place} ({self.share:.0%} of it{more})."
+        how = (
+            f"goes with {self.driver}, as an error of {self.place}"
+            if self.driver
+            else (f"is a constant error of {self.place}")
+        )
+        return f"{how} ({self.share:.0%} of it{more})"
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ def _named(found: list[tuple[float, int, str, str]]) -> Dependence | None:
     share, _, place, driver = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
     rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2] != place]
     rivals.sort(key=lambda f: (f[1], -f[0]))
-    return Dependence(place, driver, share, tuple(f"{d}, of {p}" for _, _, p, d in rivals[:1]))
+    return Dependence(place, driver, share, tuple(f"{d or 'a constant error'}, of {p}" for _, _, p, d in rivals[:1]))
 
 
 def _predicted(X: Array, r: Array, fold: np.ndarray) -> float:
@@ -171,7 +177,7 @@ class _Builder:
             q = self.samples.q[:, j]
             who = f"joint {name}"
             if constant:
-                yield self._pair(who, "nothing: it is constant", axis, self.one)
+                yield self._pair(who, CONSTANT, axis, self.one)
             yield self._pair(who, f"the position of {name} itself", axis, self._hats(q))
             if chain.revolute[j]:
                 yield self._pair(who, f"the position of {name} itself", axis, self._waves(j, 5))
@@ -216,7 +222,7 @@ class _Builder:
         gravity, sight = self._down_in_tool(), self._sight_in_tool()
         for who, where in (("the tool", tool), ("the base", base)):
             if constant:
-                yield self._pair(who, "nothing: it is constant", where, self.one)
+                yield self._pair(who, CONSTANT, where, self.one)
             yield self._pair(who, "the order of the stations", where, self.order)
             yield self._pair(who, "how the joints arrived", where, self.came)
             for signal in self.at.signal_names()[:_MOST_SIGNALS]:
@@ -240,6 +246,17 @@ class _Builder:
         powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
         who = "the tracker's readings"
         yield _Pair(who, "the distance from the tracker", powers[:, None] * radial)
+        before = np.zeros_like(x)
+        order = np.lexsort((self.samples.stamps, self.samples.frame))
+        before[:, order[1:]] = np.diff(x[:, order], axis=1)
+        moved = np.zeros((1, 6, self.N))
+        moved[0, :3] = before
+        yield _Pair(who, "the last move of the target (a filter, or a late clock)", moved)
+        if len(self.view.pose):
+            turns = np.zeros((3, len(self.order), 6, self.N))
+            for axis in range(3):
+                turns[axis, :, 3 + axis, self.view.pose] = self.order[:, self.view.pose].T
+            yield _Pair("the tracker's orientations alone", "the order of the stations", turns.reshape(-1, 6, self.N))
         z = (x - x.mean(axis=1, keepdims=True)) / np.maximum(x.std(axis=1, keepdims=True), 1e-9)
         one = [z[i] for i in range(3)]
         two = [z[i] * z[j] for i in range(3) for j in range(i + 1)]

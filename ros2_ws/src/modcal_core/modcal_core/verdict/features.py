@@ -148,7 +148,10 @@ class _Builder:
             if np.ptp(stamps) > 0.0:
                 share = stamps / np.ptp(stamps)
                 waves += [share, np.exp(-10.0 * share)]
-        return self._group("the order of the stations", [self._times(where, np.stack(waves))])
+        parts = [self._times(where, np.stack(waves))]
+        if not first and len(self.view.pose):
+            parts.append(self._turned(np.stack(waves)))
+        return self._group("the order of the stations", parts)
 
     def history(self) -> Group | None:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""
@@ -249,6 +252,13 @@ class _Builder:
     def _motions(self, where: list[tuple[int, int]]) -> Array:
         """Motions of the tool (k, 6, N) per unit of these directions at these places."""
         return np.stack([self._unit(place, direction) for place, direction in where])
+
+    def _turned(self, numbers: Array) -> Array:
+        """Columns (3 × numbers, 6, N) of orientations alone, about the root's axes: positions are as they were."""
+        out = np.zeros((3, len(numbers), 6, len(self.samples)))
+        for axis in range(3):
+            out[axis, :, 3 + axis, self.view.pose] = numbers[:, self.view.pose].T
+        return np.asarray((out * self.weight).reshape(-1, 6, len(self.samples)))
 
     def _unit(self, place: int, direction: int) -> Array:
         N = len(self.samples)

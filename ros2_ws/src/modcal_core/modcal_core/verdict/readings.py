@@ -22,6 +22,7 @@ _LEVER = 0.1  # of the reach; an error of the arm that turns the tool moves it b
 _MOST_BY_ARM = np.radians(5.0)
 _FINE = 2e-5  # m; what rounding may make to be finer than any arm repeats
 _BY_ROUNDING = 1.6  # times what rounding makes: the tool reaches farther than the tip
+_MOSTLY = 0.5  # of the squared error
 _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
 _REPEATED = 3  # readings in a row that are the same to the last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
@@ -35,7 +36,12 @@ def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, ch
     errors: of the scored samples by stage (nominal, geometric, final). samples: all of the recording.
     """
     made = computed(errors, scored) or rounded(errors, scored, chain)
-    return (*made, *repeated(samples), *turned(errors["final"], scored, chain))
+    return (
+        *made,
+        *(coarse(errors["final"], scored) if not made else ()),
+        *repeated(samples),
+        *turned(errors["final"], scored, chain),
+    )
 
 
 def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
@@ -83,6 +89,21 @@ def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) ->
                 "that looks at the arm from outside.",
             )
     return ()
+
+
+def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
+    """Whether most of what is left is made by the last digit of the positions.
+
+    Each coordinate is as wrong as a number between two steps is, step / √12, which is step / 2 over three axes.
+    """
+    step = _step(samples.position)
+    made, of = step / 2.0, _rms(left.position_norm)
+    if len(samples) < _LEAST or not is_direct(samples.kinds) or not step or made**2 < _MOSTLY * of**2:
+        return ()
+    return (
+        f"Positions are rounded to {1e3 * step:g} mm, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
+        "that are left: that is the export and not the instrument. Write more digits.",
+    )
 
 
 def _step_of_joints(q: np.ndarray) -> float:
