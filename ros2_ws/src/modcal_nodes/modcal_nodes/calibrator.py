@@ -31,7 +31,7 @@ from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
-from modcal_nodes.calibrating.state import State, read_state, write_state
+from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
 from modcal_nodes.calibrating.telling import Times, model_status, sample_status
 from modcal_nodes.files import write_folder
 from modcal_nodes.guarding import GuardedNode
@@ -57,6 +57,9 @@ class Calibrator(GuardedNode):
         follow(self, CALIBRATOR, chosen, _check, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = Path(chosen["state"]) if chosen["state"] else None
+        self._lock = StateLock(self._folder) if self._folder else None
+        if self._lock is not None and self._lock.warning:
+            self.get_logger().warning(self._lock.warning)
         state = read_state(self._folder) if self._folder else State()
         self._memory = Memory(chosen["memory_s"])
         self._memory.samples = state.samples
@@ -331,6 +334,8 @@ class Calibrator(GuardedNode):
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._save_samples()
+        if self._lock is not None:
+            self._lock.release()
 
     # telling
 

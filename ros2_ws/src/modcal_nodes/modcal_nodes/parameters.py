@@ -279,6 +279,13 @@ VIEWER = {
 }
 
 
+DOOR_DEMO = {
+    "start": Parameter(True, "Whether it starts the other nodes itself; false: a launch file does."),
+    "kind": Parameter("door", "What is opened: door or drawer."),
+    "seed": Parameter(0, "Decides the object, its place and the noise.", 0, 2**31 - 1),
+    "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
+}
+
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
@@ -312,6 +319,7 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
     ),
     "simulated_furniture": (SIMULATED_FURNITURE, ""),
+    "door_demo": (DOOR_DEMO, ""),
 }
 NODES = {
     name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
@@ -321,6 +329,7 @@ RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES[
 ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
 ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
 SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
+DOOR_DEMO = NODES["door_demo"]
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
