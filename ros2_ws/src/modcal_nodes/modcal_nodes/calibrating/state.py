@@ -44,9 +44,8 @@ class StateLock:
         except BlockingIOError:
             self._file.seek(0)
             who = self._file.read().strip() or "another process"
-            raise BadTable(
-                str(folder), f"is in use by {who}", "give each calibrator a state folder of its own"
-            ) from None
+            self._file.close()
+            raise BadTable(str(folder), f"is in use by {who}", "give each calibrator a folder of its own") from None
         except OSError as error:
             if not folder.is_dir():
                 raise BadTable(str(folder), f"cannot be made ({error.strerror})", "choose another folder") from error
