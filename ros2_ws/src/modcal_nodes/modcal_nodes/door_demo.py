@@ -46,7 +46,11 @@ class DoorDemo(GuardedNode):
 
     def _start(self) -> list[subprocess.Popen[bytes]]:
         """The other nodes, as the launch file would start them, in processes of their own."""
-        share, beside = Path(get_package_share_directory("modcal_nodes")), Path(sys.argv[0]).resolve().parent
+        try:
+            share = Path(get_package_share_directory("modcal_nodes"))
+        except (LookupError, OSError) as error:
+            raise BadTable("package modcal_nodes", "is not found", "source install/setup.bash") from error
+        beside = Path(sys.argv[0]).resolve().parent
         plan, namespace, children = LAUNCHES["door_demo"], self.get_namespace(), []
         for node in plan.nodes:
             if node == "door_demo":

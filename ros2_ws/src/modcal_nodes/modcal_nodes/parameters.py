@@ -69,6 +69,7 @@ CALIBRATOR = {
     "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
     "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
     "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
 }
 
 CORRECTOR = {
@@ -88,6 +89,7 @@ CORRECTOR = {
     ),
     "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
     "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+    "publish_tf": Parameter(False, "Whether the corrected tip goes to /tf, as TIP_corrected (tf2_msgs)."),
 }
 
 ARTICULATION_ESTIMATOR = {
@@ -292,12 +294,12 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
     "recorder": (RECORDER, "patience_s least_free_mb"),
     "calibrator": (
         CALIBRATOR,
-        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s publish_tf",
+        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s",
     ),
     "corrector": (
         CORRECTOR,
         "target stream horizon_s stale_s goal_stale_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
-        "switch_step_rad blend_s rate_hz publish_tf",
+        "switch_step_rad blend_s rate_hz",
     ),
     "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz stale_s ahead_m pull_n"),
     "impedance_setpoint": (

@@ -58,6 +58,7 @@ class StateLock:
     def release(self) -> None:
         """Give it up."""
         if not self.warning:
+            self._file.truncate(0)
             self._file.close()
 
 
