@@ -1,4 +1,4 @@
-"""The processes of bench/chaos.py: a relay that spoils what it passes on, and a node whose callbacks raise now and then.
+"""The processes of bench/chaos.py: a relay that spoils what it passes on, and nodes whose callbacks raise now and then.
 
 python bench/chaos_parts.py relay LOG SEED       # /raw/... → /...; LOG: what was published, and what was done to it
 python bench/chaos_parts.py node NAME LOG SEED [--ros-args ...]

@@ -38,6 +38,7 @@ setup(
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
             f"door_demo = {PACKAGE}.door_demo:main",
+            f"trajectory_sender = {PACKAGE}.trajectory_sender:main",
         ],
     },
 )

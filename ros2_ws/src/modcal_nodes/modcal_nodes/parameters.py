@@ -288,6 +288,15 @@ DOOR_DEMO = {
     "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
 }
 
+TRAJECTORY_SENDER = {
+    "trajectory": Parameter("", "File of the trajectory, as modcal plan writes it (trajectory.yaml)."),
+    "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
+    "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
+    "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
+}
+
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
@@ -322,6 +331,7 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
     ),
     "simulated_furniture": (SIMULATED_FURNITURE, ""),
     "door_demo": (DOOR_DEMO, ""),
+    "trajectory_sender": (TRAJECTORY_SENDER, ""),
 }
 NODES = {
     name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
@@ -331,7 +341,7 @@ RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES[
 ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
 ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
 SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
-DOOR_DEMO = NODES["door_demo"]
+DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
