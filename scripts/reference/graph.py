@@ -26,7 +26,14 @@ PACKAGE = ROOT / "ros2_ws" / "src" / "modcal_nodes"
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 SPACE = "/somewhere"
 # What each node needs to start, and parameters that decide which topics there are.
-NEEDED = {"simulated_cell": {"urdf": str(URDF)}, "simulated_furniture": {"urdf": str(URDF)}}
+_TRAJECTORY = Path(tempfile.mkdtemp()) / "trajectory.yaml"
+_TRAJECTORY.write_text("{joint_names: [a], points: [{positions: [0.0], time_from_start: {sec: 0, nanosec: 0}}]}")
+NEEDED = {
+    "simulated_cell": {"urdf": str(URDF)},
+    "simulated_furniture": {"urdf": str(URDF)},
+    "door_demo": {"start": "false"},
+    "trajectory_sender": {"trajectory": str(_TRAJECTORY)},
+}
 DECIDING = {
     "articulation_estimator": [("input", topic) for topic in ("tool_pose", "tracker/pose", "tracker/point")],
     "simulated_cell": [("measurement", "point"), ("publish_clock", "true")],
@@ -41,8 +48,8 @@ INTRODUCTION = """# Topics and services
 Names are relative to the node's namespace; `~/` stands for the node's own name. *Latched* is transient local: whoever
 comes later gets the last message. The number is how many messages are kept. Where a publisher offers less than is
 asked for (best effort for reliable, not latched for latched), the nodes take what there is; the simulators do not.
-What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters and type
-descriptions besides, and hears `/clock` with `use_sim_time`."""
+What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters, log levels and
+type descriptions besides, and hears `/clock` with `use_sim_time`."""
 RECORDS = """Hears what its [parameter](parameters.md#recorder) `topics` names, whatever the type, with the QoS that its
 publishers offer."""
 
