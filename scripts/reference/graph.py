@@ -48,8 +48,8 @@ INTRODUCTION = """# Topics and services
 Names are relative to the node's namespace; `~/` stands for the node's own name. *Latched* is transient local: whoever
 comes later gets the last message. The number is how many messages are kept. Where a publisher offers less than is
 asked for (best effort for reliable, not latched for latched), the nodes take what there is; the simulators do not.
-What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters, log levels
-and type descriptions besides, and hears `/clock` with `use_sim_time`."""
+What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters, log
+levels and type descriptions besides, and hears `/clock` with `use_sim_time`."""
 RECORDS = """Hears what its [parameter](parameters.md#recorder) `topics` names, whatever the type, with the QoS that its
 publishers offer."""
 
