@@ -65,7 +65,9 @@ def test_every_parameter_of_a_config_file_is_on_the_page() -> None:
     assert files
     for file in files:
         for node, content in yaml.safe_load(file.read_text()).items():
-            assert set(content["ros__parameters"]) - {"use_sim_time"} <= set(named(pages[node.strip("/*")])), file.name
+            assert set(content["ros__parameters"]) - {"use_sim_time"} <= set(
+                named(pages[node.strip("/*") or file.stem])
+            ), file.name
 
 
 def test_every_topic_and_service_that_the_sources_name_is_on_the_page() -> None:

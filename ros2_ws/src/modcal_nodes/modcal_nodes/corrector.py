@@ -21,6 +21,8 @@ from modcal_core.measurements.approach import Approach
 from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
+from modcal_nodes.broadcasting import Broadcaster
+from modcal_nodes.frames import corrected_frame
 from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
@@ -59,6 +61,7 @@ class Corrector(GuardedNode):
         self._states = self.create_publisher(JointState, "~/joint_states", 10)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+        self._tf = Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
         guarded = self._refusals.guarded
         self._ears = [
             Ear(self, JointState, "joint_states", guarded("joint_states", self._take_joints), FRESH, needed=True),
@@ -185,6 +188,10 @@ class Corrector(GuardedNode):
         states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
         set_seconds(states.header.stamp, stamp)
         self._pose.publish(pose)
+        if self._tf is not None:
+            tip = T if target == "tip" else correction.pose(at.q, at, "tip")
+            frame = corrected_frame(correction.chain.base, correction.chain.tip, tip)
+            self._tf.publish([frame], pose.header.stamp)
         self._states.publish(states)
         self._counts["poses"] += 1
 
@@ -268,6 +275,8 @@ class Corrector(GuardedNode):
         except ModcalError as error:
             return Status("correction", ERROR, str(error), facts)
         said = self._refusals.recent("joint_states", "temperature")
+        if not said and self._tf is not None:
+            said = self._tf.trouble
         if silent := self._signals.silent(correction.needs, now):
             said = f"{', '.join(silent)}: silent, the last value is used"
         elif unseen := correction.unseen(at.q):

@@ -12,6 +12,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from copy import copy
 from functools import update_wrapper
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,14 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from modcal_core.errors import ModcalError
 
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
+_OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 _EVENTS = ("deadline", "incompatible_qos", "incompatible_type", "liveliness", "matched", "message_lost")
 
 
@@ -126,7 +130,7 @@ class GuardedNode(Node):
     _faults: Faults | None = None
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
+        super().__init__(*args, **{"enable_logger_service": True, **options})
         for service in self.services:  # those that rclpy makes without asking create_service
             if not _is_guarded(service.callback):
                 service.callback = self.guarded_service(service.srv_name, service.callback)
@@ -142,13 +146,23 @@ class GuardedNode(Node):
         """A callback whose exceptions cost what it was called for, and no more."""
         return callback if _is_guarded(callback) else Guarded(self, place, callback)
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *args: Any, **options: Any) -> Any:
-        """As of Node, guarded."""
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, *args: Any, **options: Any) -> Any:
+        """As of Node, with the QoS that parameters qos_overrides.TOPIC.publisher.POLICY state."""
+        qos_profile = self._overridden(topic, "publisher", qos_profile, options)
+        return super().create_publisher(msg_type, topic, qos_profile, *args, **options)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, *args: Any, **options: Any
+    ) -> Any:
+        """As of Node, guarded, with the QoS that parameters qos_overrides.TOPIC.subscription.POLICY state."""
+        qos_profile = self._overridden(topic, "subscription", qos_profile, options)
         events = options.get("event_callbacks")
         for name in _EVENTS:
             if (event := getattr(events, name, None)) is not None:
                 setattr(events, name, self.guarded(f"{topic}, {name}", event))
-        return super().create_subscription(msg_type, topic, self.guarded(topic, callback), *args, **options)
+        return super().create_subscription(
+            msg_type, topic, self.guarded(topic, callback), qos_profile, *args, **options
+        )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
         """As of Node, guarded."""
@@ -169,6 +183,15 @@ class GuardedNode(Node):
     def add_post_set_parameters_callback(self, callback: Any) -> None:
         """As of Node, guarded."""
         super().add_post_set_parameters_callback(self.guarded("parameters", callback))
+
+    def _overridden(self, topic: str, kind: str, qos: Any, options: dict[str, Any]) -> Any:
+        """The QoS to ask for; where the user overrides it, a copy that rclpy may change, with the option for that."""
+        stated = getattr(self, "_parameter_overrides", {})
+        start = f"qos_overrides.{self.resolve_topic_name(topic)}.{kind}." if stated else ""
+        if not start or not any(name.startswith(start) for name in stated):
+            return qos
+        options.setdefault("qos_overriding_options", QoSOverridingOptions(_OVERRIDABLE))
+        return copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
 
     def guarded_service(self, name: str, callback: Any) -> Callable[..., Any]:
         """A service's callback; after a fault the caller is told no."""

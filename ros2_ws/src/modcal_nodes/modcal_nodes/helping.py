@@ -24,12 +24,15 @@ _ROS = (
 def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int | None:
     """The exit code, if the arguments ask for help or are none that a node has; None: the node is to be started."""
     words = list(sys.argv if arguments is None else arguments)
-    own = remove_ros_args(words)[1:]
     name = Path(words[0]).name if words else ""
-    ros = words[words.index("--ros-args") :] if "--ros-args" in words else []
-    if any(word in ("-h", "--help") for word in [*own, *ros]):
+    if any(word in ("-h", "--help") for word in words[1:]):
         print(help_text(name, make))
         return 0
+    try:
+        own = remove_ros_args(words)[1:]
+    except RuntimeError as error:  # rcl's own errors have no public name
+        print(f"modcal: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
     if own:
         print(f"modcal: {own[0]}: is no argument of {name}: see {name} --help", file=sys.stderr)
         return 2

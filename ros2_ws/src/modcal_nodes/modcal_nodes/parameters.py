@@ -69,6 +69,7 @@ CALIBRATOR = {
     "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
     "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
     "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
 }
 
 CORRECTOR = {
@@ -88,6 +89,7 @@ CORRECTOR = {
     ),
     "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
     "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+    "publish_tf": Parameter(False, "Whether the corrected tip goes to /tf, as TIP_corrected (tf2_msgs)."),
 }
 
 ARTICULATION_ESTIMATOR = {
@@ -279,18 +281,34 @@ VIEWER = {
 }
 
 
+DOOR_DEMO = {
+    "start": Parameter(True, "Whether it starts the other nodes itself; false: a launch file does."),
+    "kind": Parameter("door", "What is opened: door or drawer."),
+    "seed": Parameter(0, "Decides the object, its place and the noise.", 0, 2**31 - 1),
+    "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
+}
+
+TRAJECTORY_SENDER = {
+    "trajectory": Parameter("", "File of the trajectory, as modcal plan writes it (trajectory.yaml)."),
+    "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
+    "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
+    "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
+}
+
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
     "recorder": (RECORDER, "patience_s least_free_mb"),
     "calibrator": (
         CALIBRATOR,
-        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s publish_tf",
+        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s",
     ),
     "corrector": (
         CORRECTOR,
         "target stream horizon_s stale_s goal_stale_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
-        "switch_step_rad blend_s rate_hz publish_tf",
+        "switch_step_rad blend_s rate_hz",
     ),
     "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz stale_s ahead_m pull_n"),
     "impedance_setpoint": (
@@ -312,6 +330,8 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
     ),
     "simulated_furniture": (SIMULATED_FURNITURE, ""),
+    "door_demo": (DOOR_DEMO, ""),
+    "trajectory_sender": (TRAJECTORY_SENDER, ""),
 }
 NODES = {
     name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
@@ -321,6 +341,7 @@ RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES[
 ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
 ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
 SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
+DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:

@@ -74,6 +74,7 @@ class Recorder(GuardedNode):
             if tape.look() and tape.type_name is not None:
                 self._bag.add_topic(tape.topic, tape.type_name, tape.profiles())
                 self.get_logger().info(f"recording {tape.topic} ({tape.type_name})")
+        self._complain()
         try:
             if self._early and (self._now() or time.monotonic() - self._early_since > FLUSH_SECONDS):
                 self._write_early()
@@ -115,13 +116,23 @@ class Recorder(GuardedNode):
         self._free = _free_bytes(self._bag.folder)
         for tape in self._tapes:
             tape.measure()
-        for topic, complaint in self._complaints():
-            if self._said.get(topic) != complaint.kind:
-                self._said[topic] = complaint.kind
-                self.get_logger().warn(complaint.text)
         if (shortage := self._shortage()) is not None:
             self._end(shortage)
         self._health.publish_if_changed()
+
+    def _complain(self) -> None:
+        """Say what is newly wrong, in the log and on /diagnostics."""
+        news = False
+        for topic, complaint in self._complaints():
+            if self._said.get(topic) != complaint.kind:
+                self._said[topic], news = complaint.kind, True
+                self.get_logger().warn(complaint.text)
+        for tape in self._tapes:
+            if tape.waited is not None and self._said.get(tape.topic) == "unheard":
+                del self._said[tape.topic]
+                self.get_logger().info(f"{tape.topic}: the first message came {tape.waited:.1f} s after subscribing")
+        if news:
+            self._health.publish()
 
     def _shortage(self) -> BadRecording | None:
         least = float(self._chosen["least_free_mb"])

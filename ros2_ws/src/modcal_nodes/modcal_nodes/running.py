@@ -63,6 +63,7 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     finally:
         code = max(code, _close(node))
         rclpy.try_shutdown()
+        stopping.done()
     sys.exit(code)
 
 

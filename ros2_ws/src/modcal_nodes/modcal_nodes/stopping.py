@@ -27,6 +27,11 @@ class Stopping:
         elif time.monotonic() - self._since > _PATIENCE:
             raise KeyboardInterrupt
 
+    def done(self) -> None:
+        """Closed: what comes from now on must not end Python's own end, which would restore what signals do."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
     def wake(self, wake: Callable[[], object]) -> None:
         """Have this called, from a thread, at every signal: a wait outside Python would not see it."""
         ours, theirs = socket.socketpair()

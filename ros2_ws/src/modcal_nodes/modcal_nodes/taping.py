@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from modcal_msgs_py.bag_metadata import qos_profile
-from modcal_msgs_py.topics import TYPES
+from modcal_msgs_py.topics import READINGS, TYPES
 from modcal_msgs_py.types import jazzy
 from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, WARN
@@ -28,8 +28,16 @@ from modcal_nodes.waiting import waiting
 
 # Five seconds of a fast driver may wait while this process gets no time.
 _DEPTH = 5000
+# After a process was killed, a publisher may take seconds to learn of the one that subscribes in its place, for the
+# middleware holds on to the dead one. To subscribe anew is announced anew, and often shortens that.
+_AGAIN, _MOST_AGAIN = 0.5, 8  # s without a first message, and how often
+_UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
+_FAST = (*READINGS, "joint_states", "wrench")
 # Messages that are taken in one go, before other topics, timers and services have their turn.
 _AT_ONCE = 200
+
+
+_SLASHED_FAST = tuple("/" + role for role in _FAST)
 
 
 class Offer(NamedTuple):
@@ -78,6 +86,9 @@ class Tape:
         self._gaps = self._suspected = self._told_lost = 0
         self._last = time.monotonic()
         self._rated = (self._last, 0)
+        self._subscribed = self._last
+        self._again = 0
+        self.waited: float | None = None  # s from the subscription to the first message
 
     def look(self) -> bool:
         """Subscribe to what is offered now; whether that was something new."""
@@ -100,11 +111,21 @@ class Tape:
             for publisher in publishers
             if publisher.topic_type == self.type_name
         }
+        if self._ears and not self.count and self.publishers:
+            self._insist()
         new = offers - set(self._ears)
         for offer in new:
             self._ears[offer] = self._subscribe(offer)
-            self._last = time.monotonic()
+            self._subscribed = self._last = time.monotonic()
         return bool(new)
+
+    def _insist(self) -> None:
+        """Subscribe anew to who has not been heard yet; what is latched or slow loses nothing by it."""
+        if self._again < _MOST_AGAIN and time.monotonic() - self._subscribed > _AGAIN * (self._again + 1):
+            self._again += 1
+            for offer, before in list(self._ears.items()):
+                self._ears[offer] = self._subscribe(offer)
+                self._node.destroy_subscription(before)
 
     def profiles(self) -> list[dict[str, Any]]:
         """The QoS that was offered so far, as a bag holds it."""
@@ -134,6 +155,11 @@ class Tape:
                 f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one of them"
             )
             return Complaint(ERROR, "types", text)
+        if not self.count and self._ears and self.publishers and self.topic.endswith(_SLASHED_FAST):
+            since = time.monotonic() - self._subscribed
+            if since > _UNHEARD:
+                text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
+                return Complaint(WARN, "unheard", f"{text}: nothing of it is recorded until one comes")
         silence = time.monotonic() - self._last
         if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
@@ -183,6 +209,8 @@ class Tape:
         if published and self._known(published, cdr):
             return
         self._count_gaps(info.get("publication_sequence_number"))
+        if not self.count:
+            self.waited = self._last - self._subscribed
         self.count += 1
         self.bytes += len(cdr)
         taken = Taken(self.topic, cdr, published, info["received_timestamp"])

@@ -13,6 +13,7 @@ from modcal_core.resolve import Comparison
 from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.health import ERROR, OK, WARN, Status
 
+_ADVISED = 40  # stations before a first solve that nobody has set: some twice as many numbers as an arm has
 _TIMED = 20_000  # updates whose times are remembered
 
 
@@ -69,6 +70,19 @@ def model_status(
     return Status("model", OK if standing.at_floor else WARN, text, facts)
 
 
+def collected(supervisor: Supervisor) -> str:
+    """How far collecting is."""
+    policy = supervisor.policy
+    if supervisor.live is not None:
+        if supervisor.suspicion is not None and policy.after_change:
+            return f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved anew"
+        return f"{supervisor.stations} stations"
+    wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")
+    if supervisor.stations >= wanted:
+        return f"{supervisor.stations} stations of {wanted} are collected: {then}"
+    return f"{supervisor.stations} of {wanted} stations, then {then}"
+
+
 def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:
     """How many stations there are, what was left out, and how long updates take."""
     facts: dict[str, object] = {"messages refused": refused}
@@ -78,5 +92,5 @@ def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, t
         facts["readings without joint states"] = stream.counts.unpaired
     if supervisor.live is not None:
         facts["readings in unknown frames"] = supervisor.live.strange
-    message = f"{supervisor.stations} stations" + (f", {refused} messages refused" if refused else "")
+    message = collected(supervisor) + (f", {refused} messages refused" if refused else "")
     return Status("samples", WARN if refused else OK, message, {**facts, **times.values()})
