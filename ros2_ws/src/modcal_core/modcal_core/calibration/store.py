@@ -25,6 +25,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.schema import shown
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -196,14 +197,43 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
-    kind = str(recorded["kind"])
+        kind = str(recorded["kind"])
+        _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
+        raise BadTable(source, f"damaged: {shown(error)}", "calibrate again") from error
+    except BadRobot as error:
+        raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
         *(watched, alone, converged, clock, ranges, usual),
     )
+
+
+def _require_consistent(
+    calibrated: Model,
+    geometric: Model,
+    nominal: Model,
+    seen: Array,
+    parameters: tuple[tuple[str, float, float, str], ...],
+    kind: str,
+) -> None:
+    """Raises ValueError unless the parts of a calibration are of one arm, and all numbers finite."""
+    models = {"nominal": nominal, "calibrated": calibrated, "geometric": geometric}
+    for name, model in models.items():
+        if type(model.chain) is not type(nominal.chain) or model.chain.names != nominal.chain.names:
+            raise ValueError(f"{name} is of another arm than nominal")
+        if model.frames != nominal.frames:
+            raise ValueError(f"{name} has other frames than nominal")
+    if not np.isfinite(seen).all() or seen.shape != (2, len(nominal.chain.names)):
+        raise ValueError("seen has two finite numbers for each joint")
+    if not all(np.isfinite(value) for _, value, _, _ in parameters):
+        raise ValueError("a parameter is not finite")
+    if kind not in (*kinds(), "same_point", "mixed"):
+        raise ValueError(f"readings of kind {kind[:40]} are not known")
+    for effect in calibrated.effects:
+        if not np.isfinite(effect.values).all() or effect.values.ndim != 1:
+            raise ValueError(f"the values of effect {effect.family[:40]} are not finite")
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:
