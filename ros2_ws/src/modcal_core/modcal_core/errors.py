@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from math import nan
 from typing import Any
+
+# C0 and C1 controls but for line breaks and tabs, and what turns the direction of writing round
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def plain(text: str) -> str:
+    """The text with control characters written out, so that a name from a file cannot steer a terminal."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class ModcalError(Exception):
@@ -13,10 +22,10 @@ class ModcalError(Exception):
     """
 
     def __init__(self, offender: str, limit: str, remedy: str) -> None:
-        self.offender = offender
-        self.limit = limit
-        self.remedy = remedy
-        super().__init__(f"{offender}: {limit}: {remedy}".replace("\n", " "))
+        self.offender = plain(offender)
+        self.limit = plain(limit)
+        self.remedy = plain(remedy)
+        super().__init__(" ".join(f"{self.offender}: {self.limit}: {self.remedy}".splitlines()))
 
     def __reduce__(self) -> tuple[type[ModcalError], tuple[str, str, str]]:
         """So that a refusal can travel between processes in its three parts."""

@@ -123,8 +123,8 @@ def import_tables(
 def _matching(folder: Path, pattern: str, source: str) -> list[Path]:
     try:
         return sorted(path for path in folder.glob(pattern) if path.is_file())
-    except (ValueError, NotImplementedError, IndexError) as error:
-        said = f"'{pattern}' is no pattern of files"
+    except (ValueError, NotImplementedError, IndexError, OSError) as error:
+        said = f"{shown(pattern)} is no pattern of files"
         raise BadTable(f"{source}: files", said, "give names relative to the folder, such as run_*.csv") from error
 
 

@@ -118,7 +118,7 @@ def _witness_from_data(data: Any, library: Library, source: str) -> Witness:
 def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:
     try:
         out = np.asarray(stated, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != shape or not np.isfinite(out).all():
         raise BadTable(what, f"does not hold {' x '.join(map(str, shape)) or 'one'} finite numbers", _FIX)

@@ -231,9 +231,6 @@ def _require_consistent(
         raise ValueError("a parameter is not finite")
     if kind not in (*kinds(), "same_point", "mixed"):
         raise ValueError(f"readings of kind {kind[:40]} are not known")
-    for effect in calibrated.effects:
-        if not np.isfinite(effect.values).all() or effect.values.ndim != 1:
-            raise ValueError(f"the values of effect {effect.family[:40]} are not finite")
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:
@@ -256,11 +253,22 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
         str(data["direction"]),
         str(data["driver"]),
         Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
-        np.array(data["values"], dtype=float),
-        np.array(data["std"], dtype=float),
+        _vector(data["values"]),
+        np.array(data["std"], dtype=float).reshape(-1),
     )
     require_known(effect)
+    missing = [name for name in effect.refined if name not in effect.shape.settings]
+    if missing or len(effect.values) <= len(effect.refined) or len(effect.std) != len(effect.values):
+        raise ValueError(f"effect {effect.family[:40]} has {len(effect.values)} values, or lacks {', '.join(missing)}")
     return effect
+
+
+def _vector(values: Any) -> Array:
+    """Finite numbers (m,). Raises ValueError for others."""
+    out = np.array(values, dtype=float)
+    if out.ndim != 1 or not np.isfinite(out).all():
+        raise ValueError(f"{shown(values)} is no list of finite numbers")
+    return out
 
 
 def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
@@ -268,7 +276,7 @@ def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
 
 
 def _usual_from_data(data: Any) -> Usual | None:
-    return None if data is None else Usual(np.array(data["mean"], dtype=float), float(data["cost_m2"]))
+    return None if data is None else Usual(_vector(data["mean"]), float(data["cost_m2"]))
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

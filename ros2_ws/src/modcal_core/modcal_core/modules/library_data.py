@@ -155,7 +155,7 @@ def _point(data: Mapping[str, Any], what: str) -> Point:
 def _three(values: Any, what: str) -> Array:
     try:
         out = np.array([float(v) for v in values])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != (3,) or not np.isfinite(out).all():
         raise BadTable(what, "needs 3 finite numbers", _SEE)
@@ -166,7 +166,7 @@ def _three(values: Any, what: str) -> Array:
 def _number(value: Any, what: str, finite: bool = True) -> float:
     try:
         out = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.nan
     if isinstance(value, bool) or np.isnan(out) or (finite and np.isinf(out)):
         raise BadTable(what, f"{value!r} is not a number", _SEE)

@@ -167,5 +167,5 @@ def _entries(cell: Any, what: str) -> tuple[Entry, ...]:
         parts = [[]]
     try:
         return tuple(Entry(*(int(number) for number in part)) for part in parts)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadTable(f"{what}: {cell!r}", "is not link,joint,turn", 'write "1,2,0"') from None

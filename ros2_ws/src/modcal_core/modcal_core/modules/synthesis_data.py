@@ -184,7 +184,7 @@ def _mapping(data: Any, what: str, keys: Sequence[str] | None) -> Mapping[str, A
 def _numbers(stated: Any, what: str, shape: tuple[int, ...]) -> Array:
     try:
         out = np.array(stated, dtype=float) if not isinstance(stated, bool | str | type(None)) else np.full(1, np.nan)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.full(1, np.nan)
     if out.shape != shape or not np.isfinite(out).all():
         wanted = " x ".join(map(str, shape)) + " finite numbers" if shape else "a finite number"

@@ -95,7 +95,7 @@ def _numbers(given: Any, count: int, source: str, one_for_all: bool = False) -> 
     """So many finite numbers, or one for all."""
     try:
         values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if one_for_all and values.ndim == 0:
         values = np.full(count, values)

@@ -10,7 +10,9 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
+from modcal_core.errors import plain
 from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.saying import console
@@ -104,7 +106,9 @@ def fleet_command(
     left = [row for row in compared.rows if row["state"] != DONE]
     if left:
         first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
-        click.echo(f"modcal: {len(left)} of {len(compared.rows)} recordings were not calibrated; {first}", err=True)
+        click.echo(
+            plain(f"modcal: {len(left)} of {len(compared.rows)} recordings were not calibrated; {first}"), err=True
+        )
     return 2 if left else 0
 
 
@@ -120,10 +124,10 @@ def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
     }
 
 
-def _status(row: Row) -> str:
+def _status(row: Row) -> Text:
     """The verdict in a word, in its colour; empty of a row that an older version made."""
     status = row.get("status")
-    return f"[{STYLES[status]}]{STATUS_WORDS[status]}[/]" if status in STYLES else ""
+    return Text(STATUS_WORDS[status], STYLES[status]) if status in STYLES else Text()
 
 
 def _show(planned: Plan, compared: Compared, page: Console) -> None:
