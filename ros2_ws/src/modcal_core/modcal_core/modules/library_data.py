@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.library import BASE, GRIPPER, JOINT, LINK, ROLES, SIZES, Library, ModuleType, Point, Tolerance
@@ -43,6 +43,7 @@ def published() -> Library:
     return library_from_data(yaml.safe_load(published_text()), "published.yaml")
 
 
+@refusing
 def library_from_data(data: Any, source: str) -> Library:
     """The library that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
     top = _mapping(data, source, {"modcal_modules", "name", "tolerances", "modules"})

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.evaluation import uses_of
@@ -28,6 +28,7 @@ _ROUNDING = 0.02  # how far a printed rotation may be from one
 _ROTATIONS = ("rotation", "rpy_rad", "quaternion_xyzw", "z_axis")
 
 
+@refusing
 def task_from_data(data: Any, source: str) -> Task:
     """The task that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
     keys = ("modcal_synthesis", "name", "targets", "requirements", "joints", "search", "listed", "modules")
