@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from modcal_core.calibration.store import to_data
@@ -15,20 +18,26 @@ from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_to_data
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import kinematics_yaml_data
+from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_nodes.files import to_json, to_yaml
 
 
-def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str) -> dict[str, str]:
-    """Names and texts of everything the calibration of a serial arm leaves behind."""
+def calibration_files(
+    result: Result, report: Report, nominal: Chain, urdf: str, factory: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """Names and texts of everything the calibration of a serial arm leaves behind.
+
+    factory: the kinematics that the maker's tool took from this arm, whose form and hash are kept.
+    """
     calibrated = result.calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
+    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
     return _with_report(
         report,
         {
             "calibration.yaml": to_yaml(to_data(result.calibration)),
             "calibrated.urdf": corrected,
-            "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
+            "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         },
     )
 

@@ -127,6 +127,13 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
 )  # fmt: skip
+@click.option(
+    "--factory-kinematics",
+    type=EXISTING,
+    default=None,
+    metavar="FILE",
+    help="What the maker's tool took from this arm: kinematics.yaml keeps its form and hash.",
+)
 @calibration_options
 @_with(_TOLERANCE)
 @_OUT
