@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from modcal_core.calibration.moves import Move
+from modcal_core.calibration.own_statement import together_stated
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.loop import calibrate
@@ -77,7 +78,9 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
             prepared.samples.followed_by(samples),
             (*prepared.notes, *added.notes),
             together([prepared.dropped, added.dropped]),
+            together_stated([prepared.stated, added.stated]),
         )
+    cell = replace(cell, stated=cell.stated.over(prepared.stated))
     watch("fitting the geometry")
     try:
         result = calibrate(

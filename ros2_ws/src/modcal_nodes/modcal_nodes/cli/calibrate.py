@@ -179,6 +179,7 @@ def evaluate_command(
     with voice.working() as watch:
         recording, pieces = begun(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
         prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
+        cell = replace(cell, stated=cell.stated.over(prepared.stated))
         watch("scoring")
         rng = np.random.default_rng(seed)
         report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)
