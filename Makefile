@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test suite quick mutants lint ruff mypy format bench undeclared verdict closed-loop \
+.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict closed-loop \
 	soak chaos long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
 
 help:  ## list the targets
@@ -118,6 +118,9 @@ limits: setup-test build  ## a pick and place within torque limits and within co
 
 delta: setup-test build  ## a Delta by simulated annealing and by least squares, side by side; BENCH_ARGS="--robots 1"
 	@$(PY) bench/delta.py $(BENCH_ARGS)
+
+fuzz: setup-test build  ## hostile and damaged input by the thousand, five minutes; FUZZ_ARGS="--only mcap --cases 30000"
+	@$(PY) bench/fuzz/run.py $(FUZZ_ARGS)
 
 docs: setup-test reference  ## the documentation as a site that needs no network: site/index.html
 	@$(PY) -m mkdocs --quiet build --clean

@@ -55,7 +55,8 @@ if ! cmp -s <(cat "${locks[@]}") <(cd $venv && cat "${locks[@]}" 2>/dev/null); t
     echo "modcal setup: installing $(cat "${locks[@]}" | grep -c '==') pinned packages"
     pip="$venv/bin/python -m pip install -qq --no-deps --no-compile --no-input --disable-pip-version-check"
     # Two packages come as source: they are built with the pinned setuptools, not with the newest of the day.
-    $pip "$(grep '^setuptools==' requirements.txt)" &&
+    awk '/^setuptools==/ {on = 1} on {print} on && !/\\$/ {exit}' requirements.txt >$venv/first.txt # with its hashes
+    $pip -r $venv/first.txt &&
         $pip --use-pep517 --no-build-isolation "${locks[@]/#/-r}" || die "${locks[*]}: pip failed: see the lines above"
     for module in $modules; do
         $venv/bin/python -c "import $module" || die "$module: a system library is missing:" \

@@ -136,3 +136,18 @@ def test_an_instrument_on_the_tool_is_found_to_be_inverse(kind: str, c: Cell, tm
     report = calibrated(bag)
     assert report["convention"] == "pose inverted"
     assert report["error_mm"]["final"]["rms"] < 0.5
+
+
+def test_the_makers_hash_is_kept_or_asked_for(c: Cell, tmp_path: Path) -> None:
+    bag = forms.write(tmp_path / "bag", plain(c))
+    calibrated(bag)
+    text = (tmp_path / "out" / "kinematics.yaml").read_text()
+    assert text.startswith("# No hash: ")
+    assert "hash: calib_1" not in text
+    (tmp_path / "factory.yaml").write_text(text + "  hash: calib_12788084448423163542\n")
+    calibrated(bag, "--factory-kinematics", str(tmp_path / "factory.yaml"))
+    again = (tmp_path / "out" / "kinematics.yaml").read_text()
+    assert (
+        again
+        == text.partition("kinematics:")[1] + text.partition("kinematics:")[2] + "  hash: calib_12788084448423163542\n"
+    )

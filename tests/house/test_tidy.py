@@ -39,11 +39,14 @@ def test_no_large_file() -> None:
     assert not [f"{p.relative_to(ROOT)}: {p.stat().st_size} bytes" for p in tracked() if p.stat().st_size > MOST_BYTES]
 
 
+PINNED, HASHED = r"[a-z0-9-]+==[\w.+!]+", r"    --hash=sha256:[0-9a-f]{64}"
+
+
 def test_lock_is_exact() -> None:
     for name in ("requirements.txt", "requirements-test.txt"):
         lines = [line for line in (ROOT / name).read_text().splitlines() if line and not line.startswith("#")]
         assert lines
-        assert not [line for line in lines if not re.fullmatch(r"[a-z0-9-]+==[\w.+!]+", line)]
+        assert not [line for line in lines if not re.fullmatch(rf"({PINNED}|{HASHED})( \\)?", line)]
 
 
 def test_contributing_names_the_locked_versions() -> None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import re
+from typing import Any
 
 import numpy as np
 import pytest
 from robots.test_kinematics import chain_of, urdf
 
-from modcal_core.errors import NotRepresentable
+from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import joint_origins, read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import franka_kinematics, kinematics_yaml_data, ur_kinematics
+from modcal_core.robots.vendor import franka_kinematics, kinematics_yaml_data, lacks_hash, ur_kinematics
 
 # default_kinematics.yaml of UR's description, as published for the UR10
 UR10 = {
@@ -41,7 +41,7 @@ def corrected(arm: str) -> tuple[Chain, str]:
 
 def test_ur_defaults_are_the_published_ones() -> None:
     data = kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))["kinematics"]
-    assert list(data) == [*UR10, "hash"]
+    assert list(data) == [*UR10]
     for link, values in UR10.items():
         keys = ("x", "y", "z", "roll", "pitch", "yaw")
         published = dict(zip(keys, values, strict=True))
@@ -58,13 +58,29 @@ def test_ur_holds_the_joints_own_origins_and_not_what_lies_before_them() -> None
     assert np.abs(pose(data["shoulder"]) - chain.origins[0]).max() > 1.0
 
 
-def test_ur_hash_names_the_values() -> None:
+def test_a_hash_is_the_arms_own() -> None:
+    """None is invented; that of the maker's file is kept, with whatever else stands in it."""
     chain, text = corrected("ur10")
-    first, again = (kinematics_yaml_data(chain, joint_origins(text)) for _ in range(2))
-    other = kinematics_yaml_data(chain_of("ur10"))
-    assert re.fullmatch(r"calib_\d{20}", first["kinematics"]["hash"])
-    assert first == again
-    assert first["kinematics"]["hash"] != other["kinematics"]["hash"]
+    origins = joint_origins(text)
+    found = kinematics_yaml_data(chain, origins)
+    assert lacks_hash(found)
+    own = {
+        link: dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), map(float, v), strict=True)) for link, v in UR10.items()
+    }
+    factory = {"kinematics": {**own, "hash": "calib_12788084448423163542"}, "mine": [1]}
+    filled = kinematics_yaml_data(chain, origins, factory)
+    assert list(filled) == ["kinematics", "mine"]
+    assert filled["kinematics"] == {**found["kinematics"], "hash": "calib_12788084448423163542"}
+    assert not lacks_hash(filled)
+    assert not lacks_hash(kinematics_yaml_data(chain_of("panda")))
+
+
+@pytest.mark.parametrize("factory", [3, {}, {"kinematics": 3}, {"kinematics": {"shoulder": {}}}, {"joint1": {}},
+                                     {"kinematics": {link: {"x": "a"} for link in UR10}}])  # fmt: skip
+def test_a_factory_file_of_something_else_is_refused(factory: Any) -> None:
+    chain, text = corrected("ur10")
+    with pytest.raises(BadTable, match="factory kinematics"):
+        kinematics_yaml_data(chain, joint_origins(text), factory)
 
 
 def test_ur_with_a_prefix() -> None:

@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+import re
+from collections.abc import Callable
 from math import nan
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# C0 and C1 controls but for line breaks and tabs, and what turns the direction of writing round
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def plain(text: str) -> str:
+    """The text with control characters written out, so that a name from a file cannot steer a terminal."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class ModcalError(Exception):
@@ -13,10 +27,10 @@ class ModcalError(Exception):
     """
 
     def __init__(self, offender: str, limit: str, remedy: str) -> None:
-        self.offender = offender
-        self.limit = limit
-        self.remedy = remedy
-        super().__init__(f"{offender}: {limit}: {remedy}".replace("\n", " "))
+        self.offender = plain(offender)
+        self.limit = plain(limit)
+        self.remedy = plain(remedy)
+        super().__init__(" ".join(f"{self.offender}: {self.limit}: {self.remedy}".splitlines()))
 
     def __reduce__(self) -> tuple[type[ModcalError], tuple[str, str, str]]:
         """So that a refusal can travel between processes in its three parts."""
@@ -27,12 +41,30 @@ class BadRecording(ModcalError):
     """A recording that cannot be used: empty, silent, in the wrong unit, or not of this robot."""
 
 
-class BadRobot(ModcalError):
-    """A robot description that cannot be used: a link that is not there, a tree that does not connect."""
-
-
 class BadTable(ModcalError):
     """A table, mapping or calibration file that does not say what it must."""
+
+
+def refusing(read: Callable[P, T]) -> Callable[P, T]:
+    """A reader of a file's data that refuses what it stumbles over: whatever no check before has named.
+
+    The last argument that is a text is taken for the file's name.
+    """
+
+    @functools.wraps(read)
+    def refuse(*arguments: P.args, **named: P.kwargs) -> T:
+        try:
+            return read(*arguments, **named)
+        except (TypeError, ValueError, KeyError, AttributeError, IndexError, ArithmeticError, RecursionError) as error:
+            names = [name for name in (*arguments, *named.values()) if isinstance(name, str)]
+            said = f"holds a value that cannot be read ({type(error).__name__}: {str(error)[:80]})"
+            raise BadTable(names[-1] if names else "file", said, "compare it with the documentation") from error
+
+    return refuse
+
+
+class BadRobot(ModcalError):
+    """A robot description that cannot be used: a link that is not there, a tree that does not connect."""
 
 
 class NotEnoughData(ModcalError):

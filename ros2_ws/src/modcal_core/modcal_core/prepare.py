@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.identify import identify
+from modcal_core.calibration.own_statement import own_statement, together_stated
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -34,11 +36,15 @@ LONGEST_LATENCY = 0.025
 
 @dataclass(frozen=True)
 class Prepared:
-    """Samples of a recording, what a person should know of how they came about, and how many readings are in none."""
+    """Samples of a recording, what a person should know of how they came about, and how many readings are in none.
+
+    stated: what instruments say of their own error, as far as the data bear it out.
+    """
 
     samples: Samples
     notes: tuple[str, ...]
     dropped: Dropped = ()
+    stated: Stated = field(default_factory=Stated)
 
 
 def prepare(
@@ -67,7 +73,8 @@ def prepare(
             notes = (said, *notes)
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     lost = together([clean.lost, dropped(aligned, samples, rules, since, until)])
-    return Prepared(samples, recording.warnings + clean.notes + notes, lost)
+    own = own_statement(aligned, chain.names, rules)
+    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated)
 
 
 def prepare_pieces(
@@ -84,6 +91,7 @@ def prepare_pieces(
     samples, refused = before, None
     notes: dict[str, None] = {}
     lost: list[Dropped] = []
+    stated: list[Stated] = []
     for piece in pieces:
         try:
             prepared = prepare(piece.recording, chain, rules, clock_limit, piece.since, piece.until)
@@ -94,11 +102,12 @@ def prepare_pieces(
             continue
         notes.update(dict.fromkeys(prepared.notes))
         lost.append(prepared.dropped)
+        stated.append(prepared.stated)
         own = prepared.samples.between(piece.since, piece.until)
         samples = own if samples is None else samples.followed_by(own) if len(own) else samples
     if samples is None:
         raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
-    return Prepared(samples, tuple(notes), together(lost))
+    return Prepared(samples, tuple(notes), together(lost), together_stated(stated))
 
 
 def _settle_delays(

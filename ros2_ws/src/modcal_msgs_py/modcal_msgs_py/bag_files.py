@@ -15,6 +15,8 @@ from modcal_core.errors import BadRecording
 
 SUFFIXES = tuple(f"{kind}{packed}" for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
 
+_MAX_METADATA = 1 << 22  # bytes
+
 
 def bag_files(path: Path) -> tuple[list[Path], list[str]]:
     """The files of a bag, MCAP or SQLite, in order, and what a person should know of the folder."""
@@ -51,7 +53,10 @@ def listed_files(folder: Path) -> list[Path]:
 
     Raises what YAML, or another layout than rosbag2's, leads to.
     """
-    text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    file = folder / "metadata.yaml"
+    if file.stat().st_size > _MAX_METADATA:
+        raise ValueError("it is too large")
+    text = file.read_text(encoding="utf-8")
     stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
     if not isinstance(stated, list) or not all(isinstance(name, str) and name for name in stated):
         raise TypeError("relative_file_paths is no list of names")

@@ -284,7 +284,7 @@ def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArr
 
     None at all, if any of them does not.
     """
-    if not len(offsets) or offsets[0] < 0 or offsets[-1] + HEAD.itemsize > len(content):
+    if not len(offsets) or offsets[0] < 0 or offsets[-1] > len(content) - HEAD.itemsize:
         return {}
     heads = _heads(content, offsets)
     length = heads["length"].astype(np.int64)

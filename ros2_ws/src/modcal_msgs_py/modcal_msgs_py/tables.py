@@ -7,6 +7,7 @@ joint state and one reading with the same stamp, that is a finished station.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -29,13 +30,14 @@ from modcal_core.measurements.recording import (
     Recording,
     SignalTrack,
 )
+from modcal_core.measurements.schema import shown
+from modcal_msgs_py.tables_schema import require_mapping
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "m": 1.0, "mm": 1e-3}
-_KEYS = {
-    "files", "delimiter", "decimal", "header", "encoding", "time", "joints",
-    "pose", "point", "same_point", "temperature",
-}  # fmt: skip
 _MOST_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
+_LARGEST = 1e18  # of any number in a table
+_LAST = 2.0**31  # s; stamps of messages end in 2038
+_LEAST_LENGTH = 1e-6  # of a quaternion
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
 
 
@@ -58,20 +60,23 @@ class _Table:
                 out[i] = float(row[index].strip().replace(self.decimal, "."))
             except (ValueError, IndexError):
                 cell = row[index] if index < len(row) else "nothing"
-                raise BadTable(
-                    f"{self.path.name}, line {self.first_line + i}, column {key}",
-                    f"'{cell}' is no number",
-                    "correct the cell",
-                ) from None
+                raise self.bad_cell(i, key, f"'{shown(cell)[1:-1]}' is no number") from None
+            if not abs(out[i]) < _LARGEST:
+                raise self.bad_cell(i, key, f"{out[i]} is no finite number")
         return out
 
     def text(self, key: Any) -> list[str]:
         """A column as text."""
         index = self._index(key)
-        return [row[index].strip() for row in self.rows]
+        return [row[index].strip() if index < len(row) else "" for row in self.rows]
+
+    def bad_cell(self, row: int, key: Any, said: str) -> BadTable:
+        """The refusal of a cell."""
+        where = f"{self.path.name}, line {self.first_line + row}, column {key}"
+        return BadTable(where, said, "correct the cell, or leave the row out")
 
     def _index(self, key: Any) -> int:
-        if isinstance(key, int) and (not self.rows or 0 <= key < len(self.rows[0])):
+        if isinstance(key, int) and not isinstance(key, bool) and (not self.rows or 0 <= key < len(self.rows[0])):
             return key
         if key in self.header:
             return self.header.index(key)
@@ -87,8 +92,7 @@ def import_tables(
     mapping: the data of the mapping file. source: its name, for messages. heard: is told the share of the tables that
     is read. Raises BadTable naming file, line and column.
     """
-    if not isinstance(mapping, Mapping) or not mapping.get("tables"):
-        raise BadTable(source, "has no list 'tables'", "see docs/recordings.md")
+    mapping = require_mapping(mapping, source)
     joints: list[JointTrack] = []
     readings: list[ReadingTrack] = []
     signals: list[SignalTrack] = []
@@ -96,10 +100,7 @@ def import_tables(
     sockets: list[str] = []
     clock = 0.0
     for e, entry in enumerate(mapping["tables"]):
-        unknown = set(entry) - _KEYS
-        if unknown:
-            raise BadTable(source, f"unknown key {', '.join(sorted(unknown))}", f"known are {', '.join(sorted(_KEYS))}")
-        paths = sorted(folder.glob(str(_need(entry, "files", source))))
+        paths = _matching(folder, entry["files"], source)
         if not paths:
             raise BadTable(f"{folder}/{entry['files']}", "matches no file", "check the folder and the name")
         for i, path in enumerate(paths):
@@ -119,6 +120,14 @@ def import_tables(
     return Recording(_merged_joints(joints), _merged(readings), tuple(signals), None, source, tuple(notes))
 
 
+def _matching(folder: Path, pattern: str, source: str) -> list[Path]:
+    try:
+        return sorted(path for path in folder.glob(pattern) if path.is_file())
+    except (ValueError, NotImplementedError, IndexError, OSError) as error:
+        said = f"{shown(pattern)} is no pattern of files"
+        raise BadTable(f"{source}: files", said, "give names relative to the folder, such as run_*.csv") from error
+
+
 def _need(entry: Mapping[str, Any], key: str, source: str) -> Any:
     if key not in entry:
         raise BadTable(source, f"'{key}' is not stated", "state it; nothing is guessed")
@@ -136,8 +145,10 @@ def _read(path: Path, entry: Mapping[str, Any]) -> _Table:
     try:
         with path.open(encoding=entry.get("encoding", "utf-8-sig"), newline="") as stream:
             lines = list(csv.reader(stream, delimiter=entry.get("delimiter", ",")))
-    except UnicodeDecodeError as error:
+    except UnicodeError as error:
         raise BadTable(str(path), "is not text in the stated encoding", "state its encoding") from error
+    except (csv.Error, TypeError) as error:
+        raise BadTable(str(path), f"is no table ({error})", "state its delimiter, or give a CSV file") from error
     has_header = bool(entry.get("header", True))
     header = tuple(cell.strip() for cell in lines[0]) if has_header and lines else ()
     rows = [line for line in lines[int(has_header) :] if any(cell.strip() for cell in line)]
@@ -157,12 +168,15 @@ def _stamps(table: _Table, entry: Mapping[str, Any], clock: float, source: str) 
         for i, cell in enumerate(table.text(_need(time, "column", source))):
             try:
                 moment = datetime.strptime(cell, time["format"])
-            except ValueError:
+                out[i] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+            except (ValueError, IndexError, KeyError, OverflowError, re.error):
                 where = f"{table.path.name}, line {table.first_line + i}, column {time['column']}"
                 raise BadTable(where, f"'{cell}' is not {time['format']}", "correct the cell or the format") from None
-            out[i] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     else:
         out = table.column(_need(time, "seconds", source))
+    if not ((out >= 0.0) & (out < _LAST)).all():
+        i = int(np.argmin((out >= 0.0) & (out < _LAST)))
+        raise table.bad_cell(i, time.get("column", time.get("seconds")), f"{out[i]:g} s is no time of a recording")
     falls = int((np.diff(out) < 0.0).sum())
     warning = f"{table.path.name}: {falls} rows are stamped before the row above them." if falls else None
     # rows within the clock's resolution are still rows of their own
@@ -187,7 +201,10 @@ def _reading(table: _Table, entry: Mapping[str, Any], stamps: Array, source: str
         raise BadTable(source, f"{len(kinds)} of pose, point and same_point are stated", "state one of them")
     reading = entry[kinds[0]]
     where = f"{source}: {kinds[0]}"
-    frame = str(_need(reading, "frame", where)).format(stem=table.path.stem, folder=table.path.parent.name)
+    frame = str(_need(reading, "frame", where))
+    frame = frame.replace("{stem}", table.path.stem).replace("{folder}", table.path.parent.name)
+    if "{" in frame:
+        raise BadTable(where, f"frame '{frame}': only {{stem}} and {{folder}} are known", "correct it")
     if kinds[0] == "same_point":
         return ReadingTrack(POINT, frame, stamps, np.zeros((len(stamps), 3)), stamps, "/tracker/point")
     scale = _unit(reading, where, ("m", "mm"))
@@ -207,7 +224,11 @@ def _orientation(table: _Table, reading: Mapping[str, Any], where: str) -> Array
         columns = _need(reading["quaternion"], "columns", where)
         if len(columns) != 4:
             raise BadTable(where, f"{len(columns)} quaternion columns", "name those of x, y, z, w")
-        return Rotation.from_quat(np.stack([table.column(c) for c in columns], axis=1)).as_matrix()
+        values = np.stack([table.column(c) for c in columns], axis=1)
+        length = np.linalg.norm(values, axis=1)
+        if not (length > _LEAST_LENGTH).all():
+            raise table.bad_cell(int(np.argmin(length)), columns[0], "a quaternion of zeros is no orientation")
+        return Rotation.from_quat(values).as_matrix()
     angles = reading[stated[0]]
     scale = _unit(angles, where, ("rad", "deg"))
     values = scale * np.stack([table.column(c) for c in _need(angles, "columns", where)], axis=1)

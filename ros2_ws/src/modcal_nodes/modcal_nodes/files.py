@@ -14,6 +14,8 @@ import yaml
 
 from modcal_core.errors import BadTable
 
+_MAX_DEPTH, _MAX_YAML = 100, 1 << 28
+
 
 def write_folder(folder: Path, files: Mapping[str, str]) -> None:
     """Write these texts into a folder, made if need be; on failure the folder is left as it was.
@@ -84,6 +86,8 @@ def to_yaml(data: Any) -> str:
 def read_yaml(path: Path) -> Any:
     """The data of a YAML file; raises BadTable with the place of the mistake."""
     try:
+        if path.stat().st_size > _MAX_YAML:
+            raise BadTable(str(path), f"is larger than {_MAX_YAML >> 20} MiB", "give a YAML file")
         return parse_yaml(path.read_text(encoding="utf-8"), str(path))
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is not UTF-8 text", "give a YAML file") from error
@@ -91,9 +95,19 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(text: str, source: str) -> Any:
     """The data of a YAML text; raises BadTable with the source and the place of the mistake."""
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        # the quick loader goes down as deep as a text does, and takes the process with it
+        depth = 0
+        for event in yaml.parse(text, Loader=loader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > _MAX_DEPTH:
+                raise BadTable(source, f"is nested more than {_MAX_DEPTH} levels deep", "correct it")
+        return yaml.load(text, Loader=loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""
         raise BadTable(source, f"is not YAML{where}", "correct it") from error
+    except (ValueError, TypeError, OverflowError, AttributeError, RecursionError, UnicodeError) as error:
+        # of dates that are none, numbers of thousands of digits, and what else a loader does not expect
+        raise BadTable(source, f"holds a value that is none ({type(error).__name__})", "correct it") from error

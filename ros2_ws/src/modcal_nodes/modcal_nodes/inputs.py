@@ -17,9 +17,11 @@ from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
+from modcal_core.measurements.schema import require, shown
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
 from modcal_msgs_py.choosing import Topics
+from modcal_nodes.cell_schema import SCHEMA
 from modcal_nodes.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
@@ -30,18 +32,6 @@ STATEMENTS = {
     "repeatability_iso": "repeatability_iso_mm",
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
-}
-_TOPIC_KEYS = {"topics", "ignore", "tf"}
-_KEYS = {
-    *_TOPIC_KEYS,
-    "distances",
-    "fixed",
-    "known",
-    "own_target",
-    "sockets",
-    "moved",
-    "own_in_recordings",
-    *STATEMENTS,
 }
 _MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
@@ -79,9 +69,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
     stated = stated or Stated()
     if path is None:
         return Cell(fixed=fixed, stated=stated)
-    data = read_yaml(path)
-    if not isinstance(data, Mapping) or not set(data) <= _KEYS:
-        raise BadTable(str(path), f"must have the keys {', '.join(sorted(_KEYS))} only", _REMEDY)
+    data = _read_cell(path)
     distances = tuple(_part(path, _distance, "distances", d, _AS_DISTANCE) for d in data.get("distances") or ())
     for distance in distances:
         if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
@@ -106,19 +94,23 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
 
 def read_topics(path: Path | None, said: Topics) -> Topics:
     """What is said of topics, and what a cell file says of roles that this says nothing of. Raises BadTable."""
-    data = None if path is None else read_yaml(path)
-    if not isinstance(data, Mapping):
+    if path is None:
         return said
-    topics, ignored, tf = data.get("topics") or {}, data.get("ignore") or [], data.get("tf")
+    data = _read_cell(path)
     pairs = [
         f"{role}={name}"
-        for role, names in (topics.items() if isinstance(topics, Mapping) else [("", topics)])
+        for role, names in (data.get("topics") or {}).items()
         for name in (names if isinstance(names, list) else [names])
     ]
-    good = isinstance(topics, Mapping) and isinstance(ignored, list) and (tf is None or isinstance(tf, str))
-    if not good or not all(isinstance(name, str) for name in ignored):
-        raise BadTable(str(path), "topics, ignore and tf are not {ROLE: NAME}, [TOPIC] and PARENT:CHILD", _REMEDY)
-    return said.over(Topics.of(pairs, ignored, tf))
+    return said.over(Topics.of(pairs, data.get("ignore") or (), data.get("tf")))
+
+
+def _read_cell(path: Path) -> Mapping[str, Any]:
+    """What a cell file says, checked; nothing of an empty one."""
+    data = read_yaml(path)
+    data = {} if data is None else data
+    require(data, SCHEMA, str(path), _REMEDY)
+    return data  # type: ignore[no-any-return]
 
 
 def stated_from(data: Mapping[str, Any]) -> Stated:
@@ -130,8 +122,8 @@ def stated_from(data: Mapping[str, Any]) -> Stated:
 def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
     try:
         return read(data)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise BadTable(f"{path}: {what}", f"{data!r} is not {expected}: {error!r}", _REMEDY) from error
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {shown(error)}", _REMEDY) from error
 
 
 def _move(data: Mapping[str, Any]) -> Move:

@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from modcal_core.calibration.moves import Move
+from modcal_core.calibration.own_statement import together_stated
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.loop import calibrate
@@ -28,6 +29,7 @@ from modcal_core.verdict.tolerance import Asked, Statistic
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_pieces
 from modcal_nodes.cli.robot import delta_of
+from modcal_nodes.files import read_yaml
 from modcal_nodes.inputs import read_cell, read_topics, stated_from
 from modcal_nodes.progress import Watch, silent
 from modcal_nodes.results import calibration_files, delta_files
@@ -59,6 +61,7 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
     """
     asked = tolerance_asked(wishes.tolerance_mm, wishes.tolerance_of)
     cell = read_cell(wishes.cell_file, wishes.fixed, stated_from(asdict(wishes)))
+    factory = None if wishes.factory_kinematics is None else read_yaml(wishes.factory_kinematics)
     topics = read_topics(wishes.cell_file, Topics.of(wishes.topic, wishes.ignore, wishes.tf))
     recording, pieces = begun(bag, watch, topics)
     chain, text = delta_of(recording, wishes.delta, wishes.urdf, wishes.base, wishes.tip)
@@ -75,7 +78,9 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
             prepared.samples.followed_by(samples),
             (*prepared.notes, *added.notes),
             together([prepared.dropped, added.dropped]),
+            together_stated([prepared.stated, added.stated]),
         )
+    cell = replace(cell, stated=cell.stated.over(prepared.stated))
     watch("fitting the geometry")
     try:
         result = calibrate(
@@ -97,7 +102,7 @@ def calibrate_bag(bag: Path, wishes: Wishes, more: tuple[Path, ...] = (), watch:
     report = named(result.report, recording, prepared).with_tolerance(asked)
     report = replace(report, trace=trace_of(bag, recording, robot, prepared.samples.frames))
     if isinstance(chain, Chain) and text is not None:
-        files = calibration_files(result, report, chain, text)
+        files = calibration_files(result, report, chain, text, factory)
     else:
         files = delta_files(result, report)
     return Calibrated(report, result.calibration, prepared.samples, files, robot, began(recording) or 0.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from modcal_core.calibration.store import to_data
@@ -14,20 +17,31 @@ from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_to_data
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import kinematics_yaml_data
+from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_nodes.files import to_json, to_yaml
 
 
-def calibration_files(result: Result, report: Report, nominal: Chain, urdf: str, page: bool = True) -> dict[str, str]:
-    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page."""
+def calibration_files(
+    result: Result,
+    report: Report,
+    nominal: Chain,
+    urdf: str,
+    factory: Mapping[str, Any] | None = None,
+    page: bool = True,
+) -> dict[str, str]:
+    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
+
+    factory: the kinematics that the maker's tool took from this arm, whose form and hash are kept.
+    """
     calibrated = result.calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
+    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
     return _with_report(
         report,
         {
             "calibration.yaml": to_yaml(to_data(result.calibration)),
             "calibrated.urdf": corrected,
-            "kinematics.yaml": to_yaml(kinematics_yaml_data(calibrated, joint_origins(corrected))),
+            "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         },
         page,
     )

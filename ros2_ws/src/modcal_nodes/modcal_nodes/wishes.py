@@ -35,3 +35,4 @@ class Wishes:
     topic: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     tf: str | None = None
+    factory_kinematics: Path | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration.module_errors import Key, ModuleErrors, learn
 from modcal_core.calibration.witness import Witness
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library import Library
@@ -42,6 +42,7 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
     }
 
 
+@refusing
 def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
     """The store, with everything learned anew from its assemblies. Raises BadTable for what is no store."""
     if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
@@ -55,6 +56,7 @@ def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
     return learn([_witness_from_data(w, library, f"{source}: assembly {i + 1}") for i, w in enumerate(stated)], library)
 
 
+@refusing
 def twists_from_data(data: Any, source: str) -> dict[Key, Array]:
     """Means by (serial number, part) as the store states them. Raises BadTable for what is no store."""
     if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
@@ -118,7 +120,7 @@ def _witness_from_data(data: Any, library: Library, source: str) -> Witness:
 def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:
     try:
         out = np.asarray(stated, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != shape or not np.isfinite(out).all():
         raise BadTable(what, f"does not hold {' x '.join(map(str, shape)) or 'one'} finite numbers", _FIX)

@@ -25,6 +25,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.schema import shown
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -196,14 +197,40 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadTable(source, f"damaged: {error!r}", "calibrate again") from error
-    kind = str(recorded["kind"])
+        kind = str(recorded["kind"])
+        _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
+        raise BadTable(source, f"damaged: {shown(error)}", "calibrate again") from error
+    except BadRobot as error:
+        raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
         *(watched, alone, converged, clock, ranges, usual),
     )
+
+
+def _require_consistent(
+    calibrated: Model,
+    geometric: Model,
+    nominal: Model,
+    seen: Array,
+    parameters: tuple[tuple[str, float, float, str], ...],
+    kind: str,
+) -> None:
+    """Raises ValueError unless the parts of a calibration are of one arm, and all numbers finite."""
+    models = {"nominal": nominal, "calibrated": calibrated, "geometric": geometric}
+    for name, model in models.items():
+        if type(model.chain) is not type(nominal.chain) or model.chain.names != nominal.chain.names:
+            raise ValueError(f"{name} is of another arm than nominal")
+        if model.frames != nominal.frames:
+            raise ValueError(f"{name} has other frames than nominal")
+    if not np.isfinite(seen).all() or seen.shape != (2, len(nominal.chain.names)):
+        raise ValueError("seen has two finite numbers for each joint")
+    if not all(np.isfinite(value) for _, value, _, _ in parameters):
+        raise ValueError("a parameter is not finite")
+    if kind not in (*kinds(), "same_point", "mixed"):
+        raise ValueError(f"readings of kind {kind[:40]} are not known")
 
 
 def _effect_to_data(effect: Effect) -> dict[str, Any]:
@@ -226,11 +253,22 @@ def _effect_from_data(data: Mapping[str, Any]) -> Effect:
         str(data["direction"]),
         str(data["driver"]),
         Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
-        np.array(data["values"], dtype=float),
-        np.array(data["std"], dtype=float),
+        _vector(data["values"]),
+        np.array(data["std"], dtype=float).reshape(-1),
     )
     require_known(effect)
+    missing = [name for name in effect.refined if name not in effect.shape.settings]
+    if missing or len(effect.values) <= len(effect.refined) or len(effect.std) != len(effect.values):
+        raise ValueError(f"effect {effect.family[:40]} has {len(effect.values)} values, or lacks {', '.join(missing)}")
     return effect
+
+
+def _vector(values: Any) -> Array:
+    """Finite numbers (m,). Raises ValueError for others."""
+    out = np.array(values, dtype=float)
+    if out.ndim != 1 or not np.isfinite(out).all():
+        raise ValueError(f"{shown(values)} is no list of finite numbers")
+    return out
 
 
 def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
@@ -238,7 +276,7 @@ def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
 
 
 def _usual_from_data(data: Any) -> Usual | None:
-    return None if data is None else Usual(np.array(data["mean"], dtype=float), float(data["cost_m2"]))
+    return None if data is None else Usual(_vector(data["mean"]), float(data["cost_m2"]))
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

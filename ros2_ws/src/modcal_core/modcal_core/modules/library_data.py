@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.library import BASE, GRIPPER, JOINT, LINK, ROLES, SIZES, Library, ModuleType, Point, Tolerance
@@ -43,6 +43,7 @@ def published() -> Library:
     return library_from_data(yaml.safe_load(published_text()), "published.yaml")
 
 
+@refusing
 def library_from_data(data: Any, source: str) -> Library:
     """The library that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
     top = _mapping(data, source, {"modcal_modules", "name", "tolerances", "modules"})
@@ -155,7 +156,7 @@ def _point(data: Mapping[str, Any], what: str) -> Point:
 def _three(values: Any, what: str) -> Array:
     try:
         out = np.array([float(v) for v in values])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != (3,) or not np.isfinite(out).all():
         raise BadTable(what, "needs 3 finite numbers", _SEE)
@@ -166,7 +167,7 @@ def _three(values: Any, what: str) -> Array:
 def _number(value: Any, what: str, finite: bool = True) -> float:
     try:
         out = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.nan
     if isinstance(value, bool) or np.isnan(out) or (finite and np.isinf(out)):
         raise BadTable(what, f"{value!r} is not a number", _SEE)

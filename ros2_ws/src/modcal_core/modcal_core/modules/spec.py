@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.modules.assembly import Assembly, Module
 from modcal_core.modules.incidence import Entry, Incidence, assembly_of, incidence_of
 from modcal_core.modules.library import Library
@@ -15,6 +15,7 @@ _SEE = "see docs/modules.md"
 _DEGREES = {90: 1, 180: 2, 270: 3}
 
 
+@refusing
 def assembly_from_data(data: Any, library: Library, source: str) -> Assembly:
     """The assembly that nested mappings and lists describe, checked against the library. Raises BadTable.
 
@@ -167,5 +168,5 @@ def _entries(cell: Any, what: str) -> tuple[Entry, ...]:
         parts = [[]]
     try:
         return tuple(Entry(*(int(number) for number in part)) for part in parts)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadTable(f"{what}: {cell!r}", "is not link,joint,turn", 'write "1,2,0"') from None

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.evaluation import uses_of
@@ -28,6 +28,7 @@ _ROUNDING = 0.02  # how far a printed rotation may be from one
 _ROTATIONS = ("rotation", "rpy_rad", "quaternion_xyzw", "z_axis")
 
 
+@refusing
 def task_from_data(data: Any, source: str) -> Task:
     """The task that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
     keys = ("modcal_synthesis", "name", "targets", "requirements", "joints", "search", "listed", "modules")
@@ -184,7 +185,7 @@ def _mapping(data: Any, what: str, keys: Sequence[str] | None) -> Mapping[str, A
 def _numbers(stated: Any, what: str, shape: tuple[int, ...]) -> Array:
     try:
         out = np.array(stated, dtype=float) if not isinstance(stated, bool | str | type(None)) else np.full(1, np.nan)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.full(1, np.nan)
     if out.shape != shape or not np.isfinite(out).all():
         wanted = " x ".join(map(str, shape)) + " finite numbers" if shape else "a finite number"

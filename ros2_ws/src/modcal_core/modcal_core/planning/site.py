@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.table_rows import vector
 
@@ -108,6 +108,7 @@ _KEYS = {
 }
 
 
+@refusing
 def site_from_data(data: Any, source: str) -> Site:
     """The site in nested mappings, such as a YAML file holds. Raises BadTable; docs/planning.md shows one."""
     top = _mapping(data, _TOP, source)

@@ -9,7 +9,18 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.schema import require
 from modcal_core.robots.table_rows import vector
+
+_STATIONS = {"type": ["array", "null"], "items": {"type": "object"}}
+_SCHEMA = {
+    "type": "object",
+    "properties": {
+        "joints": {"type": "array", "items": {"type": "string"}},
+        "stations": _STATIONS,
+        "ties": {"type": ["array", "null"], "items": {"type": "object", "properties": {"stations": _STATIONS}}},
+    },
+}
 
 
 def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
@@ -19,6 +30,7 @@ def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
     joints = data.get("joints")
     if not isinstance(joints, Sequence) or isinstance(joints, str):
         raise BadTable(source, "names no joints", "give the plan.yaml that modcal plan wrote")
+    require(data, _SCHEMA, source, "give the plan.yaml that modcal plan wrote")
     rows = list(data.get("stations") or ())
     rows += [station for tie in data.get("ties") or () for station in tie.get("stations") or ()]
     values = [

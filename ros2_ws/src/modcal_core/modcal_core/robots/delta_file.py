@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.delta import ARMS, AZIMUTH, DISTAL, OFFSET, PROXIMAL, RATIO, ZERO, Delta
 
@@ -21,6 +21,7 @@ _KEYS = {"modcal_delta", "joints", "arms", "shaft_ratio", "limits_rad", "tool", 
 _REMEDY = "see docs/delta.md"
 
 
+@refusing
 def delta_from_data(data: Any, source: str) -> Delta:
     """The Delta that this data describes; raises BadTable, naming the source, for what is missing or not understood.
 
@@ -95,7 +96,7 @@ def _numbers(given: Any, count: int, source: str, one_for_all: bool = False) -> 
     """So many finite numbers, or one for all."""
     try:
         values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if one_for_all and values.ndim == 0:
         values = np.full(count, values)

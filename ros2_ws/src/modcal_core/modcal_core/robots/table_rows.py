@@ -123,7 +123,7 @@ def vector(values: object, count: int, what: str) -> Array:
     """So many finite numbers, (count,). Raises BadTable."""
     try:
         out = np.array([_float(v) for v in values])  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != (count,) or not np.isfinite(out).all():
         raise BadTable(what, f"needs {count} finite number{'s' * (count > 1)}, has {values!r}", "correct the table")

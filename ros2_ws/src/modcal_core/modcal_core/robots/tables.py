@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.cpc import from_cpc
 from modcal_core.robots.dh import from_dh, from_mdh
@@ -13,6 +13,7 @@ from modcal_core.robots.dh import from_dh, from_mdh
 _READERS = {"dh": from_dh, "mdh": from_mdh, "cpc": from_cpc}
 
 
+@refusing
 def from_table(table: Mapping[str, Any]) -> Chain:
     """The chain of a DH, modified DH or CPC table, which must say its ``convention``. Raises BadTable."""
     convention = table.get("convention") if isinstance(table, Mapping) else None

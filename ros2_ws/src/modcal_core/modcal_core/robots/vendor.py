@@ -7,14 +7,13 @@ same values keyed by joint name.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import NotRepresentable
+from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -30,14 +29,57 @@ _UR = {
 _FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)joint(?P<number>[1-7])")
 
 
-def kinematics_yaml_data(chain: Chain, origins: Mapping[str, Array] | None = None) -> dict[str, Any]:
+_AS_MADE = "give the file as the maker's own tool wrote it for this arm"
+_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+NO_HASH = """\
+# No hash: it is the one of the arm's own controller, which no recording holds. The driver compares the two and
+# complains where they differ. Give the file that the maker's tool took from this arm (for UR: ur_calibration,
+# calibration_correction.launch.py) to `modcal calibrate --factory-kinematics FILE`, or copy its line here:
+#   hash: calib_...
+"""
+
+
+def kinematics_yaml_data(
+    chain: Chain, origins: Mapping[str, Array] | None = None, factory: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """The joints' origins as plain data, in the form of the arm's maker where the chain's joints are recognised.
 
     origins: ``T_parent_joint`` (4, 4) of the joints of the corrected URDF, fixed ones included. Without them the
     chain's constants are taken, which are the same unless fixed joints lie between (as before UR's first).
+    factory: what the maker's tool took from this very arm; its form, its hash and all else in it are kept. Raises
+    BadTable where it is not of this arm.
     """
     own = dict(zip(chain.names, chain.origins, strict=False))
     origins = own if origins is None else origins
+    found = _in_makers_form(chain, origins)
+    return found if factory is None else _filled_in(factory, found, "factory kinematics")
+
+
+def lacks_hash(data: Mapping[str, Any]) -> bool:
+    """Whether this is of an arm whose driver expects a hash, and there is none."""
+    table = data.get("kinematics")
+    return isinstance(table, Mapping) and "hash" not in table
+
+
+def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The factory's data with the values of the found ones in place of its own."""
+    if not isinstance(factory, Mapping):
+        raise BadTable(where, "is no mapping", _AS_MADE)
+    missing = [str(key) for key in found if key not in factory]
+    if missing:
+        raise BadTable(where, f"has no {', '.join(missing)}", _AS_MADE)
+    out = dict(factory)
+    for key, value in found.items():
+        if isinstance(value, Mapping):
+            out[key] = _filled_in(factory[key], value, f"{where}: {key}")
+        elif isinstance(factory[key], bool) or not isinstance(factory[key], int | float):
+            raise BadTable(f"{where}: {key}", "is no number", _AS_MADE)
+        else:
+            out[key] = value
+    return out
+
+
+def _in_makers_form(chain: Chain, origins: Mapping[str, Array]) -> dict[str, Any]:
     if _ur_prefix(chain.names) is not None:
         return ur_kinematics({name: origins[name] for name in chain.names})
     prefix = _franka_prefix(chain.names)
@@ -47,16 +89,15 @@ def kinematics_yaml_data(chain: Chain, origins: Mapping[str, Array] | None = Non
 
 
 def ur_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
-    """``{kinematics: {shoulder: {x, y, z, roll, pitch, yaw}, …, hash}}`` of the six joints of one UR arm.
+    """``{kinematics: {shoulder: {x, y, z, roll, pitch, yaw}, …}}`` of the six joints of one UR arm.
 
-    origins: ``T_parent_joint`` (4, 4) by joint name; the names may share a prefix. The hash only names the values: it
-    is not the one that the arm's own controller reports. Raises NotRepresentable when they are not a UR arm's.
+    origins: ``T_parent_joint`` (4, 4) by joint name; the names may share a prefix. The hash is left out: it is the
+    arm's own controller that has one. Raises NotRepresentable when they are not a UR arm's.
     """
     prefix = _ur_prefix(tuple(origins))
     if prefix is None:
         raise NotRepresentable("UR kinematics", f"needs joints {', '.join(_UR)}", "choose another form")
-    table = {link: _origin(origins[prefix + joint]) for joint, link in _UR.items()}
-    return {"kinematics": {**table, "hash": _hash([origins[prefix + joint] for joint in _UR])}}
+    return {"kinematics": {link: _origin(origins[prefix + joint]) for joint, link in _UR.items()}}
 
 
 def franka_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
@@ -88,10 +129,4 @@ def _franka_prefix(names: tuple[str, ...]) -> str | None:
 
 def _origin(T: Array) -> dict[str, float]:
     values = np.concatenate([T[:3, 3], so3.to_rpy(T[:3, :3])])
-    return {key: float(v) + 0.0 for key, v in zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)}
-
-
-def _hash(origins: list[Array]) -> str:
-    """A name for this set of values, of the length that the makers' own ones have."""
-    digest = hashlib.sha256(np.ascontiguousarray(np.stack(origins)).tobytes()).digest()
-    return f"calib_{int.from_bytes(digest[:8], 'big'):020d}"
+    return {key: float(v) + 0.0 for key, v in zip(_KEYS, values, strict=True)}

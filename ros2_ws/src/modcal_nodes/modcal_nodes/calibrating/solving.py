@@ -45,7 +45,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     size = report.size_mm("final")
     return Solved(
         resolved.result.calibration,
-        calibration_files(resolved.result, report, job.chain, urdf, page),
+        calibration_files(resolved.result, report, job.chain, urdf, page=page),
         resolved.comparison,
         report.verdict,
         standing_of(report),

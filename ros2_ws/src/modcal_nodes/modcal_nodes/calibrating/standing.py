@@ -42,7 +42,9 @@ def standing_of_json(text: str | None) -> Standing | None:
     try:
         data = json.loads(text or "")
         status, reasons, remedy = data["status"], tuple(map(str, data["open_because"])), data["remedy"]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    if not isinstance(remedy, str | None) or not isinstance(status, str):
         return None
     if status not in get_args(Status):
         return None

@@ -27,7 +27,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.saying import Voice, say, speaking
+from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.files import read_yaml, to_yaml, write_folder
 
@@ -147,7 +147,8 @@ def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
 
 
 def _show_learned(found: dict[str, Any], console: Console) -> None:
-    say((f"[yellow]{note}" for note in found["notes"]), console)
+    for note in found["notes"]:
+        console.print(note, style="yellow", highlight=False)
     console.print(_known(found["parts"]))
     console.print(
         f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit", highlight=False

@@ -127,6 +127,13 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
 )  # fmt: skip
+@click.option(
+    "--factory-kinematics",
+    type=EXISTING,
+    default=None,
+    metavar="FILE",
+    help="What the maker's tool took from this arm: kinematics.yaml keeps its form and hash.",
+)
 @calibration_options
 @_with(_TOLERANCE)
 @_OUT
@@ -172,6 +179,7 @@ def evaluate_command(
     with voice.working() as watch:
         recording, pieces = begun(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
         prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
+        cell = replace(cell, stated=cell.stated.over(prepared.stated))
         watch("scoring")
         rng = np.random.default_rng(seed)
         report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)

@@ -10,13 +10,15 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
+from modcal_core.errors import plain
 from modcal_core.report.sentence import STATUS_WORDS
-from modcal_nodes.cli.calibrate import calibration_options
+from modcal_nodes.cli.calibrate import EXISTING, calibration_options
 from modcal_nodes.cli.saying import console
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.files import to_json
-from modcal_nodes.fleet.cluster import run_on_cluster
+from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
 from modcal_nodes.fleet.pool import run_here
 from modcal_nodes.fleet.room import room
@@ -45,6 +47,9 @@ from modcal_nodes.wishes import Wishes
     metavar="ADDRESS",
     help="Work on the Dask cluster whose scheduler listens here, instead of on this machine's cores.",
 )
+@click.option("--dask-ca", type=EXISTING, default=None, metavar="FILE", help="TLS: who signed the cluster's (PEM).")
+@click.option("--dask-cert", type=EXISTING, default=None, metavar="FILE", help="TLS: our certificate (PEM).")
+@click.option("--dask-key", type=EXISTING, default=None, metavar="FILE", help="TLS: its key (PEM).")
 @click.option(
     "--robot-by",
     default="folder",
@@ -63,6 +68,9 @@ def fleet_command(
     out: Path,
     jobs: int | None,
     address: str | None,
+    dask_ca: Path | None,
+    dask_cert: Path | None,
+    dask_key: Path | None,
     robot_by: str,
     refit_base: bool,
     refit_tool: bool,
@@ -75,6 +83,7 @@ def fleet_command(
     Writes a folder for each, fleet.parquet with a row for each, and drift.parquet. A second call does only what is
     missing or has changed. Exit 2 when some could not be calibrated; all others are then written nevertheless.
     """
+    certificates = Certificates.of(dask_ca, dask_cert, dask_key)
     planned = plan(bags, out, Wishes(**wishes), again)
     page = console()
     quiet = as_json or not page.is_terminal
@@ -85,7 +94,7 @@ def fleet_command(
         page.print(f"{len(planned.missing)} of {len(planned.tasks)} recordings to do, {where}", highlight=False)
 
     def runner(tasks: Sequence[Task]) -> Generator[Outcome, None, None]:
-        return run_on_cluster(tasks, address, do) if address else run_here(tasks, jobs, do)
+        return run_on_cluster(tasks, address, do, certificates) if address else run_here(tasks, jobs, do)
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     with Progress(*columns, console=page, disable=quiet, transient=True) as progress:
@@ -104,7 +113,9 @@ def fleet_command(
     left = [row for row in compared.rows if row["state"] != DONE]
     if left:
         first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
-        click.echo(f"modcal: {len(left)} of {len(compared.rows)} recordings were not calibrated; {first}", err=True)
+        click.echo(
+            plain(f"modcal: {len(left)} of {len(compared.rows)} recordings were not calibrated; {first}"), err=True
+        )
     return 2 if left else 0
 
 
@@ -120,10 +131,10 @@ def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
     }
 
 
-def _status(row: Row) -> str:
+def _status(row: Row) -> Text:
     """The verdict in a word, in its colour; empty of a row that an older version made."""
     status = row.get("status")
-    return f"[{STYLES[status]}]{STATUS_WORDS[status]}[/]" if status in STYLES else ""
+    return Text(STATUS_WORDS[status], STYLES[status]) if status in STYLES else Text()
 
 
 def _show(planned: Plan, compared: Compared, page: Console) -> None:

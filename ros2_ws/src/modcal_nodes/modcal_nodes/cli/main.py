@@ -15,7 +15,7 @@ from importlib import import_module
 import click
 
 import modcal_core
-from modcal_core.errors import ModcalError
+from modcal_core.errors import ModcalError, plain
 
 # Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
 # the readers of bags take a second or two, which a request for help should not.
@@ -114,7 +114,7 @@ def _remedy(error: click.ClickException) -> str:
 
 
 def _refuse(line: str) -> int:
-    click.echo("modcal: " + " ".join(line.split()), err=True)
+    click.echo("modcal: " + plain(" ".join(line.split())), err=True)
     return 2
 
 

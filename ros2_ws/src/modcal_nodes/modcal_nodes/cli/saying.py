@@ -14,11 +14,27 @@ from contextlib import contextmanager
 from typing import Any
 
 import click
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
 
+from modcal_core.errors import plain
 from modcal_nodes.progress import Watch, silent
 
 _WIDE = 160
+
+
+class Terminal(Console):
+    """A console on which nothing that came out of a file can steer the terminal, or is taken for markup."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A text to be laid out, which is as wide as what will be printed."""
+        return super().render_str(plain(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The segments of something printed, control characters in its text written out."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(plain(segment.text), segment.style)
 
 
 def say(lines: Iterable[str], console: Console) -> None:
@@ -29,7 +45,7 @@ def say(lines: Iterable[str], console: Console) -> None:
 
 def console(stderr: bool = False) -> Console:
     """A console as wide as the terminal; where there is none, wide enough for every table (COLUMNS, if set)."""
-    made = Console(stderr=stderr, emoji=False)
+    made = Terminal(stderr=stderr, emoji=False, markup=False)
     if not made.is_terminal and "COLUMNS" not in os.environ:
         made.width = _WIDE
     return made
@@ -57,7 +73,7 @@ class Voice:
             return
         show(self._out)
         if where:
-            click.echo(where)
+            click.echo(plain(where))
 
     @contextmanager
     def working(self) -> Iterator[Watch]:
@@ -77,7 +93,7 @@ def _lines() -> Iterator[Watch]:
 
     def end() -> None:
         if now:
-            click.echo(f"{now}: {time.monotonic() - since:.1f} s", err=True)
+            click.echo(f"{plain(now)}: {time.monotonic() - since:.1f} s", err=True)
 
     def watch(stage: str, share: float | None = None) -> None:
         nonlocal now, since

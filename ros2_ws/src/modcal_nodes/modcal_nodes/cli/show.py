@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from modcal_core.report.account import Account, accounts
@@ -56,7 +55,7 @@ def _account(one: Account) -> Table:
     for line in one.lines:
         ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
         numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
-        table.add_row(escape(line.words), *numbers)
+        table.add_row(line.words, *numbers)
     table.add_row("nominal model", f"{one.total:.4g}", "", "")
     return table
 

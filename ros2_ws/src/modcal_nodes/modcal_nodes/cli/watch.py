@@ -19,7 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.live import Live
 
-from modcal_core.errors import BadRecording
+from modcal_core.errors import BadRecording, plain
+from modcal_nodes.cli.saying import Terminal
 from modcal_nodes.watching.heard import Heard
 from modcal_nodes.watching.listener import Listener
 from modcal_nodes.watching.table import Changes, table
@@ -53,7 +54,7 @@ def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lastin
     changed, how old corrected poses are, what moves in the gripper's hand, what is recorded. Where the output is no
     terminal, a line is written only when something gets better or worse. Ctrl-C ends it.
     """
-    heard, console = Heard(namespace), Console()
+    heard, console = Heard(namespace), Terminal(markup=False)
     with contextlib.suppress(KeyboardInterrupt), _left_alone(), _stopped_politely(), _listening(heard, domain) as spin:
         if not once:
             _go_on(heard, spin, _output(as_json, console), lasting, every, (domain, namespace))
@@ -176,7 +177,7 @@ def _output(as_json: bool, console: Console) -> Iterator[Callable[[dict[str, Any
 
         def log(snapshot: dict[str, Any]) -> None:
             for line in changes.lines(snapshot):
-                click.echo(line)
+                click.echo(plain(line))
 
         yield log
 

@@ -60,6 +60,6 @@ def kept_row(out: Path, task: Task, source: Mapping[str, Any]) -> dict[str, Any]
         mark = json.loads((out / task.name / MARK).read_text(encoding="utf-8"))
         row: dict[str, Any] = mark["row"]
         good = mark["made_from"] == source and row["state"] != FAILED
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return {**row, "bag": str(task.bag)} if good else None

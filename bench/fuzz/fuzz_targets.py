@@ -1,0 +1,353 @@
+"""What is fuzzed: a way to make cases, and what is done with one.
+
+A refusal is a ModcalError; all else is a fault of ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from data_cases import case as data_case
+from data_cases import places, text_case
+from mcap_cases import case as mcap_case
+from mcap_cases import parts
+
+from modcal_core.calibration.effects import JOINTS, Effect
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.correction.correction import Correction
+from modcal_core.errors import ModcalError
+from modcal_core.geometry import se3
+from modcal_core.measurements.inspection import inspect
+from modcal_core.measurements.recording import Recording
+from modcal_core.modules.library_data import library_from_data, published, published_text
+from modcal_core.modules.spec import assembly_from_data
+from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.planning.site import site_from_data
+from modcal_core.planning.stations import stations_from_data
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_core.robots.tables import from_table
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.choosing import Topics
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_repair import repair_bag
+from modcal_msgs_py.mcap_walk import McapFile
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.tables import import_tables
+from modcal_msgs_py.types import message_class
+from modcal_nodes.calibrating.standing import standing_of_json
+from modcal_nodes.files import parse_yaml, to_yaml
+from modcal_nodes.inputs import read_cell, read_topics
+
+ROOT = Path(__file__).resolve().parents[2]
+URDF = ROOT / "examples" / "robots" / "ur10.urdf"
+
+
+@dataclass(frozen=True)
+class Target:
+    """name; make: a case from random numbers; run: what is done with it."""
+
+    name: str
+    make: Callable[[np.random.Generator], Any]
+    run: Callable[[Any], None]
+
+
+def targets(folder: Path) -> list[Target]:
+    """All targets; folder: for files that cases are written to."""
+    return [
+        mcap_target(folder), urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(),
+        report_target(), yaml_target(), other_files_target(),
+    ]  # fmt: skip
+
+
+def recording() -> Recording:
+    """A short recording of everything that a bag may hold."""
+    from modcal_core.measurements.recording import JointTrack, ReadingTrack, SignalTrack
+
+    t = 1.7e9 + np.arange(6.0)
+    q = 0.1 * np.arange(36.0).reshape(6, 6)
+    names = (
+        "shoulder_pan_joint",
+        "shoulder_lift_joint",
+        "elbow_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    )
+    poses = se3.to_pose(se3.exp(0.1 * np.arange(36.0).reshape(6, 6)))
+    return Recording(
+        (JointTrack(names, t, q, q, q, t),),
+        (
+            ReadingTrack("pose", "tracker", t, poses, t),
+            ReadingTrack("range", "wire", t, poses[:, :1], t, "/tracker/range"),
+        ),
+        (SignalTrack("temperature:base_link", t, poses[:, :1], "/temperature"),),
+        "<robot name='r'><link name='a'/><link name='b'/><joint name='elbow_joint' type='revolute'><parent link='a'/>"
+        "<child link='b'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint></robot>",
+        "made",
+    )
+
+
+def _others(bag: BagWriter) -> None:
+    """Transforms, odometry and a type that only the bag defines."""
+    header, stamp = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
+    vector, quaternion = message_class("geometry_msgs/msg/Vector3"), message_class("geometry_msgs/msg/Quaternion")
+    turn = quaternion(0.0, 0.0, 0.0, 1.0)
+    one = message_class("geometry_msgs/msg/TransformStamped")(
+        header(stamp(1_700_000_000, 5), "tracker"), "tool",
+        message_class("geometry_msgs/msg/Transform")(vector(1.0, 2.0, 3.0), turn),
+    )  # fmt: skip
+    battery = message_class("sensor_msgs/msg/Imu")
+    imu = battery(header(stamp(1_700_000_000, 0), "imu"), turn, np.zeros(9), vector(0.0, 0.0, 0.0), np.zeros(9),
+                  vector(0.0, 0.0, 9.8), np.zeros(9))  # fmt: skip
+    two = replace(one, transform=message_class("geometry_msgs/msg/Transform")(vector(1.0, 2.0, 3.5), turn))
+    for topic, kind, message in (
+        ("/tf", "tf2_msgs/msg/TFMessage", message_class("tf2_msgs/msg/TFMessage")([two, one])),
+        ("/tf", "tf2_msgs/msg/TFMessage", message_class("tf2_msgs/msg/TFMessage")([one])),
+        ("/vrpn/pose", "geometry_msgs/msg/TransformStamped", one),
+        ("/imu", "sensor_msgs/msg/Imu", imu),
+    ):
+        bag.write(topic, kind, message, 1_700_000_000_000_000_000 + len(str(message)))
+
+
+def bag_bytes(folder: Path) -> bytes:
+    """A whole file with all of it."""
+    made = recording()
+    write_recording(made, folder / "first")
+    with BagWriter(folder / "second") as bag:
+        for topic, kind, data, ns in _messages_of(folder / "first"):
+            bag.add_topic(topic, kind)
+            bag.write_raw(topic, data, ns)
+        _others(bag)
+    return next((folder / "second").glob("*.mcap")).read_bytes()
+
+
+def _messages_of(folder: Path) -> list[tuple[str, str, bytes, int]]:
+    file = McapFile(next(folder.glob("*.mcap")))
+    return [(m.topic, m.type_name, bytes(m.cdr), m.received_ns) for m in file.messages()]
+
+
+def mcap_target(folder: Path) -> Target:
+    """Bags, read, inspected, and one in eight repaired."""
+    raw = bag_bytes(folder)
+    base = parts(raw)
+    file, counter = folder / "case.mcap", [0]
+    wishes = (Topics(), Topics(tf=("tracker", "tool")), Topics.of(["tracker/pose=/vrpn/pose"], ["/imu"]))
+
+    def run(data: bytes) -> None:
+        file.write_bytes(data)
+        counter[0] += 1
+        if counter[0] % 8 == 0:
+            out = folder / f"repaired{counter[0]}"
+            repair_bag(file, out)
+            shutil.rmtree(out, ignore_errors=True)
+        seen = read_bag(file, topics=wishes[counter[0] % 3])
+        chain = None
+        if seen.robot_description is not None:
+            with contextlib.suppress(ModcalError):
+                chain = read_chain(seen.robot_description, None, None)
+        inspect(seen, chain)
+
+    return Target("mcap", lambda rng: mcap_case(base, raw, rng), run)
+
+
+URDF_WORDS = (
+    "nan", "inf", "1e400", "-1", "0 0 0", "0 0", "", "<link name='a'/>", "<joint", "</robot>", "<robot>", "&#0;", "&amp;", "<!--",
+    "<![CDATA[", "continuous", "prismatic", "planar", "floating", "mimic", "<mimic joint='elbow_joint'/>", "world", "base_link",
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "<inertial>", "\ud7ff", "\x1b", "name='elbow_joint'", "tool0", "1e308",
+)  # fmt: skip
+
+
+def urdf_target() -> Target:
+    """Robot descriptions, as chains and as loaded arms."""
+    text = URDF.read_text()
+
+    def run(case: str) -> None:
+        chain = read_chain(case, None, None)
+        chain.reach()
+        LoadedArm.read(case, chain.base, chain.tip)
+
+    return Target("urdf", lambda rng: text_case(text, URDF_WORDS, rng), run)
+
+
+ROWS = "t;a;b;x;y;z;r;p;w;d\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3;2020010{t}\n" for t in range(1, 9))
+MAPPING = {
+    "tables": [
+        {
+            "files": "rows.csv", "delimiter": ";", "decimal": ",", "encoding": "utf-8", "header": True,
+            "time": {"seconds": "t"}, "joints": {"unit": "rad", "columns": {"j1": "a", "j2": "b"}},
+            "pose": {"frame": "tracker", "unit": "m", "position": ["x", "y", "z"], "inverse": False,
+                     "euler": {"columns": ["r", "p", "w"], "sequence": "XYZ", "unit": "rad"}},
+            "temperature": {"base": "a"},
+        },
+        {
+            "files": "rows.csv", "delimiter": ";", "decimal": ",", "time": {"order": {"period_s": 10.0}},
+            "joints": {"unit": "deg", "columns": {"j1": 1, "j2": "b"}},
+            "point": {"frame": "{stem}", "unit": "mm", "position": ["x", 4, "z"]},
+        },
+        {
+            "files": "row*.csv", "delimiter": ";", "time": {"column": "d", "format": "%Y%m%d"}, "decimal": ",",
+            "joints": {"unit": "deg", "columns": {"j1": 1, "j2": "b"}},
+            "pose": {"frame": "{folder}", "unit": "mm", "position": ["x", 4, "z"], "quaternion": {"columns": [3, 4, 5, 6]}},
+        },
+    ]
+}  # fmt: skip
+CSV_WORDS = (";", ",", "nan", "1e400", "-", "\n", '"', "\x00", "1_0", "٣", "0,0", ";;;;", "t", "\r")
+
+
+def mapping_target(folder: Path) -> Target:
+    """Mappings of import with a table as it should be, and tables that are not with the mapping as it should be."""
+    ways = places(MAPPING)
+    rows = folder / "rows.csv"
+
+    def make(rng: np.random.Generator) -> tuple[Any, str]:
+        if rng.integers(4):
+            return data_case(MAPPING, ways, rng), ROWS
+        return MAPPING, text_case(ROWS, CSV_WORDS, rng)
+
+    def run(case: tuple[Any, str]) -> None:
+        mapping, text = case
+        rows.write_text(text, encoding="utf-8", errors="surrogateescape")
+        made = import_tables(mapping, folder, "mapping")
+        shutil.rmtree(folder / "imported", ignore_errors=True)
+        write_recording(made, folder / "imported")
+
+    return Target("mapping", make, run)
+
+
+CELL = {
+    "distances": [{"between": ["a", "b"], "distance_m": 0.05, "std_m": 1e-5}, {"stamps": [1.0, 2.0], "distance_m": 0.05}],
+    "fixed": ["tool"], "known": [{"frame": "a", "in": "b", "plane": {"normal": [0, 0, 1], "offset_m": 0.1}},
+                                {"frame": "a", "in": "b", "position_m": [0, 0, 1], "quaternion": [0, 0, 0, 1]}],
+    "own_target": ["a"], "sockets": ["a"], "moved": [{"stamp": 1.5, "what": "tool"}], "own_in_recordings": "tool",
+    "repeatability_mm": 0.02, "instrument_mm": 0.01, "instrument_deg": 0.01,
+    "topics": {"tracker/pose": "/a", "joint_states": ["/b"]}, "ignore": ["/c"], "tf": "a:b",
+}  # fmt: skip
+
+
+def cell_target(folder: Path) -> Target:
+    """Cell files, through YAML as a person writes them."""
+    ways, file = places(CELL), folder / "cell.yaml"
+
+    def run(case: Any) -> None:
+        file.write_text(_yaml(case), encoding="utf-8")
+        read_cell(file)
+        read_topics(file, Topics())
+
+    return Target("cell", lambda rng: data_case(CELL, ways, rng), run)
+
+
+def _yaml(data: Any) -> str:
+    try:
+        return yaml.dump(data, Dumper=yaml.CDumper, allow_unicode=True)
+    except UnicodeEncodeError:
+        return "{}"
+
+
+def calibration() -> dict[str, Any]:
+    """A calibration with effects and parameters, as data."""
+    chain = read_chain(URDF.read_text(), None, "tool0")
+    effects = (
+        Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")).started(np.zeros(1)),
+        Effect("compliance", "elbow_joint", "axis", "load:elbow_joint", Shape("linear")).started(np.zeros(1)),
+    )
+    model = Model(chain, ("tracker",), np.eye(4)[None], np.eye(4))
+    whole = Calibration(
+        model, replace(model, effects=effects), model, np.array([[-1.0] * chain.n, [1.0] * chain.n]),
+        (("elbow_joint/zero", 0.1, 0.01, "rad"),), postures=np.zeros((3, chain.n)), watched=(1.0, 2.0),
+        ranges={"temperature:a": (1.0, 2.0)}, scatter=(1e-4, 1e-4),
+    )  # fmt: skip
+    data: dict[str, Any] = parse_yaml(to_yaml(to_data(whole)), "calibration")
+    return data
+
+
+def calibration_target() -> Target:
+    """Calibrations; one that is read must predict, correct, and be written again."""
+    base = calibration()
+    ways = places(base)
+
+    def run(case: Any) -> None:
+        read = from_data(case, "calibration.yaml")
+        n = len(read.nominal.chain.names)
+        for model in (read.nominal, read.calibrated, read.geometric):
+            model.predict(np.zeros((2, n)))
+        if isinstance(read.calibrated.chain, Chain):
+            Correction(read)
+        from_data(parse_yaml(to_yaml(to_data(read)), "again"), "again")
+
+    return Target("calibration", lambda rng: data_case(base, ways, rng), run)
+
+
+def report_target() -> Target:
+    """report.json as the calibrator reads it back, and any JSON there."""
+    base = {
+        "modcal_report": 1,
+        "status": "open",
+        "open_because": ["a"],
+        "remedy": "b",
+        "verdict": "c",
+        "error_mm": {"final": {}},
+    }
+    ways = places(base)
+
+    def make(rng: np.random.Generator) -> str:
+        if rng.integers(3):
+            return json.dumps(data_case(base, ways, rng), default=str)
+        return text_case(json.dumps(base), ('"', "[" * 3000, "{", "nan", "\\ud800", "1e999", "9" * 5000, "null"), rng)
+
+    return Target("report", make, lambda case: standing_of_json(case) and None)
+
+
+YAML_WORDS = ("- ", "? ", "[", "{", "&a ", "*a", "<<: *a", "!!python/object:os.system", "!!binary x", "2001-99-99", "0x" + "f" * 5000,
+              "9" * 5000, ": ", "\n", "\t", "---\n", "...", "%YAML 9", "|", ">", "!!set", "!!timestamp x", "1:2:3", ".nan", "~")  # fmt: skip
+
+
+def yaml_target() -> Target:
+    """Texts that may be YAML."""
+    text = _yaml(CELL) + "a: &a {b: 1}\nc: {<<: *a, d: 2001-01-01}\n"
+    return Target(
+        "yaml", lambda rng: text_case(text, YAML_WORDS, rng), lambda case: parse_yaml(case, "f.yaml") and None
+    )
+
+
+def other_files_target() -> Target:
+    """Deltas, kinematic tables, assemblies, tasks of synthesis, sites of planning, plans and stores of modules."""
+    readers: dict[str, tuple[Any, Callable[[Any], Any]]] = {}
+    for name, path, read in (
+        ("table", ROOT / "bench" / "fuzz" / "table.yaml", from_table),
+        ("assembly", _example("modules"), lambda data: assembly_from_data(data, published(), "assembly.yaml")),
+        ("synthesis", _example("synthesis"), lambda data: task_from_data(data, "task.yaml")),
+        ("site", _example("planning"), lambda data: site_from_data(data, "site.yaml")),
+    ):
+        if path is not None and path.is_file():
+            readers[name] = parse_yaml(path.read_text(), name), read
+    readers["library"] = parse_yaml(published_text(), "library"), lambda data: library_from_data(data, "library.yaml")
+    chain = read_chain(URDF.read_text(), None, "tool0")
+    plan = {"modcal_plan": 1, "joints": list(chain.names), "stations": [{"position": [0.0] * 6}] * 3}
+    readers["plan"] = plan, lambda data: stations_from_data(data, chain.names, "plan.yaml")
+    ways = {name: places(base) for name, (base, _) in readers.items()}
+    names = sorted(readers)
+
+    def run(case: tuple[str, Any]) -> None:
+        readers[case[0]][1](case[1])
+
+    def make(rng: np.random.Generator) -> tuple[str, Any]:
+        name = names[int(rng.integers(len(names)))]
+        return name, data_case(readers[name][0], ways[name], rng)
+
+    return Target("others", make, run)
+
+
+def _example(folder: str) -> Path | None:
+    return next(iter(sorted((ROOT / "examples" / folder).glob("*.yaml"))), None)

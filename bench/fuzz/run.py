@@ -1,0 +1,111 @@
+"""Hostile and damaged input, made by the thousand and read in this process: every case must be read or refused.
+
+    make fuzz                                             # every target for its share of five minutes
+    make fuzz FUZZ_ARGS="--only mcap --cases 30000"
+    make fuzz FUZZ_ARGS="--only mcap --seed 7 --from 1234 --cases 1"    # one case again, with its traceback
+
+A fault is an exception that is no refusal, a case that takes longer than two seconds of processor, or a process that
+grows beyond 1 GiB. Exit code 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from fuzz_targets import Target, targets
+
+from modcal_core.errors import ModcalError, plain
+
+SLOW = 2.0  # s of processor
+LARGEST = 1 << 20  # kB
+SHARES = {"mcap": 0.4}  # of the time; the others share the rest
+
+
+@dataclass
+class Result:
+    """What became of the cases of a target."""
+
+    cases: int = 0
+    refused: int = 0
+    slowest: float = 0.0
+    faults: Counter[str] = field(default_factory=Counter)
+    examples: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+
+def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, first: int = 0) -> Result:
+    """Run cases of one target for so much processor time [s], or so many of them."""
+    out, began, number = Result(), time.process_time(), first
+    while number - first < cases if cases is not None else time.process_time() - began < seconds:
+        case = target.make(np.random.default_rng([seed, number]))
+        start = time.process_time()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # NumPy's, of numbers that a file holds
+                target.run(case)
+        except ModcalError as error:
+            out.refused += 1
+            if str(error) != plain(str(error)) or "\n" in str(error):
+                _fault(out, "a refusal with control characters", number, repr(str(error)[:300]))
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            key = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}"
+            _fault(out, key, number, traceback.format_exc())
+        took = time.process_time() - start
+        out.slowest = max(out.slowest, took)
+        if took > SLOW:
+            _fault(out, "slower than two seconds", number, f"{took:.1f} s")
+        number += 1
+    out.cases = number - first
+    return out
+
+
+def _fault(out: Result, key: str, number: int, said: str) -> None:
+    out.faults[key] += 1
+    out.examples.setdefault(key, (number, said))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fuzz the targets that are asked for, and print a table. Returns the exit code."""
+    parser = argparse.ArgumentParser(description="Hostile input by the thousand.")
+    parser.add_argument("--seconds", type=float, default=300.0, help="of processor time, in all")
+    parser.add_argument("--cases", type=int, default=None, help="of each target, in place of a time")
+    parser.add_argument("--from", dest="first", type=int, default=0, metavar="NUMBER", help="of the first case")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="targets, with commas between")
+    asked = parser.parse_args(arguments)
+    failed = total = 0
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+        wanted = [t for t in targets(Path(folder)) if not asked.only or t.name in asked.only.split(",")]
+        weights = [SHARES.get(t.name, 0.6 / 7.0) for t in wanted]
+        print(f"{'target':12} {'cases':>8} {'refused':>8} {'slowest s':>10} {'faults':>7}")
+        for target, weight in zip(wanted, weights, strict=True):
+            out = fuzz(target, asked.seed, asked.seconds * weight / sum(weights), asked.cases, asked.first)
+            total += out.cases
+            print(
+                f"{target.name:12} {out.cases:8} {out.refused:8} {out.slowest:10.3f} {sum(out.faults.values()):7}",
+                flush=True,
+            )
+            for key, count in out.faults.most_common():
+                number, said = out.examples[key]
+                failed += count
+                print(f"\n{count} × {key}, first: --only {target.name} --seed {asked.seed} --from {number}\n{said}")
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"{total} cases, {failed} faults, at most {largest >> 10} MiB")
+    return int(bool(failed) or largest > LARGEST)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

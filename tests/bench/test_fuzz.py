@@ -1,0 +1,73 @@
+"""A short run of `make fuzz`: no exception but refusals, none slow, in little memory; and the fuzzer itself is sharp."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "bench" / "fuzz"
+SECONDS = {"mcap": 3.0}
+LARGEST_MIB = 1024
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[dict[str, ModuleType]]:
+    before, known = list(sys.path), set(sys.modules)
+    sys.path.insert(0, str(FOLDER))
+    names = ("mcap_cases", "data_cases", "fuzz_targets", "run")
+    yield {name: importlib.import_module(name) for name in names}
+    sys.path[:] = before
+    for name in set(sys.modules) - known:
+        if name in names:
+            sys.modules.pop(name)
+
+
+@pytest.mark.slow
+def test_ten_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path: Path) -> None:
+    """Ten seconds of processor, because a fault that is left is found by numbers alone."""
+    for target in bench["fuzz_targets"].targets(tmp_path):
+        found = bench["run"].fuzz(target, 0, SECONDS.get(target.name, 1.0))
+        assert not found.faults, (target.name, found.examples)
+        assert found.cases > 100
+        assert found.refused < found.cases, target.name
+        assert found.refused > 0 or target.name == "report"
+
+
+def test_whatever_is_not_changed_is_read(bench: dict[str, ModuleType], tmp_path: Path) -> None:
+    """The bases are good, and putting a file together again changes nothing: else every case would be refused."""
+    targets = bench["fuzz_targets"]
+    raw = targets.bag_bytes(tmp_path)
+    cases = bench["mcap_cases"]
+    (folder := tmp_path / "again").mkdir()
+    target = targets.mcap_target(folder)
+    target.run(raw)
+    target.run(cases.whole(cases.parts(raw)))
+    targets.calibration_target().run(targets.calibration())
+    targets.cell_target(tmp_path).run(targets.CELL)
+    targets.mapping_target(tmp_path).run((targets.MAPPING, targets.ROWS))
+    targets.urdf_target().run(targets.URDF.read_text())
+
+
+def test_a_fault_is_found_and_named(bench: dict[str, ModuleType]) -> None:
+    target = bench["fuzz_targets"].Target("x", lambda rng: int(rng.integers(50)), lambda case: 1 // case and None)
+    found = bench["run"].fuzz(target, 3, 0.0, cases=400)
+    (key,) = found.faults
+    assert key.startswith("ZeroDivisionError at test_fuzz.py")
+    number, said = found.examples[key]
+    assert "ZeroDivisionError" in said
+    assert bench["run"].fuzz(target, 3, 0.0, cases=1, first=number).faults
+
+
+def test_cases_are_the_same_every_time_and_differ_among_themselves(
+    bench: dict[str, ModuleType], tmp_path: Path
+) -> None:
+    target = bench["fuzz_targets"].mcap_target(tmp_path)
+    made = [target.make(np.random.default_rng([0, k])) for k in range(60)]
+    assert made == [target.make(np.random.default_rng([0, k])) for k in range(60)]
+    assert len(set(made)) > 55

@@ -1,0 +1,211 @@
+"""Files and options that say what cannot be: one line with the place in the file, and exit code 2."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from cli.recordings import URDF, stations
+
+from modcal_core.calibration.store import from_data
+from modcal_core.errors import BadTable
+from modcal_core.measurements.schema import require
+from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.tables_schema import SCHEMA
+from modcal_nodes.cli.main import run
+from modcal_nodes.files import parse_yaml
+
+ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))
+MAPPING: dict[str, Any] = {
+    "tables": [
+        {
+            "files": "rows.csv",
+            "delimiter": ";",
+            "decimal": ",",
+            "time": {"seconds": "t"},
+            "joints": {"unit": "rad", "columns": {"j1": "a", "j2": "b"}},
+            "pose": {
+                "frame": "tracker",
+                "unit": "m",
+                "position": ["x", "y", "z"],
+                "euler": {"columns": ["r", "p", "w"], "sequence": "XYZ", "unit": "rad"},
+            },
+        }
+    ]
+}
+
+
+def refused(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    capfd.readouterr()
+    assert run(arguments) == 2
+    line = capfd.readouterr().err
+    assert line.startswith("modcal: ")
+    assert line.count("\n") == 1
+    return line
+
+
+def changed(path: str, value: Any) -> Any:
+    """The mapping with one value changed: keys and numbers of entries with dots between them."""
+    data = copy.deepcopy(MAPPING)
+    *way, last = path.split(".")
+    place: Any = data
+    for key in way:
+        place = place[int(key)] if isinstance(place, list) else place.setdefault(key, {})
+    if isinstance(place, list):
+        place[int(last)] = value
+    else:
+        place[last] = value
+    return data
+
+
+WRONG: list[tuple[str, Any, str]] = [
+    ("tables", 3, "m.yaml: tables: 3 is not a list"),
+    ("tables", [], "at least 1 are allowed"),
+    ("tables.0", "rows.csv", "is not a mapping"),
+    ("tables.0.delimiter", ";;", "tables, entry 1: delimiter: ';;' has 2 letters, 1 are allowed"),
+    ("tables.0.delimiter", "", "has 0 letters"),
+    ("tables.0.delimiter", "\n", "cannot separate columns"),
+    ("tables.0.delimiter", ",", "is the delimiter too"),
+    ("tables.0.decimal", ",,", "decimal: ',,' is none of ., ,"),
+    ("tables.0.decimal", "", "is none of"),
+    ("tables.0.encoding", "klingon", "'klingon' is no encoding of text"),
+    ("tables.0.encoding", "base64", "'base64' is no encoding of text"),
+    ("tables.0.header", "yes", "is not true or false"),
+    ("tables.0.files", 3, "is not a text"),
+    ("tables.0.files", "/etc/*", "is no pattern of files"),
+    ("tables.0.files", "a**", "is no pattern of files"),
+    ("tables.0.joints", {"columns": [1, 2], "unit": "rad"}, "joints: columns: [1, 2] is not a mapping"),
+    ("tables.0.joints", ["a"], "is not a mapping"),
+    ("tables.0.joints.columns", {}, "is empty"),
+    ("tables.0.joints.columns.j1", None, "is not a text or a whole number"),
+    ("tables.0.joints.columns.j1", True, "is not a text or a whole number"),
+    ("tables.0.joints.effort", {"j1": "a"}, "joints: unknown key effort; known are columns, unit"),
+    ("tables.0.time", {"format": 5, "column": "t"}, "time: format: 5 is not a text"),
+    ("tables.0.time", {"format": "%Q", "column": "t"}, "is not %Q"),
+    ("tables.0.time", {"format": "%Y%Y", "column": "t"}, "is not %Y%Y"),
+    ("tables.0.time", {"order": 3}, "order: 3 is not a mapping"),
+    ("tables.0.time", {"order": {"period_s": "ten"}}, "is not a finite number"),
+    ("tables.0.time", {"order": {"period_s": 0}}, "is not above 0"),
+    ("tables.0.time", {"order": {"period_s": float("nan")}}, "is not a finite number"),
+    ("tables.0.time", {}, "0 of these ways are stated"),
+    ("tables.0.time", 3, "is not a mapping"),
+    ("tables.0.pose.frame", "{", "only {stem} and {folder} are known"),
+    ("tables.0.pose.frame", "{0}", "only {stem} and {folder} are known"),
+    ("tables.0.pose.frame", "{stem.__class__}", "only {stem} and {folder} are known"),
+    ("tables.0.pose.frame", "\ud800", "is not YAML"),
+    ("tables.0.pose.position", "xyz", "is not a list"),
+    ("tables.0.pose.position", ["x", "y"], "has 2 entries, 3 are allowed"),
+    ("tables.0.pose.inverse", "false", "is not true or false"),
+    ("tables.0.pose.euler", "XYZ", "is not a mapping"),
+    ("tables.0.pose.euler.sequence", "XYX1", "has 4 letters"),
+    ("tables.0.pose.euler.sequence", "abc", "sequence 'abc'"),
+    ("tables.0.pose.euler.degrees", True, "unknown key degrees"),
+    ("tables.0.temperature", ["a"], "is not a mapping or nothing"),
+    ("tables.0.temperature", {"a": {"b": 1}}, "is not a text or a whole number"),
+    ("urdf", 5, "is not a text or nothing"),
+    ("colour", "red", "unknown key colour"),
+    ("time", {"seconds": "t"}, "unknown key time"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "value", "said"), WRONG)
+def test_mappings_that_say_what_cannot_be(
+    path: str, value: Any, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rows.csv").write_text(ROWS)
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(changed(path, value)))
+    assert said in refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], capfd)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_the_mapping_itself_is_imported(tmp_path: Path) -> None:
+    (tmp_path / "rows.csv").write_text(ROWS)
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(MAPPING))
+    assert run(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")]) == 0
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "1e300", "-5", "", "9e9"])
+def test_times_that_cannot_be(cell: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rows.csv").write_text(ROWS.replace("\n3;", f"\n{cell};"))
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(MAPPING))
+    assert "line 4, column t" in refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], capfd)
+
+
+@pytest.mark.parametrize("verb", ["calibrate", "evaluate", "limits", "articulate"])
+def test_a_seed_below_zero(verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(stations(10), tmp_path / "bag")
+    source = {"limits": [str(URDF)], "evaluate": [str(tmp_path), str(tmp_path / "bag")]}.get(
+        verb, [str(tmp_path / "bag")]
+    )
+    assert "--seed" in refused([verb, *source, "--seed", "-1"], capfd)
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("calibration")
+    write_recording(stations(40), folder / "bag")
+    assert run(["calibrate", str(folder / "bag"), "--geometry-only", "--out", str(folder / "out")]) == 0
+    data: dict[str, Any] = parse_yaml((folder / "out" / "calibration.yaml").read_text(), "calibration")
+    return data
+
+
+def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The ways to every key of mappings in mappings, and in the first entry of lists."""
+    if isinstance(data, dict):
+        return [here for key, value in data.items() for here in ((*way, key), *keys_of(value, (*way, key)))]
+    return keys_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
+
+
+def test_a_calibration_without_a_key(calibration: dict[str, Any]) -> None:
+    """Without any one of its keys it is read, where the key is optional, or refused by name; nothing else."""
+
+    def spoilt(way: tuple[Any, ...], act: Callable[[Any, Any], None]) -> dict[str, Any]:
+        data = copy.deepcopy(calibration)
+        place: Any = data
+        for key in way[:-1]:
+            place = place[key]
+        act(place, way[-1])
+        return data
+
+    def gone(place: Any, key: Any) -> None:
+        del place[key]
+
+    def set_to(value: Any) -> Callable[[Any, Any], None]:
+        return lambda place, key: place.__setitem__(key, value)
+
+    refusals: list[BadTable] = []
+    for way in keys_of(calibration):
+        for act in (gone, *(set_to(value) for value in (None, 3, "x", [], {}, float("nan"), [[1]], -1e400))):
+            try:
+                from_data(spoilt(way, act), "c.yaml")
+            except BadTable as error:
+                refusals.append(error)
+    assert len(refusals) > 200
+    assert all("c.yaml" in error.offender or "calibration" in error.offender for error in refusals)
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "- " * 5000, "{a: " * 5000, "a: 2001-99-99", "a: 0x" + "f" * 9000, "a: " + "9" * 9000,
+                                  "? [1]\n: 2", "a: !!python/object:os.system x", "\x00", "a: *b", "&a [*a]", "a: 1\x1b", "a: <<"])  # fmt: skip
+def test_yaml_that_leads_a_loader_astray(text: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Refused in one line by every verb that reads YAML; deep ones used to end the process."""
+    (tmp_path / "f.yaml").write_text(text)
+    file = str(tmp_path / "f.yaml")
+    for arguments in (
+        ["import", file],
+        ["evaluate", file, file],
+        ["assemble", file],
+        ["synthesize", file],
+        ["export", file, "--to", "urdf"],
+    ):
+        assert "f.yaml" in refused(arguments, capfd)
+
+
+def test_a_schema_of_unknown_words_is_a_mistake() -> None:
+    """A word that is passed over would check nothing."""
+    with pytest.raises(AssertionError):
+        require({}, {"pattern": "x"}, "", "")
+    require(MAPPING, SCHEMA, "m.yaml", "")
