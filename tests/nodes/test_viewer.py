@@ -219,7 +219,7 @@ def test_readings_in_a_frame_that_nobody_calibrated_are_said(tmp_path: Path) -> 
         change.publish(String(data="no json"))
         change.publish(String(data=json.dumps({"sentence": "tool has moved"})))
         cell.describe(URDF.read_text())
-        wait(lambda: cell.heard() and said.text(CALIBRATION), 60.0)
+        wait(lambda: cell.heard() and "scatter only" in said.text(CALIBRATION), 60.0)
 
         def some_elsewhere(i: int, message: Any) -> Any:
             if hasattr(message, "pose") and i % 3 == 0:
