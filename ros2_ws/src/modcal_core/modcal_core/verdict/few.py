@@ -111,8 +111,8 @@ def _products(waves: Waves, layout: Layout, x: Array) -> Array:
     grid[layout.sample, layout.component] = x
     out = []
     for motions, numbers in zip(waves.motions, waves.numbers, strict=True):
-        seen = (motions.transpose(2, 0, 1) @ grid).reshape(len(grid), -1)  # (N, motions × m)
+        seen = (motions.transpose(2, 0, 1) @ grid).reshape(len(grid), len(motions) * m)
         each = np.stack([numbers[:, a:b] @ seen[a:b] for a, b in layout.samples])
         each = each.reshape(len(each), len(numbers), len(motions), m).transpose(0, 2, 1, 3)
-        out.append(each.reshape(len(each), -1, m))
+        out.append(each.reshape(len(each), len(motions) * len(numbers), m))
     return np.concatenate(out, axis=1)
