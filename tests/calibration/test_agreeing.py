@@ -51,6 +51,12 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
     assert disagreement(clean.select(np.zeros(80, int)), CHAIN) is None
 
 
+def test_a_joint_is_not_blamed_for_what_only_makes_the_whole_worse(clean: Samples) -> None:
+    """Positions that scatter by more than an arm's: the joint would stand where it is reported."""
+    noise = 0.02 * np.random.default_rng(1).normal(size=(80, 3))
+    assert disagreement(replace(clean, position=clean.position + noise), CHAIN) is None
+
+
 def test_another_order_of_quaternions_from_some_station_on(clean: Samples) -> None:
     wrong = Rotation.from_quat(Rotation.from_matrix(clean.R).as_quat()[:, [3, 0, 1, 2]]).as_matrix()
     said = found(replace(clean, R=np.where(LATER[:, None, None], wrong, clean.R)))

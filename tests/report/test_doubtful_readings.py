@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
+from modcal_core.calibration.score import Errors
 from modcal_core.errors import BadRecording
 from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
+from modcal_core.verdict.readings import coarse
 
 CHAIN = ur10()
 
@@ -84,6 +86,16 @@ def test_readings_computed_before_the_joints_were_rounded() -> None:
 def test_positions_rounded_to_the_size_of_the_error() -> None:
     made = record(6, 100)
     assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
+
+
+def test_the_zeros_of_a_socket_are_not_rounded() -> None:
+    samples = record(6, 40, "point").samples
+    zero = replace(samples, position=np.zeros((40, 3)), sockets=("tracker",))
+    left = Errors(np.full((40, 3), 1e-4), np.empty((0, 3)))
+    assert coarse(left, zero) == ()
+    rounded = replace(samples, position=np.round(samples.position, 3))
+    assert coarse(Errors(np.full((40, 3), 3e-4), np.empty((0, 3))), rounded) != ()
+    assert coarse(Errors(np.full((40, 3), 3e-3), np.empty((0, 3))), rounded) == ()
 
 
 def test_readings_in_a_plane() -> None:

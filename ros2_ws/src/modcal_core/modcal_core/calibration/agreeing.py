@@ -31,6 +31,7 @@ _DRAWS = 240
 _LEAST = 12  # stations that must agree, and be explained
 _MOST_AGREE = 0.95  # where more do, single readings are wrong
 _EXPLAINED = 0.8  # share of the rest that an explanation must bring back
+_MORE = 0.3  # share of all stations that a joint's angles must bring back beyond those that agree as they are
 _MOST = 160  # stations; more are thinned evenly
 _STARTS, _ROUNDS = 16, 25
 _STILL = 1e-9  # rad
@@ -111,7 +112,7 @@ class _Search:
                 said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
                 if said is not None:
                     return said
-        return self._joint_throughout()
+        return self._joint_throughout(float(agree.mean()))
 
     def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
         angle, gap = placed.missed(A, samples)
@@ -213,8 +214,8 @@ class _Search:
         q[:, j] = np.arctan2(cross, np.trace(B, axis1=1, axis2=2) - along)
         return q
 
-    def _joint_throughout(self) -> Disagreement | None:
-        """One joint that is off everywhere: by a factor or a zero first, then by anything."""
+    def _joint_throughout(self, before: float) -> Disagreement | None:
+        """One joint that is off everywhere. before: share of the stations that agree as they are."""
         if not self.poses:
             return None
         everything = np.arange(len(self.samples))
@@ -224,7 +225,7 @@ class _Search:
                 placed = self._placed(forward(self.chain, q), self.samples)
                 q = self._solved(j, placed, self.samples)
                 share = float(self._within(placed, forward(self.chain, q), self.samples).mean())
-                if share >= _EXPLAINED and (best is None or share > best[0]):
+                if share >= max(_EXPLAINED, before + _MORE) and (best is None or share > best[0]):
                     best = share, j, q[:, j]
         if best is None:
             return None
@@ -253,7 +254,7 @@ class _Search:
                 yield q
                 return
 
-    def _joint_said(self, j: int, rows: np.ndarray, reported: Array, seen: Array) -> Disagreement:
+    def _joint_said(self, j: int, rows: np.ndarray, reported: Array, seen: Array) -> Disagreement | None:
         name = self.samples.names[j]
         where = f" at {self._stations(rows)}" if len(rows) < len(self.samples) else ""
         remedy = f"see how the position of {name} comes into joint_states"
@@ -269,6 +270,8 @@ class _Search:
         off = seen - reported
         if _spread(off) < 2.0 * _ANGLE:
             turn = np.degrees(np.angle(np.mean(np.exp(1j * off))))
+            if abs(turn) < np.degrees(_CLEARLY * _ANGLE):  # it stands as reported: what is wrong is not this joint
+                return None
             return self._said(rows, f"joint {name} reads {-turn:.1f}° too much{where}: another zero", remedy)
         for how, factor in _FACTORS.items():
             if _spread(seen - factor * reported) < 2.0 * _ANGLE:

@@ -96,9 +96,12 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
 
     Each coordinate is as wrong as a number between two steps is, step / √12, which is step / 2 over three axes.
     """
-    step = _step(samples.position)
-    made, of = step / 2.0, _rms(left.position_norm)
-    if len(samples) < _LEAST or not is_direct(samples.kinds) or not step or made**2 < _MOSTLY * of**2:
+    free = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]  # a socket reads zero
+    if free.sum() < _LEAST or not is_direct(samples.kinds):
+        return ()
+    step = _step(samples.position[free])
+    made, of = step / 2.0, _rms(left.position_norm[free])
+    if not step or not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
         return ()
     return (
         f"Positions are rounded to {1e3 * step:g} mm, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
