@@ -32,6 +32,7 @@ _DEPTH = 5000
 # middleware holds on to the dead one. To subscribe once more is announced anew, and often shortens that.
 _AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
+UNHEARD = "unheard"  # kind of that complaint
 _FAST = (*READINGS, "joint_states", "wrench")
 # Messages that are taken in one go, before other topics, timers and services have their turn.
 _AT_ONCE = 200
@@ -169,7 +170,7 @@ class Tape:
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
-                return Complaint(WARN, "unheard", f"{text}: nothing of it is recorded until one comes")
+                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
         silence = time.monotonic() - self._last
         if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
