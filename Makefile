@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict closed-loop \
-	soak chaos long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
+	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -85,6 +85,9 @@ long-bag: setup-test build  ## an hour at 1 kHz from the bag to the report: proc
 
 soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
 	@$(PY) bench/soak.py $(SOAK_ARGS)
+
+kills: setup-test build  ## the recorder killed twenty times at 1 kHz: was it recording, and what was lost? BENCH_ARGS="--kills 5"
+	@$(PY) bench/kills.py $(BENCH_ARGS)
 
 chaos: setup-test build  ## all nodes while messages, clocks, callbacks and processes fail, ten minutes; BENCH_ARGS="--minutes 2"
 	@$(PY) bench/chaos.py $(BENCH_ARGS)

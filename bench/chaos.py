@@ -38,6 +38,8 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 from modcal_core.calibration.store import Calibration  # noqa: E402
+from modcal_core.correction.conditions import Conditions  # noqa: E402
+from modcal_core.correction.correction import Correction  # noqa: E402
 from modcal_core.errors import BadRecording  # noqa: E402
 from modcal_msgs_py.mcap_walk import McapFile  # noqa: E402
 from modcal_nodes.inputs import read_calibration  # noqa: E402
@@ -217,15 +219,21 @@ def _in_bag(folder: Path) -> Counter[tuple[int, bytes]]:
     return found
 
 
-def _deviations(one: Calibration, other: Calibration) -> tuple[float, str]:
-    """The largest difference of a parameter that both have, in combined standard deviations, and which it is."""
-    others = {name: (value, std) for name, value, std, _ in other.parameters}
-    worst, where = 0.0, ""
-    for name, value, std, _ in one.parameters:
-        if name in others and np.hypot(std, others[name][1]) > 0.0:
-            apart = abs(value - others[name][0]) / float(np.hypot(std, others[name][1]))
-            worst, where = max((worst, where), (apart, name))
-    return worst, where
+def _deviations(one: Calibration, other: Calibration) -> float:
+    """How far the tip of one lies from that of the other at random postures, at most, in combined deviations.
+
+    In the base link, where what base and first link, or tool and last link, share is not seen: the parameters
+    themselves differ in that from fit to fit.
+    """
+    both = Correction(one), Correction(other)
+    n, worst = both[0].chain.n, 0.0
+    for q in np.random.default_rng(0).uniform(-2.0, 2.0, (100, n)):
+        at = Conditions(0.0, q, np.zeros(n), np.zeros(n), np.full(n, np.nan), ())
+        apart = both[0].pose(q, at)[:3, 3] - both[1].pose(q, at)[:3, 3]
+        # without the scatter of the arm, which is no error of the calibration
+        var = [np.diag(c.covariance(q, at))[:3] - c.calibration.spread.position**2 for c in both]
+        worst = max(worst, float(np.abs(apart / np.sqrt(var[0] + var[1])).max()))
+    return worst
 
 
 def _off(calibration: Calibration, truth: Plant) -> float:
@@ -262,8 +270,8 @@ def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: 
         row(f"{name}: solve", answer)
     try:
         disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
-        apart, where = _deviations(disturbed, calm)
-        row("disturbed against calm, largest difference", f"{apart:.2f} deviations ({where})", f"{MOST_DEVIATIONS:g}",
+        apart = _deviations(disturbed, calm)
+        row("disturbed against calm, the tip at 100 postures", f"{apart:.2f} deviations", f"{MOST_DEVIATIONS:g}",
             apart <= MOST_DEVIATIONS)  # fmt: skip
         urdf = ROOT / "examples" / "robots" / "ur10.urdf"
         chosen = {**{name: p.default for name, p in SIMULATED_CELL.items()}, "urdf": str(urdf), "seed": SEED}

@@ -37,7 +37,7 @@ def test_it_says_at_once_that_nothing_comes_and_when_it_does(tmp_path: Path, cap
         for number in range(20):
             joints.publish(numbered(number))
         pair.wait(lambda: tape.count == 20, 5.0)  # each once, however often it has subscribed
-        pair.wait(lambda: "/joint_states" not in pair.node._said, 5.0)  # type: ignore[attr-defined]
+        pair.wait(lambda: "/joint_states" not in pair.node._unheard, 5.0)  # type: ignore[attr-defined]
     log = capfd.readouterr().err
     assert "/joint_states: subscribed for 0." in log
     assert "/joint_states: the first message came" in log

@@ -196,7 +196,7 @@ class GuardedNode(Node):
     def guarded_service(self, name: str, callback: Any) -> Callable[..., Any]:
         """A service's callback; after a fault the caller is told no."""
         if _is_guarded(callback):
-            return callback  # type: ignore[no-any-return]
+            return callback
         guarded = Guarded(self, f"service {name}", callback, _refusal)
         return guarded.awaited() if inspect.iscoroutinefunction(callback) else guarded
 

@@ -18,7 +18,7 @@ from modcal_nodes.guarding import GuardedNode, NodeEnds
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.parameters import RECORDER, declare, follow, values
 from modcal_nodes.running import run
-from modcal_nodes.taping import Complaint, Taken, Tape
+from modcal_nodes.taping import UNHEARD, Complaint, Taken, Tape
 
 _LOOK_SECONDS = 0.1
 _REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
@@ -45,6 +45,7 @@ class Recorder(GuardedNode):
         self._early_since = 0.0
         self._trouble: ModcalError | None = None
         self._said: dict[str, str] = {}
+        self._unheard: set[str] = set()
         self._measured = (time.monotonic(), 0)
         self._bytes_per_second = 0.0
         self._started = time.monotonic()
@@ -126,10 +127,12 @@ class Recorder(GuardedNode):
         for topic, complaint in self._complaints():
             if self._said.get(topic) != complaint.kind:
                 self._said[topic], news = complaint.kind, True
+                self._unheard |= {topic} if complaint.kind == UNHEARD else set()
                 self.get_logger().warn(complaint.text)
         for tape in self._tapes:
-            if tape.waited is not None and self._said.get(tape.topic) == "unheard":
-                del self._said[tape.topic]
+            if tape.waited is not None and tape.topic in self._unheard:
+                self._unheard.discard(tape.topic)
+                self._said.pop(tape.topic, None)
                 self.get_logger().info(f"{tape.topic}: the first message came {tape.waited:.1f} s after subscribing")
         if news:
             self._health.publish()

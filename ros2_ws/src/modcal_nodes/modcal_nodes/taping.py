@@ -29,9 +29,10 @@ from modcal_nodes.waiting import waiting
 # Five seconds of a fast driver may wait while this process gets no time.
 _DEPTH = 5000
 # After a process was killed, a publisher may take seconds to learn of the one that subscribes in its place, for the
-# middleware holds on to the dead one. To subscribe anew is announced anew, and often shortens that.
-_AGAIN, _MOST_AGAIN = 0.5, 8  # s without a first message, and how often
+# middleware holds on to the dead one. To subscribe once more is announced anew, and often shortens that.
+_AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
+UNHEARD = "unheard"  # kind of that complaint
 _FAST = (*READINGS, "joint_states", "wrench")
 # Messages that are taken in one go, before other topics, timers and services have their turn.
 _AT_ONCE = 200
@@ -88,6 +89,8 @@ class Tape:
         self._rated = (self._last, 0)
         self._subscribed = self._last
         self._again = 0
+        self._spares: list[tuple[Offer, Subscription]] = []
+        self._first: dict[Offer, Subscription] = {}
         self.waited: float | None = None  # s from the subscription to the first message
 
     def look(self) -> bool:
@@ -113,6 +116,8 @@ class Tape:
         }
         if self._ears and not self.count and self.publishers:
             self._insist()
+        elif self._spares:
+            self._settle()
         new = offers - set(self._ears)
         for offer in new:
             self._ears[offer] = self._subscribe(offer)
@@ -120,12 +125,18 @@ class Tape:
         return bool(new)
 
     def _insist(self) -> None:
-        """Subscribe anew to who has not been heard yet; what is latched or slow loses nothing by it."""
-        if self._again < _MOST_AGAIN and time.monotonic() - self._subscribed > _AGAIN * (self._again + 1):
+        """Subscribe once more to who has not been heard yet. The others stay: one of them may be heard any moment."""
+        if self._again < len(_AGAIN) and time.monotonic() - self._subscribed > _AGAIN[self._again]:
             self._again += 1
-            for offer, before in list(self._ears.items()):
-                self._ears[offer] = self._subscribe(offer)
-                self._node.destroy_subscription(before)
+            self._spares += [(offer, self._subscribe(offer)) for offer in self._ears]
+
+    def _settle(self) -> None:
+        """Of the subscriptions of one kind keep the one that was heard first."""
+        for offer, subscription in [*self._ears.items(), *self._spares]:
+            if subscription is not self._first.get(offer, self._ears[offer]):
+                self._node.destroy_subscription(subscription)
+        self._ears.update(self._first)
+        self._spares.clear()
 
     def profiles(self) -> list[dict[str, Any]]:
         """The QoS that was offered so far, as a bag holds it."""
@@ -159,7 +170,7 @@ class Tape:
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
-                return Complaint(WARN, "unheard", f"{text}: nothing of it is recorded until one comes")
+                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
         silence = time.monotonic() - self._last
         if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
@@ -189,18 +200,20 @@ class Tape:
             self._node.create_subscription,
             _message_class(self.type_name),
             self.topic,
-            partial(self._hear, offer),
+            partial(self._hear, offer, box := list[Subscription]()),
             qos,
             raw=True,
         )
         try:
-            return make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
+            box.append(make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost)))
         except UnsupportedEventTypeError:
-            return make()
+            box.append(make())
+        return box[0]
 
-    def _hear(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+    def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
+        self._first.setdefault(offer, box[0])
         self._keep(offer, cdr, info)
-        for behind in waiting(self._ears[offer], _AT_ONCE, raw=True):
+        for behind in waiting(box[0], _AT_ONCE, raw=True):
             self._keep(offer, *behind)
 
     def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:

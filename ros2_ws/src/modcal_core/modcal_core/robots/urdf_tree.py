@@ -285,7 +285,7 @@ def _check_depth(tree: Tree, carried: Mapping[str, str]) -> None:
     """Refuse loops, and more joints in a row than Python's stack should be asked for."""
     depth: dict[str, int] = {}
     for joint in tree.joints:
-        row, link = [], joint.child
+        row, link = list[str](), joint.child
         while link in carried and link not in depth and len(row) <= len(tree.links):
             row.append(link)
             link = tree.above[link].parent
