@@ -139,7 +139,7 @@ def _messages_of(folder: Path) -> list[tuple[str, str, bytes, int]]:
 
 
 def mcap_target(folder: Path) -> Target:
-    """Bags, read, inspected, and one in eight repaired."""
+    """Bags, read, inspected, and one in four repaired."""
     raw = bag_bytes(folder)
     base = parts(raw)
     file, counter = folder / "case.mcap", [0]
@@ -148,7 +148,7 @@ def mcap_target(folder: Path) -> Target:
     def run(data: bytes) -> None:
         file.write_bytes(data)
         counter[0] += 1
-        if counter[0] % 8 == 0:
+        if counter[0] % 4 == 0:
             out = folder / f"repaired{counter[0]}"
             repair_bag(file, out)
             shutil.rmtree(out, ignore_errors=True)
