@@ -90,8 +90,8 @@ def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     stated: Any = None
     if metadata.is_file():
         try:
-            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
             names = listed_files(path)
+            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
         except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
             stated = None
     if not isinstance(stated, dict):
@@ -147,7 +147,7 @@ def _listed(stated: dict[str, Any]) -> dict[str, int]:
     try:
         topics = stated["topics_with_message_count"]
         return {t["topic_metadata"]["name"]: t["message_count"] for t in topics if t["message_count"]}
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, IndexError):
         return {}
 
 
@@ -187,12 +187,19 @@ def _rewritten(
                         heard(done / count)
             if copy.finish():
                 written.append(copy.seen)
-        distro = stated.get("ros_distro") or _distro(files)
-        whole = information(topics.values(), written, distro, stated.get("custom_data"))
+        distro = _text(stated, "ros_distro") or _distro(files)
+        custom = stated.get("custom_data")
+        whole = information(topics.values(), written, distro, custom if isinstance(custom, dict) else None)
         for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
-            whole[key] = stated.get(key, "")
+            whole[key] = _text(stated, key)
         _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
     return {topic.name: topic.count for topic in topics.values()}
+
+
+def _text(stated: dict[str, Any], key: str) -> str:
+    """What metadata.yaml states under a key, where it is a text."""
+    value = stated.get(key)
+    return value if isinstance(value, str) else ""
 
 
 class _Copy:
