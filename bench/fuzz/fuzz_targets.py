@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
+import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ import yaml
 from data_cases import case as data_case
 from data_cases import places, text_case
 from mcap_cases import case as mcap_case
-from mcap_cases import parts
+from mcap_cases import parts, spoilt_bytes
 
 from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.model import Model
@@ -66,7 +67,7 @@ class Target:
 def targets(folder: Path) -> list[Target]:
     """All targets; folder: for files that cases are written to."""
     return [
-        mcap_target(folder), urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(),
+        mcap_target(folder), sqlite_target(folder), metadata_target(folder), urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(),
         report_target(), yaml_target(), other_files_target(),
     ]  # fmt: skip
 
@@ -139,7 +140,7 @@ def _messages_of(folder: Path) -> list[tuple[str, str, bytes, int]]:
 
 
 def mcap_target(folder: Path) -> Target:
-    """Bags, read, inspected, and one in eight repaired."""
+    """Bags, read, inspected, and one in four repaired."""
     raw = bag_bytes(folder)
     base = parts(raw)
     file, counter = folder / "case.mcap", [0]
@@ -148,7 +149,7 @@ def mcap_target(folder: Path) -> Target:
     def run(data: bytes) -> None:
         file.write_bytes(data)
         counter[0] += 1
-        if counter[0] % 8 == 0:
+        if counter[0] % 4 == 0:
             out = folder / f"repaired{counter[0]}"
             repair_bag(file, out)
             shutil.rmtree(out, ignore_errors=True)
@@ -160,6 +161,58 @@ def mcap_target(folder: Path) -> Target:
         inspect(seen, chain)
 
     return Target("mcap", lambda rng: mcap_case(base, raw, rng), run)
+
+
+def sqlite_target(folder: Path) -> Target:
+    """SQLite bags with bytes changed, and with messages changed."""
+    made, file = folder / "made.db3", folder / "case.db3"
+    with contextlib.closing(sqlite3.connect(made)) as base:
+        base.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, "
+            "offered_qos_profiles TEXT); CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB);"
+        )
+        (folder / "for_sqlite").mkdir()
+        write_recording(recording(), folder / "for_sqlite" / "bag")
+        known: dict[str, int] = {}
+        for topic, kind, data, ns in _messages_of(folder / "for_sqlite" / "bag"):
+            if topic not in known:
+                known[topic] = len(known) + 1
+                base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (known[topic], topic, kind))
+            base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", (known[topic], ns, data))
+        base.commit()
+    raw = made.read_bytes()
+
+    def make(rng: np.random.Generator) -> bytes:
+        out = raw
+        for _ in range(int(rng.integers(1, 6))):
+            out = spoilt_bytes(out, rng)
+        return out
+
+    def run(data: bytes) -> None:
+        file.write_bytes(data)
+        inspect(read_bag(file))
+
+    return Target("sqlite", make, run)
+
+
+def metadata_target(folder: Path) -> Target:
+    """metadata.yaml of a folder, read and repaired by."""
+    bag = folder / "described"
+    write_recording(recording(), bag)
+    base = yaml.safe_load((bag / "metadata.yaml").read_text())
+    ways = places(base)
+    counter = [0]
+
+    def run(case: Any) -> None:
+        (bag / "metadata.yaml").write_text(_yaml(case), encoding="utf-8")
+        counter[0] += 1
+        with contextlib.suppress(ModcalError):
+            repair_bag(bag, folder / f"anew{counter[0]}")
+        shutil.rmtree(folder / f"anew{counter[0]}", ignore_errors=True)
+        read_bag(bag)
+
+    return Target("metadata", lambda rng: data_case(base, ways, rng), run)
 
 
 URDF_WORDS = (

@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     failed = total = 0
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
         wanted = [t for t in targets(Path(folder)) if not asked.only or t.name in asked.only.split(",")]
-        weights = [SHARES.get(t.name, 0.6 / 7.0) for t in wanted]
+        weights = [SHARES.get(t.name, 0.6 / 9.0) for t in wanted]
         print(f"{'target':12} {'cases':>8} {'refused':>8} {'slowest s':>10} {'faults':>7}")
         for target, weight in zip(wanted, weights, strict=True):
             out = fuzz(target, asked.seed, asked.seconds * weight / sum(weights), asked.cases, asked.first)

@@ -195,14 +195,18 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
         with_others(lambda c: [*without(c), *forms.readings(c, "/vrpn/tool/pose")]), [],
         "/vrpn/tool/pose (PoseStamped) is taken for tracker/pose: the only topic that can be",
     ),
-    "the same, stated": (
+    "joint states under a name of their own, the only ones": (
+        with_others(lambda c: [*forms.joints(c, "/arm/joints"), *forms.described(c), *forms.readings(c)]), [],
+        "/arm/joints (JointState) is taken for joint_states: the only topic that can be",
+    ),
+    "the tracker, stated": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/vrpn/tool/pose")]), ["--topic", "tracker/pose=/vrpn/tool/pose"], GOOD
     ),
     "two topics that could be the tracker": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/left/pose"), *forms.readings(c, "/right/pose")]), [],
         "state which it is, if one of these measures it: --topic tracker/pose=/left/pose, --topic tracker/pose=/right/pose",
     ),
-    "the same, one of them ignored": (
+    "two such topics, one of them ignored": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/left/pose"), *forms.readings(c, "/right/pose")]),
         ["--ignore", "/right/pose"], "/left/pose (PoseStamped) is taken for tracker/pose",
     ),
@@ -231,7 +235,7 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
     "the tracker in /tf": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/tf", forms.TF)]), ["--tf", "tracker:tool"], GOOD
     ),
-    "the same, without --tf": (
+    "the tracker in /tf, without --tf": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/tf", forms.TF)]), [],
         "/tf (TFMessage) could be the tracker, by --tf PARENT:CHILD",
     ),

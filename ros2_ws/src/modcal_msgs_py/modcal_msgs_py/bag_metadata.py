@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_MAX_QOS = 1 << 16  # letters
 # Bags before version 9 hold the middleware's numbers, later ones the names.
 _QOS_NAMES = {
     "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
@@ -70,9 +71,11 @@ def qos_profile(latched: bool = False, reliable: bool = True, depth: int = 10) -
 
 def named_qos(text: str) -> list[dict[str, Any]]:
     """The QoS profiles that a channel states in YAML, with names instead of numbers; none when it is not legible."""
+    if len(text) > _MAX_QOS:
+        return []
     try:
         profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError, TypeError, OverflowError, AttributeError, RecursionError):
         return []
     if not isinstance(profiles, list) or not all(isinstance(profile, dict) for profile in profiles):
         return []
@@ -80,7 +83,8 @@ def named_qos(text: str) -> list[dict[str, Any]]:
 
 
 def _named(key: str, value: Any) -> Any:
-    return _QOS_NAMES.get(key, {}).get(value, value) if isinstance(value, int) else value
+    known = _QOS_NAMES.get(key, {}) if isinstance(key, str) else {}
+    return known.get(value, value) if isinstance(value, int) else value
 
 
 class _Plain(yaml.SafeDumper):

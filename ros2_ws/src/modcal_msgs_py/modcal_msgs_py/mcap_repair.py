@@ -90,8 +90,8 @@ def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     stated: Any = None
     if metadata.is_file():
         try:
-            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
             names = listed_files(path)
+            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
         except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
             stated = None
     if not isinstance(stated, dict):
@@ -135,6 +135,8 @@ def _examined(files: list[Path], heard: Heard) -> tuple[dict[str, int], list[str
                 raise
             reasons.append(f"{name.name} {error.limit}.")
             continue
+        if damaged := sum(_extra(*extra) is None for extra in file.extras):
+            reasons.append(f"{name.name}: {damaged} attachments or metadata records are damaged: they are left out.")
         fault = file.cut or _index_fault(name, file.count)
         if fault:
             reasons.append(f"{name.name}: {fault}.")
@@ -145,7 +147,7 @@ def _listed(stated: dict[str, Any]) -> dict[str, int]:
     try:
         topics = stated["topics_with_message_count"]
         return {t["topic_metadata"]["name"]: t["message_count"] for t in topics if t["message_count"]}
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, IndexError):
         return {}
 
 
@@ -185,12 +187,19 @@ def _rewritten(
                         heard(done / count)
             if copy.finish():
                 written.append(copy.seen)
-        distro = stated.get("ros_distro") or _distro(files)
-        whole = information(topics.values(), written, distro, stated.get("custom_data"))
+        distro = _text(stated, "ros_distro") or _distro(files)
+        custom = stated.get("custom_data")
+        whole = information(topics.values(), written, distro, custom if isinstance(custom, dict) else None)
         for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
-            whole[key] = stated.get(key, "")
+            whole[key] = _text(stated, key)
         _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
     return {topic.name: topic.count for topic in topics.values()}
+
+
+def _text(stated: dict[str, Any], key: str) -> str:
+    """What metadata.yaml states under a key, where it is a text."""
+    value = stated.get(key)
+    return value if isinstance(value, str) else ""
 
 
 class _Copy:
@@ -254,21 +263,27 @@ class _Copy:
             if channel not in self._channels:
                 self._add_channel(channel)
         for opcode, record in self._source.extras:
-            self._add_extra(opcode, ReadDataStream(BytesIO(record[_RECORD_HEAD:])))
+            self._add_extra(_extra(opcode, record))
         with self._stream:
             self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
         return True
 
-    def _add_extra(self, opcode: int, record: ReadDataStream) -> None:
-        if opcode == Opcode.ATTACHMENT:
-            a = Attachment.read(record)
-            self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
-        else:
-            metadata = Metadata.read(record)
-            if metadata.name != "rosbag2":  # which repeats metadata.yaml, of the bag as it was
-                self._writer.add_metadata(metadata.name, metadata.metadata)
+    def _add_extra(self, extra: Attachment | Metadata | None) -> None:
+        if isinstance(extra, Attachment):
+            self._writer.add_attachment(extra.create_time, extra.log_time, extra.name, extra.media_type, extra.data)
+        elif extra is not None and extra.name != "rosbag2":  # which repeats metadata.yaml, of the bag as it was
+            self._writer.add_metadata(extra.name, extra.metadata)
+
+
+def _extra(opcode: int, record: bytes) -> Attachment | Metadata | None:
+    """An attachment or metadata out of a whole record; None for one that is damaged."""
+    stream = ReadDataStream(BytesIO(record[_RECORD_HEAD:]))
+    try:
+        return Attachment.read(stream) if opcode == Opcode.ATTACHMENT else Metadata.read(stream)
+    except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError):
+        return None
 
 
 def _distro(files: list[Path]) -> str:

@@ -13,6 +13,7 @@ from modcal_core.robots.mechanism import Mechanism
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
 MOST_TURNS_ENDLESS = 50.0
+_SHOWN = 12  # topics in a refusal
 POSITIONS = "tracker/pose or tracker/point"
 
 
@@ -29,7 +30,8 @@ def _require_joints(recording: Recording, chain: Mechanism) -> None:
     tracks = [t for t in recording.joints if len(t.stamps)]
     if not tracks:
         remedy = "record the topic, or check its name and QoS"
-        raise BadRecording("joint states", "no message on joint_states", _stated(recording, "joint_states") or remedy)
+        remedy = _stated(recording, "joint_states") or remedy + _there(recording)
+        raise BadRecording("joint states", "no message on joint_states", remedy)
     known = sorted({name for t in tracks for name in t.names})
     missing = [name for name in chain.names if name not in known]
     if missing:
@@ -65,7 +67,7 @@ def _require_readings(recording: Recording, chain: Mechanism) -> None:
             "tracker",
             f"no message on {POSITIONS}, nor on {', '.join(k.topic for k in kinds().values() if not k.direct)}",
             _stated(recording, "tracker/pose", "tracker/point")
-            or "check that the tracker runs and sees its target, and the topic's name and QoS",
+            or "check that the tracker runs and sees its target, and the topic's name and QoS" + _there(recording),
         )
     for track in tracks:
         _require_reading(track, chain)
@@ -85,6 +87,13 @@ def _stated(recording: Recording, *roles: str) -> str:
     if not seen:
         return ""
     return "state which it is, if one of these measures it: " + ", ".join(seen)
+
+
+def _there(recording: Recording) -> str:
+    """What topics there are, where it is known."""
+    names = [f"{one.topic} ({one.type_name.rpartition('/')[2]})" for one in recording.listed]
+    more = f", and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"; recorded are {', '.join(names[:_SHOWN])}{more}" if names else ""
 
 
 def _require_reading(track: ReadingTrack, chain: Mechanism) -> None:

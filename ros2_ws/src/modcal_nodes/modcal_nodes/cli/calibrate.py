@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from modcal_core.calibration.store import Calibration, fingerprint
-from modcal_core.errors import ModcalError
+from modcal_core.errors import ModcalError, NotEnoughData
 from modcal_core.evaluate import evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare_pieces
@@ -27,7 +27,7 @@ from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration, read_cell, read_topics, stated_from
-from modcal_nodes.recorded import begun, calibrate_bag, named, tolerance_asked
+from modcal_nodes.recorded import begun, calibrate_bag, named, tolerance_asked, too_little
 from modcal_nodes.results import report_files
 from modcal_nodes.tracing import trace_of
 from modcal_nodes.wishes import Wishes
@@ -182,7 +182,10 @@ def evaluate_command(
         cell = replace(cell, stated=cell.stated.over(prepared.stated))
         watch("scoring")
         rng = np.random.default_rng(seed)
-        report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)
+        try:
+            report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)
+        except NotEnoughData as error:
+            raise too_little(error, prepared) from error
         report = named(report, recording, prepared).with_tolerance(asked)
         trace = trace_of(bag, recording, frames=prepared.samples.frames)
         report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)), trace=trace)

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from modcal_core.errors import BadRecording, BadTable
+from modcal_msgs_py.bag_files import SUFFIXES
 
 _WILD = re.compile(r"[*?[]")
 FOLDER, URDF = "folder", "urdf"
@@ -27,7 +28,7 @@ def find_bags(given: Iterable[str], leave_out: Path) -> list[Path]:
             raise BadRecording(name, "does not exist", "give bags, folders that hold bags, or a pattern")
         bags = [bag.resolve() for path in paths for bag in _below(path, leave_out.resolve())]
         if not bags:
-            raise BadRecording(name, "holds no bag", "give bag folders, .mcap files, or a folder above them")
+            raise BadRecording(name, "holds no bag", "give bag folders, .mcap or .db3 files, or a folder above them")
         found.update(bags)
     return sorted(found)
 
@@ -41,7 +42,7 @@ def _below(path: Path, leave_out: Path) -> Iterator[Path]:
     if path.is_file():
         yield path
         return
-    inside = sorted(path.glob("*.mcap"))
+    inside = sorted(file for file in path.iterdir() if file.is_file() and file.name.endswith(SUFFIXES))
     # a recorder that was stopped leaves no metadata, but files that are named after their folder
     if (path / "metadata.yaml").is_file() or (inside and all(f.name.startswith(f"{path.name}_") for f in inside)):
         yield path
