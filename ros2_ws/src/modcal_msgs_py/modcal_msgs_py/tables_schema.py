@@ -86,7 +86,7 @@ def require_mapping(mapping: Any, source: str) -> Mapping[str, Any]:
         if kinds == ["pose"] and sum(k in pose for k in ("euler", "quaternion", "rotvec")) != 1:
             said = "its angle convention is not stated"
             raise BadTable(f"{where}: pose", said, "state euler, quaternion or rotvec")
-    return mapping  # type: ignore[no-any-return]
+    return mapping
 
 
 def _is_text_encoding(name: str) -> bool:

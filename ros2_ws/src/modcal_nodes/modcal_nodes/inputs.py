@@ -107,7 +107,7 @@ def _read_cell(path: Path) -> Mapping[str, Any]:
     data = read_yaml(path)
     data = {} if data is None else data
     require(data, SCHEMA, str(path), _REMEDY)
-    return data  # type: ignore[no-any-return]
+    return data
 
 
 def stated_from(data: Mapping[str, Any]) -> Stated:
