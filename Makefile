@@ -18,8 +18,8 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test quick fuzz mutants lint format bench undeclared verdict closed-loop \
-	soak long-bag doors articulation control-tick synthesis modular planning limits delta real-arms docs reference lock clean
+.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict closed-loop \
+	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -40,19 +40,27 @@ demo: build  ## calibrate from an embedded recording; ends with before/after and
 # Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-test: setup-test build lint  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+# mypy runs beside pytest: it would keep one core busy and the others idle for half a minute.
+test: setup-test build ruff  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+	@$(MAKE) --jobs 2 mypy suite
+
+suite:
 	@$(PY) -m pytest $(PARALLEL) $(PYTEST_ARGS)
 
-quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; some three minutes
+quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute
 	@$(PY) -m ruff check .
 	@$(PY) -m pytest $(PARALLEL) -m "not dds and not slow" $(PYTEST_ARGS)
 
 mutants: setup-test build  ## faults put into a copy of the sources: do the tests see them? MUTANTS_ARGS="--only so3.log" narrows
 	@$(PY) bench/mutants/run.py $(MUTANTS_ARGS)
 
-lint: setup-test  ## ruff check, ruff format --check, mypy
+lint: setup-test ruff mypy  ## ruff check, ruff format --check, mypy
+
+ruff:
 	@$(PY) -m ruff check .
 	@$(PY) -m ruff format --check .
+
+mypy:
 	@$(PY) -m mypy
 
 format: setup-test  ## let ruff mend what it can
@@ -78,6 +86,12 @@ long-bag: setup-test build  ## an hour at 1 kHz from the bag to the report: proc
 soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
 	@$(PY) bench/soak.py $(SOAK_ARGS)
 
+kills: setup-test build  ## the recorder killed twenty times at 1 kHz: was it recording, and what was lost? BENCH_ARGS="--kills 5"
+	@$(PY) bench/kills.py $(BENCH_ARGS)
+
+chaos: setup-test build  ## all nodes while messages, clocks, callbacks and processes fail, ten minutes; BENCH_ARGS="--minutes 2"
+	@$(PY) bench/chaos.py $(BENCH_ARGS)
+
 doors: setup-test build  ## random doors and drawers opened through the nodes, and what the hand felt; BENCH_ARGS="--scenes 8"
 	@$(PY) bench/pulling.py $(BENCH_ARGS)
 
@@ -95,6 +109,9 @@ modular: setup-test build  ## calibration after re-assembly, with and without wh
 
 real-arms: setup-test build  ## whole recordings of real arms, as in the README's table; needs ../shared/data
 	@$(PY) bench/real_arms.py $(BENCH_ARGS)
+
+outside: setup-test build  ## the outer fifth of real arms' postures, frozen, by blocks; needs ../shared/data
+	@$(PY) bench/outside.py $(BENCH_ARGS)
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
 	@$(PY) bench/pose_planning.py $(BENCH_ARGS)

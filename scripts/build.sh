@@ -9,7 +9,7 @@ stamp=install/built-from
 inputs=$({
     echo "$python" && "$python" --version
     find src -type f \( -name package.xml -o -name 'setup.*' -o -path '*/resource/*' -o -path '*/bin/*' \
-        -o -path 'src/*/config/*' -o -path 'src/*/launch/*' \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
+        -o -path 'src/*/config/*' -o -path 'src/*/launch/*' -o -path 'src/*/robots/*' \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 })
 if [ "$inputs" = "$(cat $stamp 2>/dev/null)" ]; then
     exit 0

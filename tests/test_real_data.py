@@ -17,7 +17,7 @@ from modcal_nodes.cli.main import run
 ROOT = Path(__file__).resolve().parents[1]
 
 
-FEWER = 3  # times as few poses of the long series
+FEWER = 5  # times as few poses of the long series
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +38,7 @@ def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
 def thinned_series_a(
     shared_data: Path, imported: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """Every third pose of the long series: the diagnosis of all of it takes half a minute more."""
+    """Every fifth pose of the long series: the diagnosis of all of it takes a minute more."""
     name = Path("ipa_ur10") / "series_a_grid.csv"
     head, *rows = (shared_data / name).read_text().splitlines(keepends=True)
     thinned = tmp_path_factory.mktemp("data")

@@ -266,6 +266,7 @@ def main() -> None:
     parse = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parse.add_argument("paths", nargs="*", help="parts of the tests that the marked run is about; all by default")
     parse.add_argument("--only", action="append", default=[], help="mutants by name or area, with * and ?")
+    parse.add_argument("--every", type=int, default=1, help="each N-th of them: 3 leaves 71 of all areas")
     parse.add_argument("--list", action="store_true", help="name the mutants, and those that do not apply any more")
     parse.add_argument("--tests", type=Path, help="another folder of tests, such as an older one")
     parse.add_argument("--jobs", type=int, default=2, help="copies that work side by side")
@@ -280,7 +281,9 @@ def main() -> None:
     options = parse.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # also in the background: what was started is ended, files put back
         signal.signal(number, signal.default_int_handler)
-    mutants = [m for m in SAMPLE if not options.only or any(_meant(m, pattern) for pattern in options.only)]
+    mutants = [
+        m for m in SAMPLE[:: options.every] if not options.only or any(_meant(m, pattern) for pattern in options.only)
+    ]
     if options.list:
         for mutant in mutants:
             try:

@@ -115,7 +115,7 @@ CALIBRATION = _all(
      "T_frame_base=model.T_frame_base @ before", "T_frame_base=before @ model.T_frame_base"),
     ("gauge.passing_directions", "sign behind the joint", "= -seen[:, d]", "= seen[:, d]"),
     ("score.errors", "rotation not undone", "np.swapaxes(T[pose, :3, :3], -1, -2)", "T[pose, :3, :3]"),
-    ("floor._of_returns", "visits counted, not their differences", "len(rows) - 1.0 for rows in visits", "len(rows) for rows in visits"),
+    ("floor._scatter", "visits counted, not their differences", "len(rows) - 1.0 for rows in visits", "len(rows) for rows in visits"),
     ("floor.returns_of", "visits paired across frames", "np.flatnonzero(keep & (samples.frame == f))", "np.flatnonzero(keep)"),
     ("uncertainty.uncertainty", "prior not squared", "H += np.diag(prior**-2.0)", "H += np.diag(prior**-1.0)"),
     ("sweeps.moments", "sign of the moment", "S[..., 0, y, z] - S[..., 0, z, y]", "S[..., 0, z, y] - S[..., 0, y, z]"),

@@ -2,9 +2,9 @@
 
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
-Groups: ``main``; ``later``, kinds that were written later than the rest; ``real``, made out of
-recordings of real arms beside the checkout; ``good``. A fault counts as named when what makes the verdict open, or what
-was modelled, holds the joint, the place or the topic that is at fault.
+Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, written after the last change to
+the code and run once; ``real``, made out of recordings of real arms beside the checkout; ``good``. A fault counts as
+named when what makes the verdict open, or what was modelled, holds the joint, the place or the topic that is at fault.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import conventions  # noqa: E402, F401 (registers its kinds)
+import fresh  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
 import numpy as np  # noqa: E402
@@ -59,7 +60,7 @@ from workcell import Works  # noqa: E402
 ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
-SEEDS = {"main": 2, "later": 2, "real": 1, "good": 4}
+SEEDS = {"main": 2, "later": 2, "fresh": 1, "real": 1, "good": 4}
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,12 @@ def tasks_of(groups: list[str], only: list[str], seeds: int | None) -> list[Task
 
 def confusion(results: list[dict[str, Any]], console: Console) -> None:
     """The tables, calm and wrong first."""
-    for group, title in (("main", "Faults"), ("real", "Faults in real recordings"), ("later", "Kinds written after")):
+    for group, title in (
+        ("main", "Faults"),
+        ("real", "Faults in real recordings"),
+        ("later", "Kinds written later"),
+        ("fresh", "Kinds written after the last change"),
+    ):
         rows = [r for r in results if r["group"] == group]
         if not rows:
             continue

@@ -26,7 +26,14 @@ PACKAGE = ROOT / "ros2_ws" / "src" / "modcal_nodes"
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 SPACE = "/somewhere"
 # What each node needs to start, and parameters that decide which topics there are.
-NEEDED = {"simulated_cell": {"urdf": str(URDF)}, "simulated_furniture": {"urdf": str(URDF)}}
+_TRAJECTORY = Path(tempfile.mkdtemp()) / "trajectory.yaml"
+_TRAJECTORY.write_text("{joint_names: [a], points: [{positions: [0.0], time_from_start: {sec: 0, nanosec: 0}}]}")
+NEEDED = {
+    "simulated_cell": {"urdf": str(URDF)},
+    "simulated_furniture": {"urdf": str(URDF)},
+    "door_demo": {"start": "false"},
+    "trajectory_sender": {"trajectory": str(_TRAJECTORY)},
+}
 DECIDING = {
     "articulation_estimator": [("input", topic) for topic in ("tool_pose", "tracker/pose", "tracker/point")],
     "simulated_cell": [("measurement", "point"), ("publish_clock", "true")],
@@ -41,10 +48,19 @@ INTRODUCTION = """# Topics and services
 Names are relative to the node's namespace; `~/` stands for the node's own name. *Latched* is transient local: whoever
 comes later gets the last message. The number is how many messages are kept. Where a publisher offers less than is
 asked for (best effort for reliable, not latched for latched), the nodes take what there is; the simulators do not.
-What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters and type
-descriptions besides, and hears `/clock` with `use_sim_time`."""
+What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters, log
+levels and type descriptions besides, and hears `/clock` with `use_sim_time`."""
 RECORDS = """Hears what its [parameter](parameters.md#recorder) `topics` names, whatever the type, with the QoS that its
 publishers offer."""
+
+# tf2_msgs is not there from wheels, so a node that is started here does not open them
+FRAMES = {
+    node: table(["frames", "type", ""], [[code(name), "tf2_msgs/TFMessage", said] for name, said in rows])
+    for node, rows in {
+        "calibrator": [("/tf_static", "published and heard when `publish_tf` is `true`"), ("/tf", "heard then")],
+        "corrector": [("/tf", "published and heard when `publish_tf` is `true`"), ("/tf_static", "heard then")],
+    }.items()
+}
 
 
 @dataclass(frozen=True)
@@ -75,6 +91,8 @@ def _sections(node: str) -> Iterator[str]:
     runs = [set(_opened(node, NEEDED.get(node, {}) | more)) for more in asked]
     if node == "recorder":
         yield RECORDS
+    if node in FRAMES:
+        yield FRAMES[node]
     for kind in KINDS:
         of_kind = sorted({o for run in runs for o in run if o.kind == kind}, key=lambda o: (o.name, o.type))
         rows = [[code(o.name), o.type, o.qos, _when(o, runs, asked)] for o in of_kind]

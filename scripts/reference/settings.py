@@ -13,6 +13,7 @@ from modcal_nodes.parameters import Parameter
 INTRODUCTION = """# Parameters of the nodes
 
 A value outside its bounds is refused, with the reason, when the node starts. All of them have `use_sim_time` besides.
+Those that are *live* may be changed while the node runs, and take effect; every other one is read-only.
 What belongs together is explained in [nodes.md](../nodes.md); files to begin with are in the package's `config/`."""
 TYPES = {bool: "bool", int: "integer", float: "double", str: "string"}
 
@@ -23,10 +24,17 @@ def page() -> str:
     for node in executables():
         declared: dict[str, Parameter] = getattr(parameters, node.upper())
         rows = [
-            (code(name), _type(p.default), code(_shown(p.default)), _bounds(p), prose(p.description))
+            (
+                code(name),
+                _type(p.default),
+                code(_shown(p.default)),
+                _bounds(p),
+                "yes" if p.live else "",
+                prose(p.description),
+            )
             for name, p in declared.items()
         ]
-        parts += [f"## {node}", table(("parameter", "type", "default", "bounds", ""), rows)]
+        parts += [f"## {node}", table(("parameter", "type", "default", "bounds", "live", ""), rows)]
     return "\n\n".join(parts) + "\n"
 
 

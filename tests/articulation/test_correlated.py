@@ -36,6 +36,7 @@ def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
     assert 1.2 < np.mean(squares) < 3.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.03, 0.4, 1.5])
 def test_position_and_rotation_agree_on_the_nearest_configuration(radius: float) -> None:
     """A turn of 1 rad weighs as much as a shift of a hand's length, 0.1 m."""

@@ -83,6 +83,7 @@ def repeated(
         yield seen, fit(tracked(seen, oriented), kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("oriented", "degrees", "position", "rotation", "centre", "axis"),
     [(True, 30.0, 1e-3, 0.2 * DEGREE, 8e-3, 1.2 * DEGREE), (False, 60.0, 3e-3, 0.0, 21e-3, 2.8 * DEGREE)],
@@ -106,6 +107,7 @@ def _chi(found: Fit, seen: Seen) -> tuple[float, float]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("oriented", "degrees"), [(True, 40.0), (False, 70.0)])
 def test_the_truth_lies_within_the_stated_uncertainty(oriented: bool, degrees: float) -> None:
     """Over 40 tracks a mean of χ² with two degrees of freedom is 2 ± 0.32; three of those."""
@@ -114,6 +116,7 @@ def test_the_truth_lies_within_the_stated_uncertainty(oriented: bool, degrees: f
         assert 1.0 < mean < 3.1
 
 
+@pytest.mark.slow
 def test_the_pitch_lies_within_its_uncertainty() -> None:
     z2 = [(f.model.pitch - s.pitch) ** 2 / f.covariance["pitch"][0, 0]
           for s, f in repeated("screw", True, 70.0, 1e-3, 0.2 * DEGREE, 30, 0.05)]  # fmt: skip

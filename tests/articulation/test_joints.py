@@ -35,6 +35,7 @@ def joint(kind: str, seed: int = 3, radius: float = 0.4, pitch: float = 0.05) ->
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rigid", *MOVING])
 @given(seed=st.integers(0, 1000))
 def test_poses_are_those_of_trigonometry(kind: str, seed: int) -> None:

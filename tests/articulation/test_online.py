@@ -27,6 +27,7 @@ def watch(tracker: Tracker, seen: Seen, oriented: bool = True, begin: float = 0.
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "far"), [("prismatic", 0.35), ("revolute", 1.0), ("screw", 2.6)])
 @pytest.mark.parametrize("oriented", [True, False])
 def test_trust_comes_by_predicting_and_is_deserved(kind: Kind, far: float, oriented: bool) -> None:

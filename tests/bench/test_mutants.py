@@ -25,6 +25,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_the_sample_fits_the_sources(bench: dict[str, ModuleType]) -> None:
     fragments, sample = bench["fragments"], bench["sample"].SAMPLE
     assert not [name for name, count in Counter(m.name for m in sample).items() if count > 1]
@@ -67,6 +68,7 @@ def test_a_mark_stands_before_the_whole_of_a_condition(bench: dict[str, ModuleTy
     ast.parse(bench["fragments"].marked(place.text, {place.line: ["a", "b"]}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("function", "old"), [("one.f", "x > 2"), ("one.f", "return"), ("one.h", "x < 2")])
 def test_a_mutant_that_is_gone_says_so(bench: dict[str, ModuleType], checkout: Path, function: str, old: str) -> None:
     with pytest.raises(bench["fragments"].NotApplicable, match=f"{function}: m: "):

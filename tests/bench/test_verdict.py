@@ -44,6 +44,7 @@ def test_there_are_as_many_as_promised(bench: dict[str, ModuleType]) -> None:
     assert sum(t.group == "good" and t.way != "unknown" for t in tasks) >= 100
 
 
+@pytest.mark.slow
 def test_every_kind_can_be_made_and_names_what_is_wrong(bench: dict[str, ModuleType]) -> None:
     for group in ("main", "later", "good"):
         for name in bench["case"].KINDS[group]:
@@ -78,6 +79,7 @@ def test_a_clean_recording_misses_mujoco_by_its_floor_only(bench: dict[str, Modu
     assert session.floor_mm == pytest.approx(np.hypot(arm_mm, eye_mm), rel=0.2)
 
 
+@pytest.mark.slow
 def test_faults_are_where_they_are_said_to_be(bench: dict[str, ModuleType], tmp_path: Path) -> None:
     turned = case(bench, "quaternion_w_first").judged
     assert np.allclose(turned.raw()[:, 3:], turned.R.as_quat()[:, [3, 0, 1, 2]])

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.conventions import INVERTED, proved
 from modcal_core.errors import BadRecording
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3, so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.chain import Chain
@@ -60,6 +61,7 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_refused_and_named(mistake: str) -> None:
     spoil, said = MISTAKES[mistake]
@@ -75,6 +77,7 @@ def test_an_inverse_pose_is_undone() -> None:
     assert np.allclose(undone.R, samples.R, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1.0, 5.0, 20.0])
 def test_a_wrong_arm_is_not_a_wrong_convention(size: float) -> None:
     """A robot as far off its drawing as none is built: 10 mm and 20 mrad at every link."""
@@ -88,6 +91,7 @@ def retooled(samples: Samples, first: int, last: int, twist: np.ndarray) -> Samp
     return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
 
 
+@pytest.mark.slow
 def test_another_tool_is_not_a_wrong_convention() -> None:
     samples = record(4, 120).samples
     for first, last, turn in ((60, 120, 0.1), (0, 15, 2.0), (50, 90, 2.0)):
@@ -98,6 +102,7 @@ def test_another_tool_is_not_a_wrong_convention() -> None:
         proved(changed, CHAIN)
 
 
+@pytest.mark.slow
 def test_readings_that_fit_nothing_are_given_no_name() -> None:
     """Neither nonsense in the orientations, nor readings of other postures, look like a convention."""
     rng = np.random.default_rng(0)
@@ -106,6 +111,7 @@ def test_readings_that_fit_nothing_are_given_no_name() -> None:
     assert proved(replace(samples, q=rng.permutation(samples.q)), CHAIN)[1] is None
 
 
+@pytest.mark.slow
 def test_calibrate_undoes_an_inverse_pose_and_evaluate_refuses_quaternions() -> None:
     made = record(6, 80)
     result = calibrate(inverted(made.samples), CHAIN, np.random.default_rng(0), look_for_effects=False)
@@ -130,6 +136,7 @@ def real(shared_data: Path, series: str, **change: object) -> tuple[Samples, Cha
     return cut_stations(recording, chain.names), chain
 
 
+@pytest.mark.slow
 def test_real_cubes(shared_data: Path) -> None:
     """UR10 whose target hardly turns: orientations alone tell little, together with positions they do."""
     samples, chain = real(shared_data, "d")
@@ -142,6 +149,7 @@ def test_real_cubes(shared_data: Path) -> None:
     assert proved(real(shared_data, "d", inverse=True)[0], chain)[1] == INVERTED
 
 
+@pytest.mark.slow
 def test_real_grid(shared_data: Path) -> None:
     samples, chain = real(shared_data, "a")
     assert proved(samples, chain)[1] is None

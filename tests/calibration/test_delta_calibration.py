@@ -65,6 +65,7 @@ def test_a_clean_delta_comes_out_clean() -> None:
     assert seen["left_out"] == ["tool/z", "arm_1/azimuth"]
 
 
+@pytest.mark.slow
 def test_a_gear_that_nobody_declared_is_found_and_named() -> None:
     cell = record_delta(2, 160, gear=(1, 60.0, 3e-4))
     result = calibrate(cell.samples, cell.nominal, np.random.default_rng(0))
@@ -87,6 +88,7 @@ def test_a_gear_that_nobody_declared_is_found_and_named() -> None:
     assert again.robot == result.calibration.robot
 
 
+@pytest.mark.slow
 def test_arms_that_give_way_under_the_platform() -> None:
     cell = record_delta(3, 160, compliance=3e-4)
     data = to_json_data(calibrate(cell.samples, cell.nominal, np.random.default_rng(0)).report)
@@ -112,6 +114,7 @@ def test_parameters_of_the_arms_come_back() -> None:
     assert 0.5 < np.std(scores) < 1.6
 
 
+@pytest.mark.slow
 def test_a_delta_without_shaft_and_one_with_poses() -> None:
     for kind, shaft in (("point", False), ("pose", True)):
         cell = record_delta(8, 120, kind, shaft)

@@ -55,6 +55,7 @@ def missed_by_points(cell: RecordedDelta, count: int) -> float:
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [20, 50, 200])
 def test_planted_errors_are_recovered_to_the_noise_floor(count: int) -> None:
     """As near as least squares can come: with n equations and P unknowns, σ² (1 + P / (n − P − 1)) is to be expected."""

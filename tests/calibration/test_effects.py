@@ -17,7 +17,7 @@ from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.shapes import Shape, periodic
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
@@ -105,6 +105,7 @@ def cell(samples: Samples, effects: tuple[Effect, ...]) -> Model:
     return fit_cell(ur10(), samples, Cell(), weighed()).model.with_effects(effects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_derivatives(name: str, kind: str) -> None:
@@ -178,6 +179,7 @@ def gear_in_mujoco(seed: int) -> tuple[Fit, float, float]:
     return identify(nominal.with_effects((effect.started(np.zeros(2)),)), samples, choice.parameters), 2e-4, 1e-4
 
 
+@pytest.mark.slow
 def test_a_planted_gear_is_recovered_within_three_sigma() -> None:
     scores = []
     for seed in range(25):
@@ -237,3 +239,12 @@ def test_splines_are_cubic_and_uniform(count: int, rng: np.random.Generator) -> 
     basis = Shape("spline", {"count": count, "low": low, "high": high}).basis(x)
     assert np.allclose(basis, np.nan_to_num(expected), atol=1e-14)
     assert np.allclose(basis[:, :50].sum(axis=0), 1.0)
+
+
+@pytest.mark.parametrize("kind", ["sine", "double"])
+def test_long_scans_of_cycles_are_the_waves_one_by_one(kind: str) -> None:
+    x = np.random.default_rng(0).uniform(-3.0, 3.0, 40)
+    cycles = np.arange(4.0, 400.15, 0.15)
+    for scanned in (cycles, np.r_[cycles, 401.0]):  # evenly spaced, and not
+        one_by_one = np.stack([Shape(kind, {"cycles": float(c)}).basis(x) for c in scanned])
+        np.testing.assert_allclose(periodic(kind, scanned, x), one_by_one, atol=1e-11)

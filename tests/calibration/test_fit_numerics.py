@@ -8,6 +8,7 @@ import pytest
 from modcal_core.calibration import identify as fits
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import StationDistance, distance_rows
+from modcal_core.calibration.distances_together import common_factor, contradicted_together
 from modcal_core.calibration.effects import ALL, Effect, all_columns
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.known_distances import contradictions, distances_of
@@ -15,6 +16,7 @@ from modcal_core.calibration.linearise import View, linearise
 from modcal_core.calibration.noise import excess_spread
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.loop import calibrate
 from modcal_core.robots.urdf import read_chain
 from tests.cells import Recorded, record, ur10
@@ -62,6 +64,24 @@ def test_a_wrong_distance_is_a_contradiction(made: Recorded) -> None:
     assert report.distances[0].contradicted
     assert report.distances[0].found == pytest.approx(known.distance, abs=2e-3)
     assert any("known distance" in sentence for sentence in report.grounds.contradictions)
+
+
+@pytest.mark.parametrize("longer", [0.0, 0.02])
+def test_distances_that_are_wrong_alike_are_judged_together(made: Recorded, longer: float) -> None:
+    p, stamps = made.exact.position, made.samples.stamps
+    known = tuple(
+        StationDistance(
+            (float(stamps[a]), float(stamps[b])), (1.0 + longer) * float(np.linalg.norm(p[a] - p[b])), 1e-5
+        ).met(made.samples)
+        for a, b in ((3, 40), (5, 50), (7, 60), (9, 70))
+    )
+    start = fit_cell(ur10(), made.samples, Cell()).model
+    parameters = choose_parameters(start, views_of(made.samples), (), known).parameters
+    fit = fits.identify(start, made.samples, parameters, known)
+    factor, std = common_factor(fit, uncertainty(fit.model, made.samples, parameters, fit, known), known)
+    assert factor == pytest.approx(longer, abs=max(4.0 * std, 0.2 * longer))
+    assert std < 5e-3
+    assert bool(contradicted_together(fit, made.samples, known)) == (longer > 0.0)
 
 
 def test_a_fit_with_a_distance_ends_where_the_whole_cost_is_level(made: Recorded) -> None:

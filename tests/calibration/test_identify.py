@@ -34,6 +34,7 @@ def test_exact_readings_leave_nothing(chain: Chain, kind: str) -> None:
     assert position_rms(fit, q, made.world.tool_in_tracker(q)) < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [100, 1000, 10_000])
 def test_error_on_new_postures_follows_the_law(count: int) -> None:
     """σ √(P / N) for P parameters and N point readings, within 20 %: nothing is wasted and nothing biased."""
@@ -47,6 +48,7 @@ def test_error_on_new_postures_follows_the_law(count: int) -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_parameters_lie_within_three_sigma(kind: str) -> None:
     """Over 200 cells, at least 99 % of the parameters; and 68 % within one sigma, so the bars are not just wide."""

@@ -10,8 +10,9 @@ from cells import record, samples_of, ur10
 
 from modcal_core.calibration.split import split
 from modcal_core.errors import BadRecording, BadTable
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data
 
 
@@ -34,6 +35,7 @@ def test_a_dense_recording_is_split_by_blocks() -> None:
     assert np.mean(np.diff(np.sort(sets.held_out)) == 1) > 0.8
 
 
+@pytest.mark.slow
 def test_held_out_error_is_that_of_the_world() -> None:
     made = record(2, 160)
     result = calibrate(made.samples, ur10(), np.random.default_rng(0))
@@ -49,6 +51,7 @@ def test_held_out_error_is_that_of_the_world() -> None:
     assert np.sqrt(np.mean(np.sum(gap**2, axis=1))) < 3e-5
 
 
+@pytest.mark.slow
 def test_outliers_are_counted_and_do_not_count() -> None:
     samples = record(3, 160).samples
     position = samples.position.copy()
@@ -61,6 +64,7 @@ def test_outliers_are_counted_and_do_not_count() -> None:
     assert size.max < 1.0
 
 
+@pytest.mark.slow
 def test_a_moved_base_and_tool_are_found_again() -> None:
     made = record(4, 160)
     calibration = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
@@ -81,6 +85,7 @@ def test_a_moved_base_and_tool_are_found_again() -> None:
     assert only_base.rms > 10.0  # the tool has changed too
 
 
+@pytest.mark.slow
 def test_frozen_without_refit_scores_every_station() -> None:
     made = record(5, 160)
     calibration = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
@@ -94,6 +99,7 @@ def test_frozen_without_refit_scores_every_station() -> None:
     assert size.rms < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "offender"),
     [

@@ -15,6 +15,7 @@ from modcal_core.robots.chain import Chain
 from modcal_nodes.files import to_yaml
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
 def test_least_change_moves_the_tool_alike(chain: Chain) -> None:
     made = record(8, 120, "pose", chain)
@@ -28,6 +29,7 @@ def test_least_change_moves_the_tool_alike(chain: Chain) -> None:
     assert moved <= np.linalg.norm(fit.model.chain.origins[1:-1] - chain.origins[1:-1])
 
 
+@pytest.mark.slow
 def test_calibration_survives_its_file() -> None:
     made = record(9, 100)
     calibration = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
@@ -38,6 +40,7 @@ def test_calibration_survives_its_file() -> None:
     assert again.robot == calibration.robot
 
 
+@pytest.mark.slow
 def test_calibration_of_another_robot_is_refused() -> None:
     model = calibrate(record(1, 100).samples, ur10(), np.random.default_rng(0)).calibration.nominal
     calibration = Calibration(model, model, model, np.zeros((2, 6)))

@@ -15,8 +15,9 @@ from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.urdf_inertias import Inertias
@@ -59,6 +60,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
     ), samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "lost", "why"),
     [
@@ -132,6 +134,7 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
     assert any("held at the ends" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     """A drift over the rows of one table, and a second table of the same cell at another time of day."""
     made = record(7, 160, noise_m=1e-5, noise_rad=1e-5)

@@ -55,6 +55,7 @@ def found(samples: Samples) -> list[tuple[int, str]]:
     return [(int(np.searchsorted(np.sort(samples.stamps), m.at)), m.what) for m in moves_of(model)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 @pytest.mark.parametrize(
     ("moved", "expected"),
@@ -106,6 +107,7 @@ def wrong(share: float, size: float) -> Callable[[Array], Array]:
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 @pytest.mark.parametrize(
     "change",
@@ -125,6 +127,7 @@ def eccentric(amplitude: float, cycles: float) -> Callable[[Array], Array]:
     return lambda q: q + np.c_[amplitude * np.sin(cycles * q[:, 0] + 0.3), np.zeros((len(q), 5))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "cycles"), [(0.0, 1.0), (0.005, 1.0), (0.02, 3.0)])
 def test_rings_of_joint_1_are_no_moves(amplitude: float, cycles: float) -> None:
     assert found(recorded([], order=rings, true=eccentric(amplitude, cycles))) == []
@@ -134,6 +137,7 @@ def calibrated(samples: Samples) -> Result:
     return calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
 
 
+@pytest.mark.slow
 def test_a_regime_is_a_step_with_its_size_and_the_last_one_holds() -> None:
     samples = recorded([(50, (0, 0.01, 0, 0, 0.3, 0), NOT), (110, NOT, (0.01, 0, 0.02, 0, 0, 0))])
     result = calibrated(samples)
@@ -161,6 +165,7 @@ def test_a_regime_is_a_step_with_its_size_and_the_last_one_holds() -> None:
     assert all(is_move(e) for e in result.calibration.calibrated.effects)
 
 
+@pytest.mark.slow
 def test_where_order_goes_with_posture_both_are_named() -> None:
     report = calibrated(recorded([(60, (0.02, 0, 0, 0, 0, 0.02), NOT)], order=rings, seed=2)).report
     (step,) = (f for f in report.effects if f.family == "step")
@@ -169,6 +174,7 @@ def test_where_order_goes_with_posture_both_are_named() -> None:
     assert "posture and time cannot be told apart" in step.sentence
 
 
+@pytest.mark.slow
 def test_a_tool_of_a_third_of_the_stations_is_not_rejected_as_wrong() -> None:
     """80 of 587 and the like: a robust fit alone leaves these out, and says nothing."""
     report = calibrated(recorded([(110, (0.015, 0, 0, 0, 0.1, 0), NOT)], "point")).report

@@ -9,9 +9,11 @@ import pytest
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.runs import chance_of_run, runs_of
+from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.loop import calibrate, evaluate, ship
+from modcal_core.evaluate import evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from tests.cells import Recorded, record, ur10
 
@@ -29,6 +31,7 @@ def made() -> Recorded:
     return record(4, 2 * COUNT, "pose")
 
 
+@pytest.mark.slow
 def test_a_frozen_model_is_judged_by_its_own_spread(made: Recorded) -> None:
     """45 % of the stations shifted by 5 mm: the scored data must not set their own limit."""
     first, second = made.samples.select(slice(None, COUNT)), made.samples.select(slice(COUNT, None))
@@ -96,6 +99,7 @@ def test_almost_half_shifted_is_no_small_error(made: Recorded) -> None:
     assert size.rms > 2.0 or report.rejection.share > 0.3
 
 
+@pytest.mark.slow
 def test_the_shipped_model_rejects_what_the_scored_one_does(made: Recorded) -> None:
     """Readings just inside the limit count in both; shipped with its own judgement they would not."""
     samples = shifted(made.samples.select(slice(None, COUNT)), np.arange(COUNT) % 8 == 0)

@@ -12,12 +12,14 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.errors import BadRecording
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.evaluate import evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import ORDER_ONLY, SOCKETS, Recording
 
 CHAIN = ur10()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["point", "pose"])
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
 def test_a_tracker_that_stands_still_is_refused(kind: str, noise: float) -> None:

@@ -14,12 +14,12 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
-from modcal_core.loop import ship
 from modcal_nodes.files import to_yaml
 
 
@@ -36,6 +36,7 @@ def test_it_equals_that_of_the_fit_about_the_same_model() -> None:
     assert np.linalg.eigvalsh(known.covariance).min() > 0.0
 
 
+@pytest.mark.slow
 def test_predictions_scatter_as_it_says_with_effects_too() -> None:
     """Many recordings of one truth: squared errors, weighed by the covariance, follow a χ² law."""
     chain = ur10()

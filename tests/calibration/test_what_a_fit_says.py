@@ -66,6 +66,7 @@ def test_an_orientation_that_says_it_scatters_is_believed_less() -> None:
     assert np.mean(all_) < 1.2 * np.mean(half)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [0, 3, 8])
 def test_known_distances_stand_for_readings(known: int) -> None:
     samples = record(0, 6).samples  # 36 equations, 1.25 for each parameter are asked for

@@ -54,6 +54,7 @@ def test_a_door_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "src=" not in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("columns", "separator"), [(3, " "), (7, ";"), (3, ", ")])
 def test_a_drawer_in_a_text_file(columns: int, separator: str, tmp_path: Path) -> None:
     lines = [separator.join(f"{v:.9f}" for v in row[:columns]) for row in poses(door("prismatic"))]

@@ -42,6 +42,7 @@ def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) ->
     assert (tmp_path / "five_joints" / "assembly.svg").read_text().startswith("<svg")
 
 
+@pytest.mark.slow
 def test_what_it_writes_it_reads(tmp_path: Path) -> None:
     assert run(["assemble", str(EXAMPLES / "five_joints.yaml"), "--out", str(tmp_path / "one")]) == 0
     assert run(["assemble", str(tmp_path / "one" / "assembly.yaml"), "--out", str(tmp_path / "two")]) == 0
@@ -146,6 +147,7 @@ def test_from_recordings_to_a_better_start(
     assert store.read_text() == before
 
 
+@pytest.mark.slow
 def test_other_verbs_take_the_robot(tmp_path: Path, rng: np.random.Generator) -> None:
     """Assembled, recorded, calibrated: the corrected URDF is the assembled one with other origins."""
     assembly, _ = read_assembly(EXAMPLES / "five_joints.yaml")

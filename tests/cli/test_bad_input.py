@@ -96,6 +96,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_bad_recordings(case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     make, arguments, said = CASES[case]
@@ -169,6 +170,7 @@ def test_bad_files(case: str, verb: str, tmp_path: Path, capfd: pytest.CaptureFi
     refused([verb, str(make(tmp_path))], said, capfd)
 
 
+@pytest.mark.slow
 def test_cut_bag_is_read_up_to_the_cut(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_recording(streams(60), tmp_path / "bag")
     file = tmp_path / "bag" / "bag_0.mcap"
@@ -186,6 +188,7 @@ def read_whole(data: bytes, folder: Path) -> Recording:
     return read_bag(folder / "whole.mcap")
 
 
+@pytest.mark.slow
 def test_a_small_clock_offset_is_corrected_and_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_recording(streams(40, late=0.12), tmp_path / "bag")
     assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0

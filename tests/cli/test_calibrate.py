@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from cli.recordings import stations, with_joints, with_reading
 
 from modcal_core.measurements.recording import Recording
@@ -26,6 +27,7 @@ def report(folder: Path) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.slow
 def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
     whole = stations(100)
     for name, recording in (("all", whole), ("one", part(whole, slice(60))), ("two", part(whole, slice(60, 100)))):
@@ -38,6 +40,7 @@ def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
     assert together["error_mm"] == once["error_mm"]
 
 
+@pytest.mark.slow
 def test_geometry_only_looks_no_further(tmp_path: Path) -> None:
     whole = stations(100)
     q = whole.joints[0].position.copy()

@@ -10,6 +10,7 @@ from modcal_core.errors import BadTable
 from modcal_nodes.inputs import read_cell
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["-0.3", "0.0", "50.0", "300.0", ".nan"])
 def test_a_distance_that_is_none_is_refused(value: str, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"

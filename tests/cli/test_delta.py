@@ -25,6 +25,7 @@ def write(cell: RecordedDelta, bag: Path) -> None:
     write_recording(Recording((joints,), (points,), source="made"), bag)
 
 
+@pytest.mark.slow
 def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cell = record_delta(2, 130, gear=(1, 60.0, 3e-4))
     write(cell, tmp_path / "bag")

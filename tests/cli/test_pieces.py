@@ -34,6 +34,7 @@ def prepared_in(bag: Path, most: int | None) -> tuple[Prepared, int]:
     return prepare_pieces(pieces, ur10()), len(pieces)
 
 
+@pytest.mark.slow
 def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = prepare(read_bag(bag), ur10()).samples
     joint_states = len(read_bag(bag).joints[0].stamps)
@@ -53,6 +54,7 @@ def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.Mo
     assert np.array_equal(warmth.values, known.values)
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_not_long_is_one_piece(bag: Path) -> None:
     (only,) = read_pieces(bag)
     assert (only.since, only.until) == (-np.inf, np.inf)

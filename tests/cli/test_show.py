@@ -28,6 +28,7 @@ def test_green_only_at_the_floor(verdict: Verdict | None, colour: str) -> None:
     assert f"\x1b[1;{colour}m{words}" in shown(report, colours=True)
 
 
+@pytest.mark.slow
 def test_the_account_every_reason_and_the_tolerance() -> None:
     said = shown(everything())
     for reason in WHY:

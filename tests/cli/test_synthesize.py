@@ -32,6 +32,7 @@ def written(folder: Path, **changes: Any) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_from_a_task_to_a_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     library = tmp_path / "mine.yaml"
     library.write_text(published_text().replace("name: published", "name: mine"))

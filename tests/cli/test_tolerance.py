@@ -29,6 +29,7 @@ def report(folder: Path) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["mean", "rms", "p95", "max"])
 def test_a_tolerance_that_is_not_met_ends_with_3(folder: Path, tmp_path: Path, of: str) -> None:
     """Readings scatter by 20 µm along each axis, so no model is within 1 µm of them."""
@@ -40,6 +41,7 @@ def test_a_tolerance_that_is_not_met_ends_with_3(folder: Path, tmp_path: Path, o
     assert met["ci95"][0] > 0.001
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_cannot_be_told_ends_with_3(folder: Path, tmp_path: Path) -> None:
     arguments = [str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / "out")]
     assert run(["evaluate", *arguments, "--tolerance-mm", "100", "--tolerance-of", "max"]) == 3
@@ -50,6 +52,7 @@ def test_without_a_tolerance_it_ends_with_0(folder: Path) -> None:
     assert report(folder / "frozen")["tolerance"] is None
 
 
+@pytest.mark.slow
 def test_calibrate_takes_a_tolerance_too(folder: Path, tmp_path: Path) -> None:
     arguments = [str(folder / "bag"), "--geometry-only", "--out", str(tmp_path / "out"), "--tolerance-mm", "0.001"]
     assert run(["calibrate", *arguments]) == 3
@@ -80,6 +83,7 @@ def test_a_report_is_traced_back_to_its_recording(folder: Path) -> None:
     assert digest(listed[0]) == hashlib.sha256(listed[0].read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_two_runs_write_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         assert run(["evaluate", str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / name)]) == 0

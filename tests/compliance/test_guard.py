@@ -265,6 +265,7 @@ def attacked(rng: np.random.Generator, w: Setpoint, h: Heard, now: float) -> tup
     return w, h, float(rng.choice([now - 1.0, now, *NASTY]))
 
 
+@pytest.mark.slow
 def test_nothing_hostile_ever_gets_through(rng: np.random.Generator) -> None:
     """Most of what is tried is hostile in one way or another; what is good in between goes through."""
     assert fuzz(ATTEMPTS, rng) > ATTEMPTS // 20

@@ -25,6 +25,7 @@ def asked(guard: Guard, chain: Chain, q: Array, now: float) -> None:
     guard.check(wish, Heard(joints, now - 0.001, T, np.zeros(6), chain.tip, now - 0.001), now)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("elbow", "passes"), [(1.2, True), (0.0, False)])
 def test_an_arm_of_six_axes_is_kept_from_singular_postures(elbow: float, passes: bool) -> None:
     chain, q = ur10(), np.array([0.3, -1.0, elbow, -1.3, 1.4, 0.2])
@@ -39,6 +40,7 @@ def test_an_arm_of_six_axes_is_kept_from_singular_postures(elbow: float, passes:
             asked(guard, chain, q, 10.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "passes"), [(0.98, True), (1.02, False)])
 def test_speeds_of_steps_of_unequal_length_change_between_their_middles(share: float, passes: bool) -> None:
     # 2 ms at rest, then 8 ms at a speed: from the middle of one to the middle of the other pass 5 ms

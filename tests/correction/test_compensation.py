@@ -17,6 +17,7 @@ from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import Deviations, apply_deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.shapes import Shape
+from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.correction.compensation import compensate
@@ -25,7 +26,6 @@ from modcal_core.correction.correction import Correction
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import ship
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain

@@ -11,9 +11,10 @@ from cells import ur10
 from verdict.visits import visited
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import Report
 
@@ -42,6 +43,7 @@ def test_a_joint_that_was_adjusted_is_named() -> None:
     assert (report.left.effect.place, report.left.effect.public_driver) == ("elbow_joint", "constant")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1.0, 50.0])
 def test_a_base_that_moved_is_named(size: float) -> None:
     report = scored(moved(visited(3, 60), se3.exp(size * np.array([3e-4, -2e-4, 2e-4, 1e-4, 2e-4, -2e-4]))))

@@ -24,6 +24,7 @@ def tracked() -> list[Path]:
     return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["registries", "machine"])
 def test_no_address_or_path_of_one_machine(what: str) -> None:
     wanted = re.compile("|".join(map(re.escape, REGISTRIES) if what == "registries" else MACHINE))

@@ -58,6 +58,7 @@ def test_readings_come_back_from_a_bag(tmp_path: Path) -> None:
         assert np.abs(found.stamps - track.stamps).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_mixed_instruments_in_one_calibration(tmp_path: Path) -> None:
     """A tracker, a wire with a hook of its own and a theodolite; then the frozen calibration on the same cell again."""
     devices, _ = CELLS["tracker, wire of its own hook, theodolite"]
@@ -84,6 +85,7 @@ def test_mixed_instruments_in_one_calibration(tmp_path: Path) -> None:
     assert again["error_mm"]["final"]["rms"] < 1.3 * report["error_mm"]["final"]["rms"]
 
 
+@pytest.mark.slow
 def test_a_gripper_sensor_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_recording(recording([LASER], 120), tmp_path / "bag")
     assert run(["info", str(tmp_path / "bag")]) == 0

@@ -41,6 +41,7 @@ def report_of(name: str, seed: int, planted: bool) -> Report:
     return calibrate(samples, ur10(), np.random.default_rng(0), cell).report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three wires", "tracker, wire of its own hook, theodolite"])
 def test_a_clean_recording_comes_out_clean(name: str) -> None:
     report = report_of(name, 3, planted=False)
@@ -52,6 +53,7 @@ def test_a_clean_recording_comes_out_clean(name: str) -> None:
     assert final.rms < 0.2 * nominal.rms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three wires", "two theodolites"])
 def test_a_planted_gear_is_found(name: str) -> None:
     report = report_of(name, 3, planted=True)
@@ -63,6 +65,7 @@ def test_a_planted_gear_is_found(name: str) -> None:
     assert report.left is None
 
 
+@pytest.mark.slow
 def test_bearings_come_out_clean_and_the_report_says_what_they_cannot_see() -> None:
     report = report_of("two theodolites", 3, planted=False)
     assert report.effects == ()

@@ -66,6 +66,7 @@ def test_it_is_placed_from_no_guess(kind: str) -> None:
     assert errors(model, samples).position_norm.max() < 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "own_target"), [*((k, False) for k in READINGS), ("range", True), ("bearing", True)])
 def test_derivatives(kind: str, own_target: bool) -> None:
     """Of what is measured along each direction, by every parameter of arm, tool, frame and instrument."""

@@ -48,6 +48,7 @@ def test_a_kind_of_a_package_is_known(tmp_path: Path) -> None:
     assert installed(tmp_path).strip() == "sonar reef [[1.25]] 1"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -98,6 +98,7 @@ def fits(name: str, seed: int, count: int = 120) -> tuple[Fit, Fit, World]:
     return identify(start, samples, parameters), identify(start, exact, parameters, robust=False), w
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CELLS)
 def test_parameters_lie_within_three_sigma(name: str) -> None:
     scores = []

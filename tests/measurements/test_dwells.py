@@ -13,6 +13,7 @@ from modcal_core.measurements.stations import StationRules, deviation_of_mean, f
 from modcal_core.robots.kinematics import forward
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settle", [0.1, 0.4, 0.8])
 def test_a_dwell_begins_when_the_arm_has_settled(settle: float) -> None:
     rules = StationRules(settle=settle)
@@ -24,6 +25,7 @@ def test_a_dwell_begins_when_the_arm_has_settled(settle: float) -> None:
     assert end <= left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
 def test_a_mean_of_readings_that_share_noise_is_known_less_well(rho: float, rng: np.random.Generator) -> None:
     noise = rng.normal(size=(400, 300, 3))  # readings of so many dwells
@@ -35,6 +37,7 @@ def test_a_mean_of_readings_that_share_noise_is_known_less_well(rho: float, rng:
     assert 0.7 < np.mean(said) / np.mean(mean**2) < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [LIMIT + 0.2, -LIMIT - 0.2])
 def test_a_clock_that_is_too_far_off_is_refused(late: float) -> None:
     def tip(q: np.ndarray) -> np.ndarray:

@@ -85,6 +85,7 @@ def test_a_motion_is_used_reading_by_reading() -> None:
     assert "hardly stood still" in " ".join(again.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 0.02])
 def test_a_motion_calibrates_to_the_noise(late: float) -> None:
     """At half a metre a second, a millisecond too much would cost half a millimetre; the noise is 0.035 mm."""
@@ -144,6 +145,7 @@ def test_drift_is_found() -> None:
     assert "drifted" in notes[0]
 
 
+@pytest.mark.slow
 def test_drift_stays_corrected_in_a_motion() -> None:
     recording = streams(120, dwell=0.0, drift=5e-4)
     prepared = prepare(recording, ur10())

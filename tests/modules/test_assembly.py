@@ -32,6 +32,7 @@ def test_lengths_are_the_published_ones() -> None:
     assert [t.name for t in LIBRARY.of_role("joint")] == ["JR", "JP"]
 
 
+@pytest.mark.slow
 def test_a_thousand_assemblies_against_pinocchio(rng: np.random.Generator) -> None:
     """Pinocchio reads the URDF, in which every module and every quarter turn stands by itself."""
     worst = 0.0

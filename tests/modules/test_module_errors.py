@@ -230,6 +230,7 @@ def test_refusals(stories: list[tuple[float, float, list[Witness]]], rng: np.ran
         )
 
 
+@pytest.mark.slow
 def test_a_recording_of_another_assembly_teaches_nothing(rng: np.random.Generator) -> None:
     """A turn that was written down wrongly is refused; a length that was, is noticed."""
     made = Made()

@@ -98,6 +98,7 @@ def test_derivatives_of_the_rows(mask: list[int], rng: np.random.Generator) -> N
         assert_jacobian(lambda x, fleet=fleet: reaching._rows(fleet, goal, x[:, None])[0][:, 0], J, q)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mask", MASKS)
 def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Generator) -> None:
     """Targets are taken from postures of the arms; what is said to be reached is, for the chain of the assembly."""
@@ -154,6 +155,7 @@ def near_task(**changes: Any) -> Task:
     return task_from_data({**data, **changes}, "near.yaml")
 
 
+@pytest.mark.slow
 def test_fewest_joints_and_the_same_again_with_other_workers() -> None:
     task = near_task(joints={"first": 1, "last": 4}, requirements={"joint_range": {}, "payload": {"mass_kg": 0.5}})
     here = synthesize(task, LIBRARY, seed=3)

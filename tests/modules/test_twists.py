@@ -205,6 +205,7 @@ class DhFit:
         return self.model(found.x)
 
 
+@pytest.mark.slow
 def test_dh_fails_where_axes_are_nearly_parallel() -> None:
     """Three axes drawn parallel and made 1 mrad off: no DH row can follow, and twists do not notice."""
     chain, samples = measured(PARALLEL, 1, 60)

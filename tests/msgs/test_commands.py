@@ -26,6 +26,7 @@ def arm() -> JointsHeard:
     return JointsHeard(("a", "b"), np.array([-1.0, -2.0]), np.array([1.0, 2.0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("value", "believed"), [(1.05, True), (-1.05, True), (1.2, False), (-1.2, False)])
 def test_a_joint_far_outside_its_limits_is_not_believed(value: float, believed: bool) -> None:
     heard = arm()
@@ -39,6 +40,7 @@ def test_a_joint_far_outside_its_limits_is_not_believed(value: float, believed: 
         assert heard.position[0] == 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [-0.2, 0.2])
 def test_joint_states_of_another_time_are_refused(late: float) -> None:
     with pytest.raises(BadCommand, match="old" if late < 0.0 else "ahead"):
@@ -54,6 +56,7 @@ def test_an_arm_is_as_fresh_as_its_oldest_joint() -> None:
         heard.require_fresh(10.5, 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stamp", "passes"), [(10.0, True), (9.95, True), (10.05, True), (9.8, False), (10.2, False)])
 def test_a_wish_is_of_now(stamp: float, passes: bool) -> None:
     if passes:
@@ -64,6 +67,7 @@ def test_a_wish_is_of_now(stamp: float, passes: bool) -> None:
     require_new(stamped(0.0), 10.0, 0.1)  # without a stamp it counts as sent now
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "passes"), [(1.0, True), (1.0005, True), (0.0, False), (0.9, False), (2.0, False)])
 def test_a_quaternion_has_unit_length(length: float, passes: bool) -> None:
     p = SimpleNamespace(x=0.3, y=0.0, z=0.5)

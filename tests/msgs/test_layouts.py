@@ -92,6 +92,7 @@ def _key(track: Any) -> tuple[Any, ...]:
     return tuple(getattr(track, name, None) for name in ("names", "name", "frame", "kind"))
 
 
+@pytest.mark.slow
 @given(
     plan=st.lists(st.tuples(st.sampled_from(sorted(TYPES)), st.integers(0, 3), st.integers(1, 12)), min_size=1),
     seed=st.integers(0, 2**32 - 1),

@@ -115,6 +115,7 @@ def prints(place: Path) -> dict[str, str]:
     return {f"{p.name} {p.stat().st_mtime_ns}": hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunked", [True, False])
 def test_of_any_cut_exactly_what_is_whole_before_it(chunked: bool, tmp_path: Path, rng: np.random.Generator) -> None:
     told = record(tmp_path / "whole.mcap", rng, 150, chunked=chunked)
@@ -143,6 +144,7 @@ def test_of_any_cut_exactly_what_is_whole_before_it(chunked: bool, tmp_path: Pat
         assert {p.name for p in tmp_path.iterdir()} == {"whole.mcap", "cut.mcap"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 def test_of_packed_chunks_at_least_the_whole_ones(
     compression: CompressionType, tmp_path: Path, rng: np.random.Generator

@@ -50,10 +50,12 @@ CELL: dict[str, Any] = {
     "clock_rate_hz": 50.0,
     "joint_rate_hz": 50.0,
     "tracker_rate_hz": 25.0,
+    "dwell_s": 0.75,
+    "travel_s": 0.2,
 }
-_SETTLE = 0.3  # s of simulated time after an arrival
+_STATION = CELL["dwell_s"] + CELL["travel_s"]
 _RANGE = 1.1  # rad, a little less than the tour goes through
-_TRAVEL = 0.4  # s of simulated time
+_TRAVEL, _STAND = 0.2, 0.1  # s of simulated time; a stand has two readings
 
 
 @dataclass(frozen=True)
@@ -156,14 +158,10 @@ def close_the_loop(
     recorder = Process("recorder", domain, folder, out=folder / "bag", use_sim_time="true")
     with running(recorder), listener(domain) as (node, wait):
         states: list[JointState] = []
-
-        def keep_last(message: JointState) -> None:
-            states[:] = [message]
-
         tools: list[PoseStamped] = []
         commands: list[JointTrajectory] = []
         polled = Polled(node, 0.01)
-        polled.subscribe(JointState, "joint_states", keep_last)
+        polled.subscribe(JointState, "joint_states", states.append)
         polled.subscribe(PoseStamped, "simulated_cell/true_tool", tools.append)
         node.create_subscription(JointTrajectory, "joint_trajectory", commands.append, 10)
         drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
@@ -176,7 +174,7 @@ def close_the_loop(
         with running(cell):
             wait(lambda: states, 60.0)
             wait(lambda: recorder.output.count("recording /") >= 3, 20.0)
-            length = 1.3 * stations
+            length = _STATION * stations
             begun = seconds(states[0].header.stamp)
             wait(lambda: seconds(states[-1].header.stamp) > begun + length + 0.5, 5.0 * length / factor + 30.0)
             assert recorder.stop() == 0
@@ -186,28 +184,54 @@ def close_the_loop(
             effects = tuple(f"{e.family} {e.place}" for e in calibration.calibrated.effects)
             say(f"calibrated: {', '.join(effects)}")
 
+            def at(goal: Array, message: JointState) -> bool:
+                by_name = dict(zip(chain.names, goal, strict=True))
+                return max(abs(by_name[n] - p) for n, p in zip(message.name, message.position, strict=True)) < 1e-9
+
             def arrived(goal: Array) -> Array:
                 """The true tool (4, 4) after the arm has come to rest at a command (n,)."""
-                by_name = dict(zip(chain.names, goal, strict=True))
+                since = wait(lambda: states and at(goal, states[-1]) and seconds(states[-1].header.stamp), 60.0)
+                wait(lambda: tools and seconds(tools[-1].header.stamp) > since, 60.0)
+                return _pose(tools[-1])
 
-                def there() -> float:
-                    last = states[-1]
-                    gap = max(abs(by_name[n] - p) for n, p in zip(last.name, last.position, strict=True))
-                    return seconds(last.header.stamp) if gap < 1e-9 else 0.0
-
-                since = wait(there, 60.0)
+            def go_through(goals: list[Array]) -> list[Array]:
+                """The true tools (4, 4) of commands (n,) at each of which the arm stands for a moment."""
+                message = JointTrajectory(joint_names=list(chain.names))
+                for k, goal in enumerate(goals):
+                    for after in (_TRAVEL, _TRAVEL + _STAND):
+                        point = JointTrajectoryPoint(positions=[float(x) for x in goal])
+                        set_seconds(point.time_from_start, k * (_TRAVEL + _STAND) + after)
+                        message.points.append(point)
+                # the last one is a pose that it visits before as well
+                span = len(goals) * (_TRAVEL + _STAND)
+                end = seconds(states[-1].header.stamp) + span - _STAND
+                states.clear()
                 tools.clear()
-                wait(lambda: tools and seconds(tools[-1].header.stamp) > since + _SETTLE, 60.0)
-                p, o = tools[-1].pose.position, tools[-1].pose.orientation
-                return se3.from_pose(np.array([p.x, p.y, p.z, o.x, o.y, o.z, o.w]))
+                drive.publish(message)
+                wait(
+                    lambda: states and seconds(states[-1].header.stamp) > end and at(goals[-1], states[-1]),
+                    span / factor + 60.0,
+                )
+                last = seconds(states[-1].header.stamp)
+                wait(lambda: tools and seconds(tools[-1].header.stamp) > last, 60.0)
+                seen = []
+                rest = iter(states)
+                for goal in goals:  # in the order in which it stood at them
+                    begin = seconds(next(m for m in rest if at(goal, m)).header.stamp)
+                    first = next(m for m in tools if seconds(m.header.stamp) > begin)
+                    assert seconds(first.header.stamp) < begin + 0.75 * _STAND
+                    seen.append(_pose(first))
+                return seen
 
-            def go(goal: Array) -> Array:
+            def go(goal: Array) -> None:
                 message = JointTrajectory(joint_names=list(chain.names))
                 point = JointTrajectoryPoint(positions=[float(x) for x in goal])
                 set_seconds(point.time_from_start, _TRAVEL)
                 message.points = [point]
+                states.clear()
+                tools.clear()
                 drive.publish(message)
-                return arrived(goal)
+                arrived(goal)
 
             rng = np.random.default_rng(seed + 1)
             meant = rng.uniform(-_RANGE, _RANGE, (wishes, chain.n))
@@ -216,7 +240,7 @@ def close_the_loop(
             goals = truth.tool(meant)
             corrector = Process(
                 "corrector", domain, folder, "-r", "~/joint_trajectory:=joint_trajectory", use_sim_time="true",
-                calibration=folder / "calibration", target="tool", joint_speed_rad_s=1.0, stale_s=0.4 * factor,
+                calibration=folder / "calibration", target="tool", joint_speed_rad_s=1.0, stale_s=0.4 * factor, rate_hz=1.0,
             )  # fmt: skip
             reached: dict[str, list[Array]] = {"nominal": [], "corrected": [], "floor": []}
             sent: list[Array] = []
@@ -225,6 +249,8 @@ def close_the_loop(
                 wait(lambda: desire.get_subscription_count() == 1 and "corrects robot" in corrector.output, 60.0)
                 for goal, near in zip(goals, before, strict=True):
                     go(near)
+                    states.clear()
+                    tools.clear()
                     commands.clear()
                     message = PoseStamped()
                     message.header.frame_id = "tracker"
@@ -241,12 +267,14 @@ def close_the_loop(
                 assert corrector.stop() == 0
             nominal = calibration.nominal
             to_tip = se3.inverse(nominal.T_frame_base[0]), se3.inverse(nominal.T_tip_tool)
-            for goal, q in zip(kept, sent, strict=True):
-                go(q + rng.uniform(-0.15, 0.15, chain.n))
-                reached["floor"].append(go(truth.command(goal, q)))
-            for goal, q in zip(kept[:wishes], sent, strict=False):
-                go(q + rng.uniform(-0.15, 0.15, chain.n))
-                reached["nominal"].append(go(inverse(nominal.chain, to_tip[0] @ goal @ to_tip[1], q, rng=rng)))
+            # each pose is another one than that before it, so the arm misses it anew
+            reached["floor"] = go_through([truth.command(goal, q) for goal, q in zip(kept, sent, strict=True)])
+            reached["nominal"] = go_through(
+                [
+                    inverse(nominal.chain, to_tip[0] @ goal @ to_tip[1], q, rng=rng)
+                    for goal, q in zip(kept[:wishes], sent, strict=False)
+                ]
+            )
             assert cell.stop() == 0
     errors = {name: _errors(np.array(kept[: len(poses)]), np.array(poses)) for name, poses in reached.items()}
     return Outcome(errors["nominal"], errors["corrected"], errors["floor"], effects, len(goals) - len(kept))
@@ -267,6 +295,11 @@ def _answer(
             wait(lambda said=said: commands or "[WARN]" in corrector.output[said:], 5.0)
             return "" if commands else corrector.output[said:].strip()
     raise AssertionError("the corrector does not answer")
+
+
+def _pose(message: PoseStamped) -> Array:
+    p, o = message.pose.position, message.pose.orientation
+    return se3.from_pose(np.array([p.x, p.y, p.z, o.x, o.y, o.z, o.w]))
 
 
 def _errors(wanted: Array, reached: Array) -> Errors:

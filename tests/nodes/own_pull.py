@@ -15,7 +15,7 @@ from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import Load
 from modcal_core.robots.kinematics import forward
 from modcal_nodes.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm import Arm, task
+from modcal_nodes.setpoint.arm import Arm, limits, task
 from modcal_nodes.simulation.pulling import Pulling
 
 _EVERY = round(IMPEDANCE_SETPOINT["rate_hz"].default / ARTICULATION_ESTIMATOR["rate_hz"].default)
@@ -28,8 +28,8 @@ def pull(world: Pulling, urdf: str) -> Pull:
     chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()}
     arm = Arm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
-    operation, tracker, state = Operation(arm.chain, task(chosen), arm.limits), Tracker(), None
-    period, opened, begun = arm.limits.period, 0.0, False
+    operation, tracker, state = Operation(arm.chain, task(chosen), limits(arm.chain, chosen)), Tracker(), None
+    period, opened, begun = operation.limits.period, 0.0, False
     for k in range(1, round(_LONGEST / period)):
         world.advance(period)
         now, (q, _) = world.time, world.joints()

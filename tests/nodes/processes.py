@@ -61,7 +61,7 @@ def environment(domain: int) -> dict[str, str]:
 
 # On a machine that does other things as well everything takes longer; what succeeds in time is not held up by it.
 SLOWER = 4.0
-_MUTUAL = 0.5  # s, within which two sides of a service have found each other
+MUTUAL = 0.5  # s, within which two sides of a service have found each other
 
 
 class Process:
@@ -116,16 +116,16 @@ def meet(wait: Callable[[Callable[[], Any], float], Any], client: Any) -> None:
     """Wait for a server, and a moment more: one that was just found may not have found the caller, and its answer is lost."""
     if not client.service_is_ready():
         wait(client.service_is_ready, 60.0)
-        found = time.monotonic() + _MUTUAL
+        found = time.monotonic() + MUTUAL
         wait(lambda: time.monotonic() > found, 10.0)
 
 
 @contextlib.contextmanager
-def listener(domain: int) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
+def listener(domain: int, kind: type[Node] = Node) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
     """A node of the test's own, and ``wait(condition, seconds)`` that spins it until the condition is true."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node("test_listener", context=context)
+    node = kind("test_listener", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 

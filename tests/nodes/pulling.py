@@ -90,8 +90,10 @@ def change(node: Node, wait: Wait, name: str, transition: int) -> None:
     assert answer.success, f"{name}: transition {transition} failed"
 
 
-def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any], setpoint: dict[str, Any]) -> Any:
-    """The three of them, connected by remapping alone."""
+def followers(
+    folder: Path, domain: int, scene: Furniture, world: dict[str, Any], setpoint: dict[str, Any]
+) -> tuple[Process, Process]:
+    """The two nodes beside the world, connected by remapping alone."""
 
     def remap(**names: str) -> list[str]:
         return [word for old, new in names.items() for word in ("-r", f"{old}:={new}")]
@@ -99,7 +101,6 @@ def processes(folder: Path, domain: int, scene: Furniture, world: dict[str, Any]
     paced = {"use_sim_time": bool(world.get("publish_clock"))}
     heard = {f"object_{what}": f"{ESTIMATOR}/object_{what}" for what in ("description", "state", "status")}
     return (
-        Process(WORLD, domain, folder, urdf=PANDA, **world),
         Process(ESTIMATOR, domain, folder, tool_mass=scene.tool_mass, **paced),
         Process(
             SETPOINT,
@@ -125,12 +126,17 @@ def open_it(
     """
     domain = fresh_domain()
     goal = share * float(scene.goal)
-    made = processes(folder, domain, scene, world, {"goal": goal, **setpoint})
-    with running(*made), listener(domain) as (node, wait):
+    made = followers(folder, domain, scene, world, {"goal": goal, **setpoint})
+    with contextlib.ExitStack() as until_over:
+        until_over.enter_context(running(*made))
+        node, wait = until_over.enter_context(listener(domain))
         told, health = Told(), Diagnostics(node)
         told.listen(node)
         change(node, wait, SETPOINT, Transition.TRANSITION_CONFIGURE)
         change(node, wait, SETPOINT, Transition.TRANSITION_ACTIVATE)
+        # last: from here on hundreds of messages a second wake everybody
+        scenery = Process(WORLD, domain, folder, urdf=PANDA, **world)
+        until_over.enter_context(running(scenery))
         wait(lambda: told.forces and told.opened, 30.0)
         _until_heard(node, wait)
         begun = told.forces[-1][0]
@@ -145,7 +151,7 @@ def open_it(
         over = health.at[PULL]
         wait(lambda: min(told.forces[-1][0], told.opened[-1][0]) >= over, 30.0)
         ended = told.forces[-1][0]
-        for process in made:
+        for process in (scenery, *made):
             process.stop()
     forces, opened = _since(begun, told.forces), _since(begun, told.opened)
     moving = [t for t in told.setpoints if t >= begun]

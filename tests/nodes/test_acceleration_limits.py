@@ -170,7 +170,7 @@ def test_bounds_hold_and_follow_the_payload(tmp_path: Path, rng: np.random.Gener
         assert "rotor of joint 'elbow': is not of this arm" in why
         ok, why = arm.set("tip", "tool1")
         assert not ok
-        assert "is read at the start" in why
+        assert "read-only" in why
         assert np.allclose(arm.bounds(), loaded, rtol=1e-6)  # what was refused changed nothing
 
         assert arm.set("payload_kg", 0.0)[0]

@@ -27,17 +27,19 @@ def test_recorded_over_dds_and_calibrated(tmp_path: Path) -> None:
     domain = fresh_domain()
     bag = tmp_path / "bag"
     topics = ["joint_states", "tracker/point"]
-    cell = Process(
-        "simulated_cell", domain, tmp_path, delta=FILE, measurement="point", seed=SEED, stations=45, dwell_s=0.4,
-        travel_s=0.2, start_delay_s=18.0, joint_rate_hz=100.0, tracker_rate_hz=40.0,
-        publish_clock="true", clock_rate_hz=50.0, time_factor=3.0,
-    )  # fmt: skip
     recorder = Process("recorder", domain, tmp_path, out=bag, topics=json.dumps(topics), use_sim_time="true")
     heard: list[PointStamped] = []
-    with running(cell, recorder), listener(domain) as (node, wait):
+    with running(recorder), listener(domain) as (node, wait):
         node.create_subscription(PointStamped, "tracker/point", heard.append, 1000)
-        wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 18.0 + 45 * 0.6, 60.0)
-        assert cell.stop() == 0
+        wait(lambda: "recording into" in recorder.output, 60.0)
+        cell = Process(
+            "simulated_cell", domain, tmp_path, delta=FILE, measurement="point", seed=SEED, stations=45, dwell_s=0.4,
+            travel_s=0.2, start_delay_s=9.0, joint_rate_hz=100.0, tracker_rate_hz=40.0,
+            publish_clock="true", clock_rate_hz=50.0, time_factor=3.0,
+        )  # fmt: skip
+        with running(cell):
+            wait(lambda: heard and stamp(heard[-1]) - stamp(heard[0]) > 45 * 0.6, 60.0)
+            assert cell.stop() == 0
         assert recorder.stop() == 0
     out = tmp_path / "out"
     assert run(["calibrate", str(bag), "--delta", str(FILE), "--out", str(out)]) == 0
@@ -72,21 +74,6 @@ def test_it_goes_where_it_is_sent_and_nowhere_else(tmp_path: Path) -> None:
     true = make_delta_world(delta, np.random.default_rng(SEED), 5e-4, 1e-3).tool_in_base(goal)
     at = truths[-1].pose.position
     assert np.abs(np.array([at.x, at.y, at.z]) - true[:3, 3]).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("parameters", "said"),
-    [
-        ({"delta": "nowhere.yaml"}, "delta 'nowhere.yaml'"),
-        ({"delta": FILE, "gear_joint": "elbow"}, "gear_joint 'elbow'"),
-        ({"delta": FILE, "warm_up_link": "arm_1", "warm_up_m": 1e-4}, "whose links do not grow"),
-    ],
-)
-def test_what_cannot_be_simulated(parameters: dict[str, object], said: str, tmp_path: Path) -> None:
-    cell = Process("simulated_cell", fresh_domain(), tmp_path, **parameters)
-    with running(cell):
-        assert cell.popen.wait(60.0) == 2
-    assert said in cell.output
 
 
 def test_a_tour_keeps_to_ways_that_its_platform_fits() -> None:

@@ -48,6 +48,7 @@ def lead(made: Pulling, opened: float, seconds: float, rest: float = 0.5) -> Non
         made.advance(PERIOD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grasp", ["weld", "ball"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_arm_begins_at_rest_with_the_closed_handle_in_its_hand(kind: str, grasp: str) -> None:
@@ -70,6 +71,7 @@ def test_the_handle_moves_as_drawn(kind: str) -> None:
     assert np.abs(made.tool() - made.handle()).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["door", "drawer"])
 def test_force_that_a_spring_asks_for(kind: str) -> None:
     """Held open without friction, the hand's pull along the way, times the lever arm, is the spring's torque."""
@@ -82,6 +84,7 @@ def test_force_that_a_spring_asks_for(kind: str) -> None:
     assert tangent @ force * lever == pytest.approx(quiet.spring * made.opened, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grasp", ["weld", "ball"])
 def test_the_wrist_feels_the_tool_and_what_the_hand_does_not_give_to_the_handle(grasp: str) -> None:
     drawn = scene("door", grasp)
@@ -112,6 +115,7 @@ def test_a_ball_lets_the_hand_turn_and_a_weld_does_not() -> None:
         assert torque < 0.01 if turned else torque > 1.0
 
 
+@pytest.mark.slow
 def test_servos_lag_as_they_are_told() -> None:
     """A reference that moves steadily is ahead by velocity times lag; nothing pulls at a handle that slides freely."""
     free = scene("drawer", "weld", friction=0.0, damping=0.0, spring=0.0, mass_kg=0.1)
@@ -126,6 +130,7 @@ def test_servos_lag_as_they_are_told() -> None:
     assert np.mean(lags[-200:]) == pytest.approx(0.03, abs=0.006)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [0.0, 0.2])
 def test_what_is_locked_does_not_open(stop: float) -> None:
     drawn = scene("door", "weld", stop=stop)
@@ -134,6 +139,7 @@ def test_what_is_locked_does_not_open(stop: float) -> None:
     assert came.peak > 100.0
 
 
+@pytest.mark.slow
 def test_a_folding_door_leaves_the_circle_that_it_began_on() -> None:
     drawn = scene("folding", "ball")
     made = world(drawn)
@@ -156,6 +162,7 @@ def test_a_folding_door_leaves_the_circle_that_it_began_on() -> None:
     assert second > np.radians(8.0)
 
 
+@pytest.mark.slow
 def test_scenes_come_out_as_chosen_and_the_same_for_the_same_seed() -> None:
     one, other = (draw(CHAIN, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one.q, other.q)
@@ -183,6 +190,7 @@ def test_references_that_a_driver_would_refuse() -> None:
     assert np.array_equal(made.reference(), made.scene.q)
 
 
+@pytest.mark.slow
 def test_torques_stay_within_the_limits_of_the_arm() -> None:
     drawn = scene("door", "weld", stop=0.0)
     made = world(drawn)

@@ -17,7 +17,7 @@ from modcal_nodes.simulation.furniture import draw
 
 CHAIN = read_chain(PANDA.read_text())
 # simulated time, which waits for the next setpoint: the physics must not depend on what else the machine is doing
-PACED = {"publish_clock": True, "keep_step": True}
+PACED = {"publish_clock": True, "keep_step": True, "clock_rate_hz": 250.0}
 
 pytestmark = pytest.mark.dds
 

@@ -37,6 +37,7 @@ from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.types import jazzy
 from modcal_nodes.cli.main import run
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.taping import Taken, Tape
 
 pytestmark = pytest.mark.dds
@@ -335,7 +336,7 @@ def test_save_says_what_is_safe_and_reset_begins_another_bag(tmp_path: Path) -> 
 def test_what_overflows_is_counted_as_lost(tmp_path: Path) -> None:
     """A subscription that nobody serves keeps the last 5000 messages; the publisher's numbers show the others."""
     domain = fresh_domain()
-    with listener(domain) as (speaker, _), listener(domain) as (node, wait):
+    with listener(domain) as (speaker, _), listener(domain, GuardedNode) as (node, wait):
         taken: list[Taken] = []
         tape = Tape(node, "/joint_states", taken.append, True, 60.0)
         publisher = speaker.create_publisher(JointState, "joint_states", RELIABLE)

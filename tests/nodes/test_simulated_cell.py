@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from deltas import FILE
 from geometry_msgs.msg import PoseStamped
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -20,11 +21,13 @@ from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.simulation.plant import make_world
+from modcal_nodes.parameters import SIMULATED_CELL
+from modcal_nodes.simulation.plant import Plant, make_world
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 CHAIN = read_chain(URDF.read_text())
@@ -272,19 +275,38 @@ def test_time_that_is_not_its_own_is_not_set_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"joint_compliance_rad_per_nm": "[1.0e-5, 2.0e-5]"}, "1 or 6 numbers"),
+        ({"joint_compliance_rad_per_nm": [1.0e-5, 2.0e-5]}, "1 or 6 numbers"),
         ({"warm_up_m": 1e-4}, "warm_up_link must name"),
-        ({"tool_bump_m": "[5.0, 0.0, 0.0]"}, "tool_bump_m is longer than 1"),
-        ({"publish_clock": True, "use_sim_time": True}, "the cell would wait for itself"),
+        ({"tool_bump_m": [5.0, 0.0, 0.0]}, "tool_bump_m is longer than 1"),
+        ({"delta": str(FILE), "gear_joint": "elbow"}, "gear_joint 'elbow'"),
         ({"gear_joint": "knee"}, "gear_joint 'knee'"),
+        ({"delta": "nowhere.yaml"}, "delta 'nowhere.yaml'"),
+        ({"delta": str(FILE), "warm_up_link": "arm_1", "warm_up_m": 1e-4}, "whose links do not grow"),
     ],
 )
-def test_what_cannot_be_simulated(parameters: dict[str, Any], said: str, tmp_path: Path) -> None:
-    cell = Process("simulated_cell", fresh_domain(), tmp_path, urdf=URDF, **parameters)
-    with running(cell):
-        assert cell.popen.wait(60.0) == 2
-    (line,) = [line for line in cell.output.splitlines() if line.startswith("modcal: ")]
-    assert said in line
+def test_what_cannot_be_simulated(parameters: dict[str, Any], said: str) -> None:
+    """In one line; that the process then ends with it: the next test."""
+    chosen = {name: parameter.default for name, parameter in SIMULATED_CELL.items()} | {"urdf": str(URDF)}
+    with pytest.raises(ModcalError) as refused:
+        Plant(chosen | parameters)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_cell_that_cannot_be_ends_with_one_line(tmp_path: Path) -> None:
+    cells = {
+        "1 or 6 numbers": Process(
+            "simulated_cell", fresh_domain(), tmp_path, urdf=URDF, joint_compliance_rad_per_nm="[1.0e-5, 2.0e-5]"
+        ),
+        "the cell would wait for itself": Process(
+            "simulated_cell", fresh_domain(), tmp_path, urdf=URDF, publish_clock=True, use_sim_time=True
+        ),
+    }
+    with running(*cells.values()):
+        for said, cell in cells.items():
+            assert cell.popen.wait(60.0) == 2
+            (line,) = [line for line in cell.output.splitlines() if line.startswith("modcal: ")]
+            assert said in line
 
 
 def test_repeatability_scatters_arrivals_only(tmp_path: Path) -> None:

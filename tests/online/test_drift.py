@@ -48,6 +48,7 @@ def in_all(found: Drift) -> tuple[Array, Array]:
     return span * found.size, span * found.size_std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_has_moved_is_named_and_measured(seed: int) -> None:
     cell, reference = calibrated(seed)
@@ -66,6 +67,7 @@ def test_what_has_moved_is_named_and_measured(seed: int) -> None:
         assert std.max() < 3e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_an_arm_that_stands_still_is_left_alone(kind: str) -> None:
     squares = []
@@ -80,6 +82,7 @@ def test_an_arm_that_stands_still_is_left_alone(kind: str) -> None:
     assert np.mean(squares) < 1.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_slow_drift_is_a_line_through_many_recordings(seed: int) -> None:
     cell, reference = calibrated(seed)
@@ -95,6 +98,7 @@ def test_a_slow_drift_is_a_line_through_many_recordings(seed: int) -> None:
     assert "shoulder_lift_joint y" in found.same_as  # which is the same motion
 
 
+@pytest.mark.slow
 def test_a_base_that_is_set_up_anew_says_nothing_and_hides_nothing() -> None:
     cell, reference = calibrated(SEEDS[0])
     away = np.array([0.4, -0.2, 0.1, 0.0, 0.0, 0.7])
@@ -109,6 +113,7 @@ def test_a_base_that_is_set_up_anew_says_nothing_and_hides_nothing() -> None:
     assert abs(change[0] - 4e-4) < 3.0 * std[0]
 
 
+@pytest.mark.slow
 def test_recordings_that_scatter_widen_the_line() -> None:
     """Something that comes and goes is no drift: sessions that differ by more than their noise are believed less."""
     cell, reference = calibrated(SEEDS[0])
@@ -118,6 +123,7 @@ def test_recordings_that_scatter_widen_the_line() -> None:
     assert drift(reference, restless).std[0] > 3.0 * drift(reference, calm).std[0]
 
 
+@pytest.mark.slow
 def test_a_calibration_that_was_read_again_gives_the_same() -> None:
     cell, reference = calibrated(SEEDS[0])
     samples = later(cell, 1, 1.0, base=np.array([0, 0, 3e-4, 0, 0, 0]))

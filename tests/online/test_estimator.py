@@ -118,6 +118,7 @@ def test_goes_on_from_a_batch_fit() -> None:
     assert np.abs(half.model.predict(q)[:, :3, 3] - whole.model.predict(q)[:, :3, 3]).max() > 5e-6
 
 
+@pytest.mark.slow
 def test_the_stated_covariance_is_right() -> None:
     """Normalised errors of predicted positions over many cells are those of a χ² law."""
     squares = []
@@ -200,6 +201,7 @@ def test_of_what_nothing_is_known_nothing_is_said() -> None:
     assert np.abs((estimator.values - fit.values) / fit.std).max() < 0.5
 
 
+@pytest.mark.slow
 def test_covariance_stays_positive_definite_for_long() -> None:
     """Twenty thousand updates on columns of very different size, by the algebra alone."""
     rng = np.random.default_rng(0)

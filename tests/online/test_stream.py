@@ -121,6 +121,7 @@ def test_encoder_noise_is_no_motion(rng: np.random.Generator) -> None:
     assert len(play(noisy)) >= 9
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     stream = Stream(NAMES)
     pose = se3.to_pose(np.eye(4))

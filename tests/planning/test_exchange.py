@@ -81,6 +81,7 @@ def test_each_criterion_ranks_sets_as_its_index() -> None:
         assert np.array_equal(np.argsort(index), np.argsort([float(good.value(H)) for H in information]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CRITERIA)
 def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
     rng = np.random.default_rng(5)

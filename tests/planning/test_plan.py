@@ -21,6 +21,7 @@ from modcal_core.planning.spheres import clearance, visible
 _ARMS = 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["point", "pose"])
 def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> None:
     """RMS over 12 arms, which scatters by some 7 %: within 25 % of the promise for both, and less for the chosen ones."""
@@ -46,6 +47,7 @@ def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> 
     assert rms(planned) < rms(drawn)
 
 
+@pytest.mark.slow
 def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker() -> None:
     counts, wished = [], 0.85e-4
     for size in (2e-5, 3e-5):

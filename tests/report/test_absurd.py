@@ -42,6 +42,7 @@ def test_sane_ones_are_used() -> None:
     assert sane_inertias(None, CHAIN) == (None, ())
 
 
+@pytest.mark.slow
 def test_a_calibration_says_so() -> None:
     centres = SANE.com.copy()
     centres[1] = [0.0, 500.0, 0.0]

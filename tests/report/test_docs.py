@@ -30,6 +30,7 @@ def paths(data: Any, at: str = "") -> set[str]:
     return {re.sub(rf"\.({'|'.join(STAGES)})\b", ".STAGE", at)} if data is not None else set()
 
 
+@pytest.mark.slow
 def test_every_field_is_documented_and_every_documented_field_exists() -> None:
     report = warm_cell()
     assert report.identifiability is not None

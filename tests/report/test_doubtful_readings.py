@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
+from modcal_core.calibration.score import Errors
+from modcal_core.errors import BadRecording
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
+from modcal_core.verdict.readings import coarse
 
 CHAIN = ur10()
 
@@ -29,6 +33,7 @@ def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
     return samples_of(CHAIN, made.samples.q, T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounded", [0.0, 1e-6, 1e-5, 1e-4])
 def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
     assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
@@ -39,6 +44,7 @@ def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_nam
     assert "fitted model reproduces the readings" in said(record(2, 100).exact)
 
 
+@pytest.mark.slow
 def test_readings_of_an_instrument_are_not_doubted() -> None:
     made = record(3, 100)
     assert said(made.samples) == ""
@@ -48,6 +54,7 @@ def test_readings_of_an_instrument_are_not_doubted() -> None:
     assert said(fine.samples) == ""
 
 
+@pytest.mark.slow
 def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
     made = record(4, 100)
     rng = np.random.default_rng(1)
@@ -58,6 +65,7 @@ def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
     assert "Orientations miss" in " ".join(evaluate(good, turned, rng).grounds.contradictions)
 
 
+@pytest.mark.slow
 def test_topics_that_repeat_themselves_are_named() -> None:
     made = record(5, 100)
     position, R, q = made.samples.position.copy(), made.samples.R.copy(), made.samples.q.copy()
@@ -65,3 +73,32 @@ def test_topics_that_repeat_themselves_are_named() -> None:
     assert "readings stand still over 5 stations" in said(replace(made.samples, position=position, R=R))
     q[40:44] = q[40]
     assert "joint positions stand still over 4 stations" in said(replace(made.samples, q=q))
+
+
+def test_readings_computed_before_the_joints_were_rounded() -> None:
+    exact = record(5, 100).exact
+    step = np.radians(1e-3)
+    assert "before these were rounded" in said(replace(exact, q=step * np.round(exact.q / step)))
+    measured = record(5, 100, noise_m=2e-5, noise_rad=2e-5).samples
+    assert said(replace(measured, q=step * np.round(measured.q / step))) == ""
+
+
+def test_positions_rounded_to_the_size_of_the_error() -> None:
+    made = record(6, 100)
+    assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
+
+
+def test_the_zeros_of_a_socket_are_not_rounded() -> None:
+    samples = record(6, 40, "point").samples
+    zero = replace(samples, position=np.zeros((40, 3)), sockets=("tracker",))
+    left = Errors(np.full((40, 3), 1e-4), np.empty((0, 3)))
+    assert coarse(left, zero) == ()
+    rounded = replace(samples, position=np.round(samples.position, 3))
+    assert coarse(Errors(np.full((40, 3), 3e-4), np.empty((0, 3))), rounded) != ()
+    assert coarse(Errors(np.full((40, 3), 3e-3), np.empty((0, 3))), rounded) == ()
+
+
+def test_readings_in_a_plane() -> None:
+    made = record(7, 60)
+    with pytest.raises(BadRecording, match="coordinate z of the readings"):
+        said(replace(made.samples, position=made.samples.position * [1.0, 1.0, 0.0]))

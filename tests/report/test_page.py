@@ -60,6 +60,7 @@ def elements(name: str) -> Elements:
 ALL = pytest.mark.parametrize("name", REPORTS)
 
 
+@pytest.mark.slow
 @ALL
 def test_it_is_one_file_that_fetches_nothing(name: str) -> None:
     for tag, attributes in elements(name).all:

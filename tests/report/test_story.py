@@ -98,6 +98,7 @@ def test_a_chance_below_what_was_sampled_is_extrapolated() -> None:
     assert Finding("scale", "tracker", "radial", "reading", {}, 0.03, 0.0, 0.0, sampled=199).chance == "0.03"
 
 
+@pytest.mark.slow
 def test_the_story_of_a_planted_cause() -> None:
     samples = recorded(4, CAUSES["gear, 101 a turn"][0], count=120)
     report = calibrate(samples, CHAIN, np.random.default_rng(0)).report

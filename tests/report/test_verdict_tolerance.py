@@ -26,6 +26,7 @@ def along_one_axis(rng: np.random.Generator, count: int) -> Array:
     return np.linalg.norm(rng.standard_normal((count, 3)) * [1.0, 0.2, 0.1], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("errors", [in_space, along_one_axis])
 @pytest.mark.parametrize(
     ("name", "count"), [*((name, count) for name in ("mean", "rms", "p95") for count in (12, 48)), ("p95", 150)]

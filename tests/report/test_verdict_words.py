@@ -137,6 +137,7 @@ def test_the_scatter_within_stations_is_no_floor() -> None:
     assert scatter == pytest.approx(np.sqrt(3.0) * 2e-2 / np.sqrt(10.0), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verdict", "tone", "heading"),
     [(FLOOR, "good", "at the floor"), (OPEN, "bad", "open"), (CANNOT, "warn", "cannot tell"), (None, "warn", "cannot")],
@@ -147,6 +148,7 @@ def test_the_colour_of_the_page_is_that_of_the_status(verdict: Verdict | None, t
     assert ('class="reasons' in page) == (verdict is OPEN)
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_account_and_the_reasons() -> None:
     report = judged(warm_cell(), replace(OPEN, account_mm2=ROWS, account_deg2=ROWS[:1]))
     page = to_html(report.with_tolerance(Asked(0.2)))

@@ -31,6 +31,7 @@ def within(chain: Chain, q: Array) -> bool:
     return bool((q >= chain.lower).all() and (q <= chain.upper).all())
 
 
+@pytest.mark.slow
 @arms
 @given(seed=st.integers(0, 2**32 - 1))
 def test_it_undoes_forward_kinematics_from_anywhere(chain: Chain, seed: int) -> None:

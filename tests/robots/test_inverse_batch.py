@@ -27,6 +27,7 @@ def drawn(chain: Chain, count: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, chain.n))
 
 
+@pytest.mark.slow
 @arms
 @pytest.mark.parametrize("mask", [(True,) * 6, NO_TURN, (True,) * 3 + (False,) * 3], ids=["pose", "axis", "point"])
 def test_it_ends_where_single_starts_do(chain: Chain, mask: tuple[bool, ...], rng: np.random.Generator) -> None:

@@ -103,6 +103,7 @@ def test_round_trip_of_arms(arm: str, convention: str) -> None:
     assert np.array_equal(again.upper, chain.upper)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["any", "coordinate axes", "nearly parallel"])
 def test_round_trip_of_anything(kind: str, rng: np.random.Generator) -> None:
     refused = 0

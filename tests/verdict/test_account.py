@@ -38,6 +38,7 @@ def found() -> tuple[Samples, Result]:
     return samples, calibrate(samples, ur10(), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Result]) -> None:
     report = found[1].report
     for account, norm in (
@@ -84,6 +85,7 @@ def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Result]) -> 
     assert judged.status == "at_floor", judged.open_because
 
 
+@pytest.mark.slow
 def test_estimation_is_what_the_parameters_cost() -> None:
     """Forty arms of the same errors, with other noise: the variance of their fits at the postures held out."""
     made, q, _ = tour(9, 60, 0)

@@ -10,8 +10,9 @@ import pytest
 from cells import ur10
 from verdict.visits import moved_by, tour, visited
 
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry import so3
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
@@ -44,6 +45,7 @@ def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
     return replace(case, samples=replace(case.samples, position=T[:, :3, 3], R=R))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["normal", "heavy tails", "joints"])
 @pytest.mark.parametrize(("kind", "stations", "draws"), [("point", 60, 25), ("pose", 60, 12)])
 def test_noise_is_not_predictable(kind: str, stations: int, draws: int, noise: str) -> None:
@@ -86,6 +88,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     return replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
@@ -107,6 +110,7 @@ def test_faults_that_the_model_lacks_are_open(fault: str, named: str) -> None:
     assert judged.predictable.share > 0.5
 
 
+@pytest.mark.slow
 def test_a_frozen_model_is_not_open_for_its_own_error() -> None:
     """A calibration from 40 stations misses 300 others by what its parameters do not know, and by nothing else."""
     few = visited(6, 40, 0)

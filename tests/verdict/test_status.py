@@ -11,6 +11,7 @@ from verdict.visits import visited
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
+from modcal_core.geometry import so3
 from modcal_core.loop import Result, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
@@ -29,6 +30,7 @@ def case_of(result: Result, samples: Samples) -> Case:
     return fitted_case(result.scored, samples, report.sets, report.wrong, report.errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_good_arms(seed: int, kind: str) -> None:
@@ -40,6 +42,7 @@ def test_good_arms(seed: int, kind: str) -> None:
     assert "state" in without.remedy
 
 
+@pytest.mark.slow
 def test_a_stated_position_alone_says_nothing_of_orientation() -> None:
     judged = verdict_of(visited(3, 80, 0), Stated(repeatability_mm=0.03, instrument_mm=0.02))
     assert judged.status == "cannot_tell"
@@ -59,6 +62,24 @@ def test_more_than_was_stated_is_open() -> None:
     assert "was stated" in judged.open_because[0]
 
 
+def test_a_stated_floor_far_above_what_is_left_is_contradicted() -> None:
+    """Micrometres stated as millimetres: no model predicts what an arm does not repeat."""
+    samples = visited(3, 80, 0, "point")
+    judged = verdict_of(samples, Stated(repeatability_mm=30.0, instrument_mm=20.0))
+    assert judged.status == "open"
+    assert "the statement cannot be true" in judged.open_because[0]
+    twice = Stated(repeatability_mm=0.06, instrument_mm=0.06)  # cautious, as data sheets are
+    assert verdict_of(samples, twice).status == "at_floor"
+
+
+def test_orientations_that_drift_alone_are_open() -> None:
+    samples = visited(5, 100, 8)
+    angle = np.outer(np.linspace(0.0, 6e-3, len(samples)), [0.0, 0.0, 1.0])
+    judged = verdict_of(replace(samples, R=so3.exp(angle) @ samples.R))
+    assert judged.status == "open"
+    assert any("the order of the stations" in said for said in judged.open_because)
+
+
 def test_orientation_alone_can_be_open() -> None:
     stated = Stated(repeatability_mm=0.05, instrument_mm=0.05, repeatability_deg=0.0005, instrument_deg=0.0005)
     judged = verdict_of(visited(3, 80, 0), stated)
@@ -75,6 +96,7 @@ def test_readings_of_a_mixed_up_orientation_are_never_calm() -> None:
     assert judged.status == "open"
 
 
+@pytest.mark.slow
 def test_every_ground_is_named() -> None:
     samples = visited(3, 80, 8)
     result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)

@@ -18,6 +18,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/config", sorted(f for kind in ("yaml", "rviz", "json") for f in glob(f"config/*.{kind}"))),
+        (f"share/{PACKAGE}/robots", sorted(glob("robots/*.urdf"))),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         ("bin", ["bin/modcal"]),
     ],
@@ -36,6 +37,8 @@ setup(
             f"viewer = {PACKAGE}.viewer:main",
             f"simulated_cell = {PACKAGE}.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.simulated_furniture:main",
+            f"door_demo = {PACKAGE}.door_demo:main",
+            f"trajectory_sender = {PACKAGE}.trajectory_sender:main",
         ],
     },
 )

@@ -114,11 +114,11 @@ def resolve(listed: Sequence[Listed], topics: Topics, source: str) -> Roles:
     for one in listed:
         if (one.topic, one.type_name) in found or one.topic in ignored:
             continue
-        named = role_of(one.topic, one.type_name)
-        if named is not None and named in taken:
+        own = role_of(one.topic, one.type_name)
+        if own is not None and own in taken:
             left_out.add(one.topic)  # of another robot, or another tracker
-        elif named is not None:
-            found[one.topic, one.type_name] = named
+        elif own is not None:
+            found[one.topic, one.type_name] = own
     notes = [f"{name} is not in {source}: nothing to ignore." for name in topics.ignored if name not in here]
     by_type = _by_type(listed, found, left_out, topics.tf is not None)
     for one, role in by_type.items():

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.online import State
 from modcal_core.articulation.urdf import JOINT
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.stamps import seconds, set_seconds
+
+if TYPE_CHECKING:
+    from modcal_core.articulation.joints import JointModel
+    from modcal_core.articulation.online import State
 
 _UNIT = 0.02  # how far from one the length of a quaternion may be
 _PATH_POINTS = 40

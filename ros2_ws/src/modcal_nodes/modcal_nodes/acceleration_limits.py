@@ -5,31 +5,28 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from modcal_core.errors import BadTable, ModcalError
+from modcal_core.errors import ModcalError
 from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm, require_method
 from modcal_msgs_py.commands import JointsHeard, fill_accelerations
 from modcal_nodes.by_joint import numbers_by_joint
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
-from modcal_nodes.parameters import ACCELERATION_LIMITS, declare, values
+from modcal_nodes.parameters import ACCELERATION_LIMITS, declare, follow, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import FRESH, LATCHED, run
 
-_AT_THE_START = ("robot_description", "base", "tip", "rate_hz")
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
 _NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
 
 
-class AccelerationLimits(Node):
+class AccelerationLimits(GuardedNode):
     """Publishes upper and lower bounds of every joint's acceleration from joint states and a payload."""
 
     def __init__(self) -> None:
@@ -38,7 +35,7 @@ class AccelerationLimits(Node):
         self._chosen = values(self, ACCELERATION_LIMITS)
         require_method(self._chosen["method"])
         _payload(self._chosen)
-        self.add_on_set_parameters_callback(self._set)
+        follow(self, ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
         self._described: LoadedArm | None = None
         self._arm: LoadedArm | None = None
         self._joints: JointsHeard | None = None
@@ -87,21 +84,16 @@ class AccelerationLimits(Node):
             self.get_logger().error(f"refused: {error}")
         self._health.publish_if_changed()
 
-    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take a new payload, share or method at once; what names the arm is read at the start."""
-        new = {**self._chosen, **{p.name: p.value for p in parameters if p.name in ACCELERATION_LIMITS}}
-        try:
-            for name in _AT_THE_START:
-                if new[name] != self._chosen[name]:
-                    raise BadTable(f"parameter {name}", "is read at the start", "start the node anew")
-            require_method(new["method"])
-            _payload(new)
-            if self._described is not None:
-                self._arm, self._refusal = _with(self._described, new), ""
-        except ModcalError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self._chosen = new
-        return SetParametersResult(successful=True)
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises BadRobot, BadTable for a payload, share or method that cannot be."""
+        require_method(new["method"])
+        _payload(new)
+        if self._described is not None:
+            _with(self._described, new)
+
+    def _take_parameters(self) -> None:
+        if self._described is not None:
+            self._arm, self._refusal = _with(self._described, self._chosen), ""
 
     # what it hears
 

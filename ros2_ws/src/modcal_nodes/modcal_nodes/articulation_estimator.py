@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -27,9 +26,10 @@ from modcal_msgs_py.commands import JointsHeard
 from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
 from modcal_msgs_py.setpoints import wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
-from modcal_nodes.parameters import ARTICULATION_ESTIMATOR, declare, values
+from modcal_nodes.parameters import ARTICULATION_ESTIMATOR, declare, follow, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import FRESH, LATCHED, run
 
@@ -44,7 +44,7 @@ _BACK = 1.0  # s that time must jump back for it to be another time, and not a m
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
-class ArticulationEstimator(Node):
+class ArticulationEstimator(GuardedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
     def __init__(self) -> None:
@@ -55,6 +55,7 @@ class ArticulationEstimator(Node):
             raise BadCommand(
                 f"parameter input {chosen['input']!r}", "is no input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
+        follow(self, ARTICULATION_ESTIMATOR, chosen)
         self._tracker = Tracker(Settings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
         self._chain: Chain | None = None
         self._joints: JointsHeard | None = None
@@ -214,8 +215,9 @@ class ArticulationEstimator(Node):
         self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)
-        marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
-        self._axis.publish(marks)
+        if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
+            marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
+            self._axis.publish(marks)
 
     def _publish_status(self, state: State, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]

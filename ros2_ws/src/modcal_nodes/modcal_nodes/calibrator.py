@@ -11,7 +11,6 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -27,36 +26,47 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import TYPES
+from modcal_nodes.broadcasting import Broadcaster
 from modcal_nodes.calibrating.announcing import Announcer
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.memory import Memory
 from modcal_nodes.calibrating.solving import Solved, Workshop, condense, solve
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
-from modcal_nodes.calibrating.state import State, read_state, write_state
-from modcal_nodes.calibrating.telling import Times, model_status, sample_status, tracker_status
+from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
+from modcal_nodes.calibrating.telling import Times, collected, model_status, sample_status
 from modcal_nodes.files import write_folder
-from modcal_nodes.health import Health, Status
-from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.frames import static_frames
+from modcal_nodes.guarding import GuardedNode
+from modcal_nodes.health import ERROR, OK, Health, Status
+from modcal_nodes.hearing import Ear, hearing_status, tracker_status
 from modcal_nodes.inputs import read_cell
-from modcal_nodes.parameters import CALIBRATOR, declare, values
+from modcal_nodes.parameters import CALIBRATOR, declare, follow, values
 from modcal_nodes.running import LATCHED, SENSOR, run
 
 _POLL = 0.1  # s
 _REST = 0.003  # s
 _SOLVE = "solve"
+_STEP = 10  # stations between two lines in the log
+_NOTHING = "nothing solved yet"
+_NO_DESCRIPTION = "robot_description: not heard yet: publish it (latched), or set the parameter"
+_NO_JOINTS = "joint_states: not heard yet: start the robot's driver, or remap the topic"
+_NO_TRACKER = "tracker/pose, tracker/point: not heard yet: start the tracker, or remap its topic"
 
 
-class Calibrator(Node):
+class Calibrator(GuardedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets."""
 
     def __init__(self) -> None:
         super().__init__("calibrator")
         declare(self, CALIBRATOR)
         self._chosen = chosen = values(self, CALIBRATOR)
-        if chosen["accept"] not in (ASKED, BETTER):
-            raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+        _check(chosen)
+        follow(self, CALIBRATOR, chosen, _check, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = Path(chosen["state"]) if chosen["state"] else None
+        self._lock = StateLock(self._folder) if self._folder else None
+        if self._lock is not None and self._lock.warning:
+            self.get_logger().warning(self._lock.warning)
         state = read_state(self._folder) if self._folder else State()
         self._memory = Memory(chosen["memory_s"])
         self._memory.samples = state.samples
@@ -65,17 +75,18 @@ class Calibrator(Node):
         self._candidate: Solved | None = None
         creeping = tuple(place for place in chosen["wandering"] if place)
         wander = Wander(creeping, chosen["wander_m"], chosen["wander_rad"]) if creeping else None
-        policy = Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
-        self._supervisor = Supervisor(policy, wander)
+        self._supervisor = Supervisor(_policy(chosen), wander)
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
-        self._verdict = "nothing solved yet"
+        self._verdict = _NOTHING
         self._standing: Standing | None = None  # of the trusted model
         self._refused = 0
         self._said: Suspicion | None = None
         self._times = Times()
 
         self._announcer = Announcer(self)
+        self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
+        self._lacked, self._steps = "", 0
         self._ears = self._listen(chosen["silent_s"])
         self._health = Health(self, self._statuses)
         self._workshop = Workshop(self.get_logger().error)
@@ -89,6 +100,11 @@ class Calibrator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
         self.create_timer(1.0, self._tell, clock=steady)
+
+    def _take_parameters(self) -> None:
+        self._supervisor.follow(_policy(self._chosen))
+        for ear in self._ears:
+            ear.patience = self._chosen["silent_s"]
 
     # hearing
 
@@ -127,8 +143,24 @@ class Calibrator(Node):
         self._expect_frames()
         corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
         self._announcer.model({**self._files, "calibrated.urdf": corrected})
+        self._broadcast()
         self._verdict = "going on with the model that was saved"
         self._standing = standing_of_json(self._files.get("report.json"))
+
+    def _broadcast(self) -> None:
+        """Where trackers and tool are by the trusted model, for /tf_static."""
+        if self._tf is not None and self._supervisor.trusted is not None:
+            self._tf.publish(static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
+
+    def _lacks(self) -> str:
+        """What must come before stations can be cut; empty: nothing."""
+        if self._arm.chain is None:
+            if not self._arm.description:
+                return _NO_DESCRIPTION
+            return self._arm.trouble or _NO_JOINTS
+        if not any(ear.count for ear in self._ears if "tracker/" in ear.topic):
+            return _NO_TRACKER
+        return ""
 
     def _expect_frames(self) -> None:
         """Number the frames of readings as the trusted model does."""
@@ -197,9 +229,7 @@ class Calibrator(Node):
             return "a solve is running already"
         self._recognise()
         if self._arm.chain is None:
-            if not self._arm.description:
-                return "robot_description: not heard yet: publish it (latched), or set the parameter"
-            return self._arm.trouble or "joint_states: not heard yet: start the robot's driver, or remap the topic"
+            return self._lacks()
         if self._workshop.doing:  # something else is in the workshop, which takes a moment
             self._solve_next = True
             return ""
@@ -215,7 +245,8 @@ class Calibrator(Node):
             self._chosen["effects"],
         )
         done, fail = partial(self._solved, self._memory.forgotten), partial(self._answer, False)
-        self._workshop.give(_SOLVE, solve, job, self._arm.description, finish=done, fail=fail)
+        page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
+        self._workshop.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
     def _poll(self) -> None:
@@ -292,6 +323,7 @@ class Calibrator(Node):
         self._said = None
         self._expect_frames()
         self._announcer.model(solved.files)
+        self._broadcast()
         self._announcer.no_change()
         if self._folder:
             write_state(self._folder, State(solved.calibration, solved.files))
@@ -326,11 +358,20 @@ class Calibrator(Node):
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._save_samples()
+        if self._lock is not None:
+            self._lock.release()
 
     # telling
 
     def _tell(self) -> None:
-        """Once a second: the running estimate, and what has changed."""
+        """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
+        if (lacks := self._lacks()) != self._lacked:
+            self._lacked = lacks
+            self.get_logger().warning(f"waiting: {lacks}") if lacks else self.get_logger().info("all inputs are heard")
+            self._health.publish()
+        if self._supervisor.stations // _STEP != self._steps:
+            self._steps = self._supervisor.stations // _STEP
+            self.get_logger().info(collected(self._supervisor))
         live = self._supervisor.live
         if live is None:
             return
@@ -347,8 +388,23 @@ class Calibrator(Node):
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
         solving = self._workshop.doing == _SOLVE
-        yield model_status(self._supervisor, self._verdict, self._standing, trouble, solving, candidate)
+        lacks = self._lacks() if self._standing is None and self._candidate is None else ""
+        verdict = f"waiting: {lacks}" if lacks and self._verdict == _NOTHING else self._verdict
+        yield model_status(self._supervisor, verdict, self._standing, trouble, solving, candidate)
+        if self._tf is not None:
+            trouble = self._tf.trouble
+            yield Status("tf", ERROR if trouble else OK, trouble or "frames of the trusted model are published")
         yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
+
+
+def _check(chosen: dict[str, Any]) -> None:
+    """Raises BadTable for a policy that there is none of."""
+    if chosen["accept"] not in (ASKED, BETTER):
+        raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+
+
+def _policy(chosen: dict[str, Any]) -> Policy:
+    return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 
 def main() -> None:

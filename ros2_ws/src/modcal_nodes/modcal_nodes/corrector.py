@@ -7,9 +7,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -24,10 +21,13 @@ from modcal_core.measurements.approach import Approach
 from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
+from modcal_nodes.broadcasting import Broadcaster
+from modcal_nodes.frames import corrected_frame
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
 from modcal_nodes.inputs import parse_calibration, read_calibration
-from modcal_nodes.parameters import CORRECTOR, declare, values
+from modcal_nodes.parameters import CORRECTOR, declare, follow, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import FRESH, LATCHED, run
 
@@ -37,7 +37,7 @@ _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish th
 _NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
 
 
-class Corrector(Node):
+class Corrector(GuardedNode):
     """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class Corrector(Node):
         declare(self, CORRECTOR)
         self._chosen = values(self, CORRECTOR)
         self._commander = Commander(_settings(self._chosen))
-        self.add_on_set_parameters_callback(self._set)
+        follow(self, CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None
         self._text = ""
         self._refusal = _NOTHING_YET
@@ -61,6 +61,7 @@ class Corrector(Node):
         self._states = self.create_publisher(JointState, "~/joint_states", 10)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+        self._tf = Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
         guarded = self._refusals.guarded
         self._ears = [
             Ear(self, JointState, "joint_states", guarded("joint_states", self._take_joints), FRESH, needed=True),
@@ -74,6 +75,9 @@ class Corrector(Node):
         self._health = Health(self, self._report)
         self._meet()
         self.create_service(Trigger, "~/reset", self._reset)
+
+    def _take_parameters(self) -> None:
+        self._commander.settings = _settings(self._chosen)
 
     # calibration and robot
 
@@ -184,6 +188,10 @@ class Corrector(Node):
         states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
         set_seconds(states.header.stamp, stamp)
         self._pose.publish(pose)
+        if self._tf is not None:
+            tip = T if target == "tip" else correction.pose(at.q, at, "tip")
+            frame = corrected_frame(correction.chain.base, correction.chain.tip, tip)
+            self._tf.publish([frame], pose.header.stamp)
         self._states.publish(states)
         self._counts["poses"] += 1
 
@@ -267,24 +275,13 @@ class Corrector(Node):
         except ModcalError as error:
             return Status("correction", ERROR, str(error), facts)
         said = self._refusals.recent("joint_states", "temperature")
+        if not said and self._tf is not None:
+            said = self._tf.trouble
         if silent := self._signals.silent(correction.needs, now):
             said = f"{', '.join(silent)}: silent, the last value is used"
         elif unseen := correction.unseen(at.q):
             said = f"{', '.join(unseen)}: where the calibration has never seen them; learned curves end before"
         return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
-
-    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take new values of parameters at once, but for what is read at the start."""
-        new = {**self._chosen, **{p.name: p.value for p in parameters if p.name in CORRECTOR}}
-        try:
-            for name in ("calibration", "robot_description"):
-                if new[name] != self._chosen[name]:
-                    raise BadTable(f"parameter {name}", "is read at the start", "start the node anew")
-            self._commander.settings = _settings(new)
-        except ModcalError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self._chosen = new
-        return SetParametersResult(successful=True)
 
 
 def _settings(chosen: dict[str, Any]) -> Settings:

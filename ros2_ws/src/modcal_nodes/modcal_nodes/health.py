@@ -10,6 +10,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from modcal_nodes.guarding import Faults, GuardedNode
+
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
 
@@ -28,15 +30,28 @@ class Health:
     """Publishes a node's statuses. ``report`` is asked for them."""
 
     def __init__(self, node: Node, report: Callable[[], Iterable[Status]]) -> None:
-        self._node, self._report = node, report
+        self._node, self._of = node, report
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._levels: tuple[bytes, ...] = ()
         # wall time: a simulation that stands still must not silence the node that would say so
         node.create_timer(_PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def _report(self) -> list[Status]:
+        """What the node says, and what went wrong inside of it; a fault of the telling itself is told too."""
+        if not isinstance(self._node, GuardedNode):
+            return list(self._of())
+        statuses: list[Status] = []
+        try:
+            statuses.extend(self._of())
+        except Exception as error:
+            if not self._node.context.ok():
+                raise
+            self._node.faults.note("report", error)
+        return [*statuses, faults_status(self._node.faults)]
+
     def publish(self) -> None:
         """Publish all statuses now."""
-        statuses = list(self._report())
+        statuses = self._report()
         message = DiagnosticArray(status=[self._converted(status) for status in statuses])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._levels = tuple(status.level for status in statuses)
@@ -60,3 +75,13 @@ class Health:
             message=status.message,
             values=[KeyValue(key=key, value=str(value)) for key, value in status.values.items()],
         )
+
+
+def faults_status(faults: Faults) -> Status:
+    """The exceptions that callbacks have raised: an error for a while, a warning ever after."""
+    total = faults.counts.total()
+    if not total:
+        return Status("faults", OK, "no callback has failed")
+    recent = faults.recent()
+    text = f"{total} callbacks have failed, each cost what it was handling; the last: {faults.last}"
+    return Status("faults", ERROR if recent else WARN, text, {f"faults of {k}": n for k, n in faults.counts.items()})

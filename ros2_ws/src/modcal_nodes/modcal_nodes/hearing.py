@@ -9,11 +9,11 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Status
 from modcal_nodes.waiting import waiting
 
@@ -30,7 +30,7 @@ class Ear:
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         kind: type,
         topic: str,
         callback: Callable[[Any], object],
@@ -40,8 +40,9 @@ class Ear:
         single: bool = False,
     ) -> None:
         """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault."""
-        self._node, self._callback = node, callback
-        self.needed, self._patience, self._single = needed, patience, single
+        # each message of a burst is guarded by itself
+        self._node, self._callback = node, node.guarded(topic, callback)
+        self.needed, self.patience, self._single = needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
         self._less: Timer | None = None
@@ -59,6 +60,12 @@ class Ear:
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
         subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events)
         return subscription
+
+    def poll(self) -> None:
+        """Take what has arrived, without an executor."""
+        for subscription in list(self._subscriptions):
+            for message, _ in waiting(subscription, _AT_ONCE):
+                self._take(message)
 
     def _take(self, message: Any) -> None:
         self.count += 1
@@ -112,7 +119,7 @@ class Ear:
         if self._single and publishers > 1:
             return WARN, f"{self.topic}: {publishers} publishers at once: give each robot a namespace, or remap"
         latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if self.needed and self.silence > self._patience and not (latched and self.count):
+        if self.needed and self.silence > self.patience and not (latched and self.count):
             level = ERROR if self.count == 0 else WARN
             if publishers == 0:
                 return level, f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
@@ -130,3 +137,12 @@ def hearing_status(ears: Iterable[Ear]) -> Status:
     return Status(
         "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in ears}}
     )
+
+
+def tracker_status(hearing: Status, ears: Iterable[Ear]) -> Status:
+    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
+    instruments = [ear for ear in ears if "tracker/" in ear.topic]
+    if hearing.level != OK or any(ear.count for ear in instruments):
+        return hearing
+    topics = " and ".join(ear.topic for ear in instruments)
+    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)

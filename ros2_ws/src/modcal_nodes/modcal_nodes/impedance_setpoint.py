@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from lifecycle_msgs.srv import ChangeState
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
@@ -27,18 +30,42 @@ from modcal_core.robots.posture import pose_and_jacobian
 from modcal_msgs_py.commands import JointsHeard, desired_pose
 from modcal_msgs_py.setpoints import ObjectHeard, fill_point, fill_target, fill_wrench, wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.hearing import Ear, hearing_status
-from modcal_nodes.parameters import IMPEDANCE_SETPOINT, declare, values
+from modcal_nodes.parameters import IMPEDANCE_SETPOINT, declare, follow, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import FRESH, LATCHED, run
-from modcal_nodes.setpoint.arm import Arm, task
+from modcal_nodes.setpoint.arm import Arm, limits, task
+from modcal_nodes.waiting import waiting
 
 _TICKS = 2000  # of which the times are remembered
+_LET_GO = 2.0  # s, the longest that letting go takes
+_AT_CONFIGURE = (
+    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "stale_s",
+    "rate_hz",
+)  # fmt: skip
+_RCLError = rclpy_implementation.RCLError
+
+
+def _noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
+    """A transition whose exceptions are said and counted; rclpy would keep them to itself."""
+
+    @wraps(transition)
+    def noted(self: ImpedanceSetpoint, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(self, state)
+        except Exception as error:
+            self.faults.note(transition.__name__, error)
+            return TransitionCallbackReturn.ERROR
+
+    return noted
+
+
 _LATE = 1.5  # periods between two ticks
 
 
-class ImpedanceSetpoint(LifecycleNode):
+class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
 
     def __init__(self) -> None:
@@ -61,6 +88,10 @@ class ImpedanceSetpoint(LifecycleNode):
         self._took: deque[float] = deque(maxlen=_TICKS)
         self._before = 0.0
         self._health = Health(self, self._report)
+        follow(self, IMPEDANCE_SETPOINT, self._chosen, self._check)
+        changes = self._service_change_state
+        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
+        changes.callback = self.guarded_service("change_state", self._transit)
         self.create_service(Trigger, "~/pull", self._pull)
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._start_itself) if self._chosen["autostart"] else None
@@ -70,12 +101,36 @@ class ImpedanceSetpoint(LifecycleNode):
     def _start_itself(self) -> None:
         if self._auto is not None:
             self._auto.cancel()
-            self.trigger_configure()
-            self.trigger_activate()
+            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                self.trigger_activate()
 
+    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        """Change the state; what cannot be done from here is answered, and nothing goes on being pulled."""
+        try:
+            response = self._change_state(request, response)
+        except _RCLError:
+            response.success = False
+        if not response.success:
+            asked, state = request.transition, self._state_machine.current_state[1]
+            said = f"transition {asked.label or asked.id} is refused in state {state}"
+            if self._operation is not None:
+                self._let_go(said)
+            self._refusals.refuse("lifecycle", f"{said}: see ~/get_available_transitions")
+        return response
+
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
+        changed = [name for name, value in new.items() if value != self._chosen[name]]
+        if changed and self._operation is not None:
+            raise BadCommand(f"parameter {changed[0]}", "cannot change while it pulls", "call ~/stop first")
+        for name in changed:
+            if name in _AT_CONFIGURE and self._configured:
+                raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")
+        task(new)
+
+    @_noted
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters and begin to listen. Fails for parameters that make no sense."""
-        self._chosen = values(self, IMPEDANCE_SETPOINT)
         try:
             task(self._chosen)
         except ModcalError as error:
@@ -110,6 +165,7 @@ class ImpedanceSetpoint(LifecycleNode):
             for kind, topic, callback, qos, needed in heard
         ]
 
+    @_noted
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Be ready to pull."""
         self._active = True
@@ -117,36 +173,78 @@ class ImpedanceSetpoint(LifecycleNode):
         self._tell(OK, "ready")
         return super().on_activate(state)
 
+    @_noted
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop whatever is going on; nothing is published any more."""
         self._end("deactivated")
         return super().on_deactivate(state)
 
+    @_noted
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen no more, and forget what was heard."""
         self._forget()
         return super().on_cleanup(state)
 
+    @_noted
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """The end of it."""
         self._end("shut down")
         self._forget()
         return super().on_shutdown(state)
 
+    @_noted
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """After a fault in a transition: as before it was configured."""
+        self._end("a transition failed")
+        self._forget()
+        return super().on_error(state)
+
+    def close(self) -> None:
+        """Let go of what is pulled, and end."""
+        self._end("the node is told to end")
+
     def _end(self, why: str) -> None:
-        self._active = False
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
+        self._let_go(why)
+        self._active = False
+
+    def _let_go(self, why: str) -> None:
+        """Let go of what is pulled, before anything else is done: a servo would hold on to where it was sent last."""
+        operation = self._operation
+        if operation is None:
+            return
+        try:
+            ticked = self._now()
+            operation.let_go(why, ticked)
+            end = time.monotonic() + _LET_GO
+            while self._operation is not None and time.monotonic() < end and self.context.ok():
+                time.sleep(1.0 / self._chosen["rate_hz"])
+                self._hear_on()
+                if (now := self._now()) > ticked:  # a simulated time goes on when the arm does
+                    ticked = now
+                    self._tick_once()
+        except Exception as error:
+            self.faults.note("letting go", error)
         if self._operation is not None:
             self._finish(self._operation.stop(why))
+
+    def _hear_on(self) -> None:
+        """Take what has arrived while the executor waits for a callback to end, the time included."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name == "/clock":
+                for message, _ in waiting(subscription, _TICKS):
+                    subscription.callback(message)
+        for ear in self._ears:
+            ear.poll()
 
     def _forget(self) -> None:
         if not self._configured:
             return
         self._configured = False
         for publisher in (self._pose, self._wrench, self._stiffness, self._references, self._trajectory):
-            self.destroy_publisher(publisher)
+            self.destroy_lifecycle_publisher(publisher)
         self._arm, self._joints, self._tool = None, None, None
 
     # what it is asked
@@ -185,8 +283,7 @@ class ImpedanceSetpoint(LifecycleNode):
             raise BadCommand("wrench", "nothing was heard of late", "see that its publisher is alive")
         if self._chosen["calibrated"]:
             self._measured(now)
-        chosen = {name: self.get_parameter(name).value for name in IMPEDANCE_SETPOINT}
-        self._operation = Operation(self._arm.chain, task(chosen), self._arm.limits)
+        self._operation = Operation(self._arm.chain, task(self._chosen), limits(self._arm.chain, self._chosen))
         self._tell(OK, "tare")
 
     # what it hears
@@ -233,6 +330,15 @@ class ImpedanceSetpoint(LifecycleNode):
     # what it does
 
     def _tick(self) -> None:
+        """One setpoint; a fault in the middle of a pull ends it."""
+        try:
+            self._tick_once()
+        except Exception as error:
+            if not self.context.ok():
+                raise
+            self._let_go(f"the pull is given up: {self.faults.note('tick', error)}")
+
+    def _tick_once(self) -> None:
         operation, arm, joints = self._operation, self._arm, self._joints
         if operation is None or arm is None or joints is None:
             return
@@ -270,13 +376,19 @@ class ImpedanceSetpoint(LifecycleNode):
         assert self._arm is not None
         tip = self._arm.chain.tip
         self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, 1.0 / self._chosen["rate_hz"]))
-        trajectory = JointTrajectory(joint_names=list(setpoint.names))
-        set_seconds(trajectory.header.stamp, now)
-        trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)]
-        self._trajectory.publish(trajectory)
-        self._pose.publish(fill_target(PoseStamped(), setpoint, now))
-        self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
-        self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+        # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
+        if self._trajectory.get_subscription_count():
+            trajectory = JointTrajectory(joint_names=list(setpoint.names))
+            set_seconds(trajectory.header.stamp, now)
+            point = fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)
+            trajectory.points = [point]
+            self._trajectory.publish(trajectory)
+        if self._pose.get_subscription_count():
+            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+        if self._stiffness.get_subscription_count():
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
         self._counts["setpoints"] += 1
 
     def _finish(self, stop: Stop) -> None:

@@ -33,6 +33,7 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
+_MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
@@ -50,6 +51,8 @@ def read_calibration(path: Path) -> Calibration:
 
 def parse_calibration(text: str, source: str) -> Calibration:
     """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
+    if len(text) > _MOST_TEXT:  # it is read in a callback
+        raise BadTable(source, f"has {len(text)} characters, {_MOST_TEXT} is the limit", "publish a calibration.yaml")
     return from_data(parse_yaml(text, source), source)
 
 

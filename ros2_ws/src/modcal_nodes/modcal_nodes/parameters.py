@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 
+from modcal_core.errors import ModcalError
 from modcal_core.planning.returns import RETURNS
+from modcal_nodes.guarding import GuardedNode
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """default: also gives the type. low, high: bounds of a number, both or neither."""
+    """default: also gives the type. low, high: bounds of a number, both or neither.
+
+    live: whether it may be changed while the node runs, and then takes effect; every other one is read-only.
+    """
 
     default: Any
     description: str
     low: float | None = None
     high: float | None = None
+    live: bool = False
 
 
 RECORDER = {
@@ -62,6 +69,7 @@ CALIBRATOR = {
     "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
     "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
     "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
 }
 
 CORRECTOR = {
@@ -81,6 +89,7 @@ CORRECTOR = {
     ),
     "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
     "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+    "publish_tf": Parameter(False, "Whether the corrected tip goes to /tf, as TIP_corrected (tf2_msgs)."),
 }
 
 ARTICULATION_ESTIMATOR = {
@@ -272,10 +281,73 @@ VIEWER = {
 }
 
 
+DOOR_DEMO = {
+    "start": Parameter(True, "Whether it starts the other nodes itself; false: a launch file does."),
+    "kind": Parameter("door", "What is opened: door or drawer."),
+    "seed": Parameter(0, "Decides the object, its place and the noise.", 0, 2**31 - 1),
+    "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
+}
+
+TRAJECTORY_SENDER = {
+    "trajectory": Parameter("", "File of the trajectory, as modcal plan writes it (trajectory.yaml)."),
+    "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
+    "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
+    "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
+}
+
+# May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
+# not configured.
+_LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
+    "recorder": (RECORDER, "patience_s least_free_mb"),
+    "calibrator": (
+        CALIBRATOR,
+        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s",
+    ),
+    "corrector": (
+        CORRECTOR,
+        "target stream horizon_s stale_s goal_stale_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
+        "switch_step_rad blend_s rate_hz",
+    ),
+    "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz stale_s ahead_m pull_n"),
+    "impedance_setpoint": (
+        IMPEDANCE_SETPOINT,
+        "mode direction goal goal_rad goal_m exploring_m_s speed_m_s explore_m mass damping stiffness stack_stiffness "
+        "blend_s slow_force_n slow_moment_nm stand_force_n stand_moment_nm most_force_n most_moment_nm most_speed_m_s "
+        "most_acceleration_m_s2 most_turning_rad_s most_turning_rad_s2 most_displacement_m most_turn_rad "
+        "joint_speed_rad_s joint_speed_m_s joint_acceleration_rad_s2 joint_acceleration_m_s2 least_gain gravity "
+        "servo_lag_s hand_n_m tare_s patience_s horizon_s "
+        "base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool cutoff_hz stale_s rate_hz",
+    ),
+    "acceleration_limits": (
+        ACCELERATION_LIMITS,
+        "payload_kg payload_centre_m payload_inertia method torque_share torque friction damping rotor gravity stale_s",
+    ),
+    "viewer": (VIEWER, "arrow_scale full_colour_m stale_s"),
+    "simulated_cell": (
+        SIMULATED_CELL,
+        "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
+    ),
+    "simulated_furniture": (SIMULATED_FURNITURE, ""),
+    "door_demo": (DOOR_DEMO, ""),
+    "trajectory_sender": (TRAJECTORY_SENDER, ""),
+}
+NODES = {
+    name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
+    for name, (table, live) in _LIVE.items()
+}
+RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES["corrector"]
+ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
+ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
+SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
+DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
+
+
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
     """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
     for name, parameter in parameters.items():
-        descriptor = ParameterDescriptor(description=parameter.description)
+        descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
             if isinstance(parameter.default, int):
                 bounds = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=0)
@@ -289,3 +361,31 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
 def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
     """The present values of these parameters."""
     return {name: node.get_parameter(name).value for name in parameters}
+
+
+def follow(
+    node: GuardedNode,
+    parameters: dict[str, Parameter],
+    chosen: dict[str, Any],
+    check: Callable[[dict[str, Any]], object] = lambda new: None,
+    take: Callable[[], object] = lambda: None,
+) -> None:
+    """Keep ``chosen`` as the parameters are while the node runs.
+
+    check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
+    change.
+    """
+
+    def judge(changed: list[Any]) -> SetParametersResult:
+        try:
+            check({**chosen, **{p.name: p.value for p in changed if p.name in parameters}})
+        except ModcalError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def apply(changed: list[Any]) -> None:
+        chosen.update({p.name: p.value for p in changed if p.name in parameters})
+        take()
+
+    node.add_on_set_parameters_callback(judge)
+    node.add_post_set_parameters_callback(apply)

@@ -9,31 +9,33 @@ from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
 from modcal_msgs_py.topics import READINGS
+from modcal_nodes.guarding import GuardedNode, NodeEnds
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.parameters import RECORDER, declare, values
+from modcal_nodes.parameters import RECORDER, declare, follow, values
 from modcal_nodes.running import run
-from modcal_nodes.taping import Complaint, Taken, Tape
+from modcal_nodes.taping import UNHEARD, Complaint, Taken, Tape
 
 _LOOK_SECONDS = 0.1
+_REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
 _MEASURE_SECONDS = 1.0
 _FEW_MINUTES = 10.0
 _MB = 1e6
 _ROOM = "make room on the disk, or lower least_free_mb"
 
 
-class Recorder(Node):
+class Recorder(GuardedNode):
     """Subscribes to topics as they appear, with every QoS that their publishers offer."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, RECORDER)
-        chosen = values(self, RECORDER)
+        self._chosen = chosen = values(self, RECORDER)
+        follow(self, RECORDER, chosen, take=self._take_parameters)
         optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
         self._tapes = [
             Tape(self, topic, self._take, topic not in optional, chosen["patience_s"])
@@ -43,6 +45,7 @@ class Recorder(Node):
         self._early_since = 0.0
         self._trouble: ModcalError | None = None
         self._said: dict[str, str] = {}
+        self._unheard: set[str] = set()
         self._measured = (time.monotonic(), 0)
         self._bytes_per_second = 0.0
         self._started = time.monotonic()
@@ -60,6 +63,10 @@ class Recorder(Node):
         self.create_service(Trigger, "~/reset", self._reset)
         self.get_logger().info(f"recording into {self._bag.folder}")
 
+    def _take_parameters(self) -> None:
+        for tape in self._tapes:
+            tape.patience = self._chosen["patience_s"]
+
     def _tick(self) -> None:
         """Subscribe to what is published now, and let no message wait."""
         if self._trouble is not None:
@@ -68,6 +75,7 @@ class Recorder(Node):
             if tape.look() and tape.type_name is not None:
                 self._bag.add_topic(tape.topic, tape.type_name, tape.profiles())
                 self.get_logger().info(f"recording {tape.topic} ({tape.type_name})")
+        self._complain()
         try:
             if self._early and (self._now() or time.monotonic() - self._early_since > FLUSH_SECONDS):
                 self._write_early()
@@ -109,16 +117,28 @@ class Recorder(Node):
         self._free = _free_bytes(self._bag.folder)
         for tape in self._tapes:
             tape.measure()
-        for topic, complaint in self._complaints():
-            if self._said.get(topic) != complaint.kind:
-                self._said[topic] = complaint.kind
-                self.get_logger().warn(complaint.text)
         if (shortage := self._shortage()) is not None:
             self._end(shortage)
         self._health.publish_if_changed()
 
+    def _complain(self) -> None:
+        """Say what is newly wrong, in the log and on /diagnostics."""
+        news = False
+        for topic, complaint in self._complaints():
+            if self._said.get(topic) != complaint.kind:
+                self._said[topic], news = complaint.kind, True
+                self._unheard |= {topic} if complaint.kind == UNHEARD else set()
+                self.get_logger().warn(complaint.text)
+        for tape in self._tapes:
+            if tape.waited is not None and tape.topic in self._unheard:
+                self._unheard.discard(tape.topic)
+                self._said.pop(tape.topic, None)
+                self.get_logger().info(f"{tape.topic}: the first message came {tape.waited:.1f} s after subscribing")
+        if news:
+            self._health.publish()
+
     def _shortage(self) -> BadRecording | None:
-        least = float(self.get_parameter("least_free_mb").value)
+        least = float(self._chosen["least_free_mb"])
         if self._free >= least * _MB:
             return None
         return BadRecording(
@@ -130,14 +150,14 @@ class Recorder(Node):
         self._trouble = error
         self.get_logger().fatal(str(error))
         self._health.publish_last()
-        raise error
+        raise NodeEnds(error)
 
     def _complaints(self) -> Iterator[tuple[str, Complaint]]:
         for tape in self._tapes:
             if (complaint := tape.complaint()) is not None:
                 yield tape.topic, complaint
         trackers = [tape for tape in self._tapes if tape.topic.endswith(tuple("/" + role for role in READINGS))]
-        patience = float(self.get_parameter("patience_s").value)
+        patience = float(self._chosen["patience_s"])
         if trackers and not any(tape.count for tape in trackers) and time.monotonic() - self._started > patience:
             names = ", ".join(tape.topic for tape in trackers)
             yield "tracker", Complaint(WARN, "nobody", f"no tracker is heard ({names}): start it, or remap its topic")
@@ -164,7 +184,7 @@ class Recorder(Node):
             "free [MB]": f"{self._free / _MB:.0f}",
             "minutes until full": f"{minutes:.0f}",
         }
-        least = float(self.get_parameter("least_free_mb").value)
+        least = float(self._chosen["least_free_mb"])
         if self._trouble is not None:
             return Status("bag", ERROR, str(self._trouble), facts)
         if self._free < 2 * least * _MB or minutes < _FEW_MINUTES:
@@ -235,4 +255,4 @@ def _free_bytes(place: Path) -> int:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Recorder)
+    run(Recorder, rest=_REST)

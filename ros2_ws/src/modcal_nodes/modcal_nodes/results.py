@@ -11,7 +11,6 @@ from modcal_core.calibration.store import to_data
 from modcal_core.geometry import so3
 from modcal_core.loop import Result
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.html import to_html
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
@@ -23,9 +22,14 @@ from modcal_nodes.files import to_json, to_yaml
 
 
 def calibration_files(
-    result: Result, report: Report, nominal: Chain, urdf: str, factory: Mapping[str, Any] | None = None
+    result: Result,
+    report: Report,
+    nominal: Chain,
+    urdf: str,
+    factory: Mapping[str, Any] | None = None,
+    page: bool = True,
 ) -> dict[str, str]:
-    """Names and texts of everything the calibration of a serial arm leaves behind.
+    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
 
     factory: the kinematics that the maker's tool took from this arm, whose form and hash are kept.
     """
@@ -39,6 +43,7 @@ def calibration_files(
             "calibrated.urdf": corrected,
             "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         },
+        page,
     )
 
 
@@ -63,7 +68,12 @@ def report_files(report: Report) -> dict[str, str]:
     return _with_report(report, {})
 
 
-def _with_report(report: Report, others: dict[str, str]) -> dict[str, str]:
+def _with_report(report: Report, others: dict[str, str], page: bool = True) -> dict[str, str]:
     """A report, whose page names the other files as well, before those."""
-    data = to_json(to_json_data(report))
-    return {"report.json": data, "report.html": to_html(report, ["report.json", *others]), **others}
+    files = {"report.json": to_json(to_json_data(report))}
+    if page:
+        # drawing it takes longer than many a fit, and so does the import of what draws it
+        from modcal_core.report.html import to_html
+
+        files["report.html"] = to_html(report, ["report.json", *others])
+    return {**files, **others}

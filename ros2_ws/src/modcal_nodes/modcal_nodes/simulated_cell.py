@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState, Temperature
@@ -17,6 +14,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import Health
 from modcal_nodes.parameters import SIMULATED_CELL, declare, values
 from modcal_nodes.running import LATCHED, run
@@ -27,14 +25,13 @@ from modcal_nodes.simulation.rates import Rates
 from modcal_nodes.simulation.spoken import TRACKER, Poses, States, stamp
 from modcal_nodes.simulation.switches import SWITCHES
 
-_LOOK_AFTER = 0.2  # s
 _LEAST_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
 _MOST_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between
 _LOST = 10.0  # s that are not made up for: the node's clock was set
 _DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
 
 
-class SimulatedCell(Node):
+class SimulatedCell(GuardedNode):
     """Publishes joint_states, tracker/pose or tracker/point and robot_description; follows joint_trajectory."""
 
     def __init__(self) -> None:
@@ -86,14 +83,9 @@ class SimulatedCell(Node):
         self.create_service(Trigger, "~/restart", self._restart)
         Health(self, lambda: [self._rates.status()])
         period = max(_LEAST_PERIOD, 1.0 / (max(fast, slow) * factor))
-        self._beat = Beat(period, self._send_due)
-        self.create_timer(_LOOK_AFTER, self._look_after_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._beat = Beat(period, self.guarded("beat", self._send_due), self.context.ok)
 
     # time
-
-    def _look_after_beat(self) -> None:
-        if self._beat.failure is not None and self.context.ok():
-            raise self._beat.failure
 
     def _send_due(self) -> None:
         """Send what a busy machine held up as well, late and with the stamps that it should have had."""
@@ -176,11 +168,7 @@ class SimulatedCell(Node):
     # parameters
 
     def _settle_parameters(self) -> None:
-        """From here on only the switches may be changed, and only to values that make sense."""
-        for name in SIMULATED_CELL.keys() - set(SWITCHES):
-            descriptor = copy(self.describe_parameter(name))  # rclpy hands out its own
-            descriptor.read_only = True
-            self.set_descriptor(name, descriptor)
+        """From here on the switches may be changed, to values that make sense."""
         self.add_on_set_parameters_callback(self._judge)
         self.add_post_set_parameters_callback(self._take)
 

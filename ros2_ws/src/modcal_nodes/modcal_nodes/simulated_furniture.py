@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -19,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import Health
 from modcal_nodes.parameters import SIMULATED_FURNITURE, declare, values
 from modcal_nodes.running import LATCHED, run
@@ -30,7 +29,6 @@ from modcal_nodes.simulation.pulling import Pulling, effort_limits
 from modcal_nodes.simulation.rates import Rates
 from modcal_nodes.simulation.spoken import States, stamp
 
-_LOOK_AFTER = 0.2  # s
 _MOST_AT_ONCE = 0.1  # s of physics between two looks at what came in
 _LOST = 5.0  # s that are not made up for: the node's clock was set
 _LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
@@ -43,7 +41,7 @@ HANDLE = "handle"  # frame of the true grasp
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-class SimulatedFurniture(Node):
+class SimulatedFurniture(GuardedNode):
     """Publishes joint_states, wrench, robot_description and the truth; follows joint_references, joint_trajectory."""
 
     def __init__(self) -> None:
@@ -88,10 +86,11 @@ class SimulatedFurniture(Node):
         self._referred = (-_SILENCE, 0.0)  # wall and own time of the last reference
         Health(self, lambda: [self._rates.status()])
         fastest = max(chosen["joint_rate_hz"], chosen["wrench_rate_hz"])
-        self._beat = Beat(1.0 / (fastest * (self._factor if simulated else 1.0)), self._go_on)
+        self._beat = Beat(
+            1.0 / (fastest * (self._factor if simulated else 1.0)), self.guarded("beat", self._go_on), self.context.ok
+        )
         self.create_subscription(JointTrajectoryPoint, "joint_references", self._refer, _NEWEST)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, _NEWEST)
-        self.create_timer(_LOOK_AFTER, self._look_after_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
         goal = f"{np.degrees(scene.goal):.0f}°" if scene.turns else f"{100.0 * scene.goal:.0f} cm"
         self.get_logger().info(f"a {scene.kind} held by a {scene.grasp}: {goal} would be open")
         self._beat.start()
@@ -102,10 +101,6 @@ class SimulatedFurniture(Node):
         self.get_logger().info(f"opened {self._world.opened:.4f}")
 
     # time
-
-    def _look_after_beat(self) -> None:
-        if self._beat.failure is not None and self.context.ok():
-            raise self._beat.failure
 
     def _now(self) -> float:
         """Seconds since it began: the clock's, or simulated ones, which wait for a machine that is busy."""

@@ -16,20 +16,29 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from modcal_msgs_py.bag_metadata import qos_profile
-from modcal_msgs_py.topics import TYPES
+from modcal_msgs_py.topics import READINGS, TYPES
 from modcal_msgs_py.types import jazzy
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, WARN
 from modcal_nodes.waiting import waiting
 
 # Five seconds of a fast driver may wait while this process gets no time.
 _DEPTH = 5000
+# After a process was killed, a publisher may take seconds to learn of the one that subscribes in its place, for the
+# middleware holds on to the dead one. To subscribe once more is announced anew, and often shortens that.
+_AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
+_UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
+UNHEARD = "unheard"  # kind of that complaint
+_FAST = (*READINGS, "joint_states", "wrench")
 # Messages that are taken in one go, before other topics, timers and services have their turn.
 _AT_ONCE = 200
+
+
+_SLASHED_FAST = tuple("/" + role for role in _FAST)
 
 
 class Offer(NamedTuple):
@@ -59,14 +68,17 @@ class Complaint(NamedTuple):
 class Tape:
     """One wanted topic. ``needed``: whether it is a fault when nobody publishes it."""
 
-    def __init__(self, node: Node, topic: str, take: Callable[[Taken], None], needed: bool, patience: float) -> None:
+    def __init__(
+        self, node: GuardedNode, topic: str, take: Callable[[Taken], None], needed: bool, patience: float
+    ) -> None:
         """Begin to wait for publishers. take: gets every message. patience: seconds of silence that are accepted."""
         self.topic, self.needed = topic, needed
         self.type_name: str | None = None
         self.count = self.bytes = self.publishers = 0
         self.rate = 0.0
         self.kept: deque[Taken] = deque()
-        self._node, self._take, self._patience = node, take, patience
+        self._node, self._take, self.patience = node, take, patience
+        self._keep = node.guarded(topic, self._keep_one)  # each message of a burst is guarded by itself
         self._ears: dict[Offer, Subscription] = {}
         self._types: set[str] = set()
         self._seen: set[tuple[int, int]] = set()
@@ -75,6 +87,11 @@ class Tape:
         self._gaps = self._suspected = self._told_lost = 0
         self._last = time.monotonic()
         self._rated = (self._last, 0)
+        self._subscribed = self._last
+        self._again = 0
+        self._spares: list[tuple[Offer, Subscription]] = []
+        self._first: dict[Offer, Subscription] = {}
+        self.waited: float | None = None  # s from the subscription to the first message
 
     def look(self) -> bool:
         """Subscribe to what is offered now; whether that was something new."""
@@ -97,11 +114,29 @@ class Tape:
             for publisher in publishers
             if publisher.topic_type == self.type_name
         }
+        if self._ears and not self.count and self.publishers:
+            self._insist()
+        elif self._spares:
+            self._settle()
         new = offers - set(self._ears)
         for offer in new:
             self._ears[offer] = self._subscribe(offer)
-            self._last = time.monotonic()
+            self._subscribed = self._last = time.monotonic()
         return bool(new)
+
+    def _insist(self) -> None:
+        """Subscribe once more to who has not been heard yet. The others stay: one of them may be heard any moment."""
+        if self._again < len(_AGAIN) and time.monotonic() - self._subscribed > _AGAIN[self._again]:
+            self._again += 1
+            self._spares += [(offer, self._subscribe(offer)) for offer in self._ears]
+
+    def _settle(self) -> None:
+        """Of the subscriptions of one kind keep the one that was heard first."""
+        for offer, subscription in [*self._ears.items(), *self._spares]:
+            if subscription is not self._first.get(offer, self._ears[offer]):
+                self._node.destroy_subscription(subscription)
+        self._ears.update(self._first)
+        self._spares.clear()
 
     def profiles(self) -> list[dict[str, Any]]:
         """The QoS that was offered so far, as a bag holds it."""
@@ -131,11 +166,16 @@ class Tape:
                 f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one of them"
             )
             return Complaint(ERROR, "types", text)
+        if not self.count and self._ears and self.publishers and self.topic.endswith(_SLASHED_FAST):
+            since = time.monotonic() - self._subscribed
+            if since > _UNHEARD:
+                text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
+                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
         silence = time.monotonic() - self._last
-        if silence > self._patience and self.publishers == 0 and self.needed:
+        if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
             return Complaint(WARN, "nobody", text)
-        if silence > self._patience and self.publishers and not any(offer.latched for offer in self._ears):
+        if silence > self.patience and self.publishers and not any(offer.latched for offer in self._ears):
             text = f"{self.topic}: silent for {silence:.0f} s: see that its publisher is alive"
             return Complaint(WARN, "silent", text)
         if self.lost:
@@ -160,26 +200,30 @@ class Tape:
             self._node.create_subscription,
             _message_class(self.type_name),
             self.topic,
-            partial(self._hear, offer),
+            partial(self._hear, offer, box := list[Subscription]()),
             qos,
             raw=True,
         )
         try:
-            return make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost))
+            box.append(make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost)))
         except UnsupportedEventTypeError:
-            return make()
+            box.append(make())
+        return box[0]
 
-    def _hear(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+    def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
+        self._first.setdefault(offer, box[0])
         self._keep(offer, cdr, info)
-        for behind in waiting(self._ears[offer], _AT_ONCE, raw=True):
+        for behind in waiting(box[0], _AT_ONCE, raw=True):
             self._keep(offer, *behind)
 
-    def _keep(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+    def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         published = info["source_timestamp"]
         self._last = time.monotonic()
         if published and self._known(published, cdr):
             return
         self._count_gaps(info.get("publication_sequence_number"))
+        if not self.count:
+            self.waited = self._last - self._subscribed
         self.count += 1
         self.bytes += len(cdr)
         taken = Taken(self.topic, cdr, published, info["received_timestamp"])

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -26,11 +25,11 @@ from modcal_core.measurements.recording import POINT, POSE
 from modcal_msgs_py.commands import JointsHeard
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_nodes.calibrating.arm import KnownArm
-from modcal_nodes.calibrating.telling import tracker_status
+from modcal_nodes.guarding import GuardedNode
 from modcal_nodes.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.hearing import Ear, hearing_status
+from modcal_nodes.hearing import Ear, hearing_status, tracker_status
 from modcal_nodes.inputs import parse_calibration
-from modcal_nodes.parameters import VIEWER, declare, values
+from modcal_nodes.parameters import VIEWER, declare, follow, values
 from modcal_nodes.refusals import Refusals
 from modcal_nodes.running import LATCHED, SENSOR, run
 from modcal_nodes.viewing import drawing
@@ -42,7 +41,7 @@ _NOTHING_YET = "no calibration yet: run a calibrator beside this node, or remap 
 _NO_ARM_YET = "publish robot_description (latched) and joint_states"
 
 
-class Viewer(Node):
+class Viewer(GuardedNode):
     """Publishes pictures of residuals, stations, joint axes and uncertainty in the arm's base link."""
 
     def __init__(self) -> None:
@@ -60,6 +59,7 @@ class Viewer(Node):
         self._shapes: dict[float, tuple[Array, Array]] = {}  # ellipsoids at the last stations, by their stamps
         self._around_stations: list[Marker] = []
         self._look_at(chosen["base"], chosen["tip"])
+        follow(self, VIEWER, chosen, take=self._take_parameters)
         self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
 
         self._residuals = self.create_publisher(MarkerArray, "~/residuals", LATCHED)
@@ -84,6 +84,9 @@ class Viewer(Node):
         needed = not self._chosen["robot_description"]
         ears.append(Ear(self, String, "robot_description", self._take_description, LATCHED, needed=needed))
         return ears
+
+    def _take_parameters(self) -> None:
+        self._dirty = True
 
     # arm and calibration
 

@@ -1,35 +1,36 @@
 """How likely noise is to do as much: the tails of the distributions that evidence is weighed with.
 
-Written on ``scipy.special``: ``scipy.stats`` takes longer to import than most questions take to answer.
+Written on ``scipy.special``: ``scipy.stats`` takes longer to import than most questions take to answer. SciPy loads
+what is named after it when that is first used, so what only reads a calibration does without.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, gammaincinv, ndtr
+import scipy
 
 from modcal_core.geometry.so3 import Array
 
 
 def beyond_normal(z: float) -> float:
     """The chance that a standard normal number is greater than z."""
-    return float(ndtr(-z))
+    return float(scipy.special.ndtr(-z))
 
 
 def beyond_chi2(x: float, freedom: int) -> float:
     """The chance that the sum of so many squared standard normal numbers is greater than x."""
-    return float(chdtrc(freedom, x))
+    return float(scipy.special.chdtrc(freedom, x))
 
 
 def median_chi2(freedom: int) -> float:
     """What the sum of so many squared standard normal numbers exceeds half of the time."""
-    return float(2.0 * gammaincinv(0.5 * freedom, 0.5))
+    return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
 
 
 def log10_beyond_f(x: Array, m: int, freedom: int) -> Array:
     """log10 of the chance that a ratio of mean squares, over m and over freedom numbers, is greater than x."""
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log10(fdtrc(m, freedom, x)))
+        return np.asarray(np.log10(scipy.special.fdtrc(m, freedom, x)))
 
 
 def gumbel_of(x: Array) -> tuple[float, float]:

@@ -14,7 +14,7 @@ the residual itself: on real cubes a wrong sequence leaves 1°, and the right on
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,9 @@ _NOMINAL_SHARE = 1e-3  # of the reach; the same for positions
 _ASTRAY = 0.05  # share of readings that may say anything
 _FEW, _MOST = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
 _CANDIDATES = 6
+_REFINED = (
+    5.0  # in log-likelihood a station, by which the last refinement may bring one forward; nonsense lacks twice that
+)
 _PARTS = (1, 2, 4)  # equal parts with their own base and tool
 _LEAST_PART = 20  # stations
 _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
@@ -106,15 +109,20 @@ def _degrees(angle: float) -> str:
 def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake, Match, Match] | None:
     """The mistake that was made beyond doubt, and how well the readings fit with it and without."""
     few, more = (_thinned(samples, count) for count in (_FEW, _MOST))
+    whole = _match(more, chain, parts=(1,))
+    if whole.perfect:
+        return None
+    mistakes = list(_all(samples.names, stated, turned=_turned(whole)))
+    as_is, *roughly = _roughly(few, chain, mistakes)
+    plausible = [(score, i) for i, score in enumerate(roughly) if score > as_is - _REFINED * len(few)]
+    if not plausible:  # as of almost every recording: nothing has to be fitted for it
+        return None
     before = _match(more, chain)
     if before.perfect:
         return None
-    start = _by_positions(forward(chain, few.q), few.position)
-    found = [
-        (_roughly(mistake.undone(few), chain, mistake, start), i, mistake)
-        for i, mistake in enumerate(_all(samples.names, stated, turned=before.angle > _TURNED * _NOMINAL_ANGLE))
-    ]
-    found.sort(key=lambda c: (-c[0], c[1]))
+    if not _turned(before):
+        plausible = [(score, i) for score, i in plausible if mistakes[i].touches != "rotation"]
+    found = [(score, i, mistakes[i]) for score, i in sorted(plausible, key=lambda c: (-c[0], c[1]))]
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
     judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
     judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach() and _explains(c[0], before)]
@@ -123,6 +131,11 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
         return None
     after, _, mistake = min((c for c in judged if c[0].score >= top - _ALIKE), key=lambda c: c[1])
     return mistake, before, after
+
+
+def _turned(match: Match) -> bool:
+    """Whether orientations fit so badly that they alone may mean something else, as most candidates say."""
+    return match.angle > _TURNED * _NOMINAL_ANGLE
 
 
 def _explains(after: Match, before: Match) -> bool:
@@ -137,7 +150,7 @@ def _explains(after: Match, before: Match) -> bool:
 
 
 def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[Mistake]:
-    """turned: whether orientations fit so badly that they alone may mean something else, as most candidates say."""
+    """turned: whether orientations alone may mean something else."""
     yield inverse_pose()
     if turned:
         yield from of_rotations(stated)
@@ -170,19 +183,28 @@ class _Scale:
         return _log_likelihood(turns, self.rotation, self.turns) + _log_likelihood(gaps, self.position, self.extent)
 
 
-def _roughly(samples: Samples, chain: Chain, mistake: Mistake, start: Array) -> float:
-    """Log-likelihood of these readings without the last refinement. start: how the base is turned, by positions."""
-    A = forward(chain, samples.q)
-    scale = _Scale.of(chain, samples.position)
-    if mistake.touches != "rotation":
-        start = _by_positions(A, samples.position)
-    by_rotations = _hand_eye(A[:, :3, :3], samples.R)
-    by_positions = start, so3.mean(np.swapaxes(start @ A[:, :3, :3], 1, 2) @ samples.R)
-    each = (
-        scale.log_likelihood(_turns(Y, A[:, :3, :3], X, samples.R), _linear(Y, A, samples.position)[0])
-        for Y, X in (by_rotations, by_positions)
-    )
-    return max(each) + len(samples) * mistake.log_volume
+def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
+    """Log-likelihood of these readings as they are, and with each mistake undone, without the last refinement."""
+    each = [samples, *(mistake.undone(samples) for mistake in mistakes)]
+    position, R = (np.stack(x) for x in zip(*((s.position, s.R) for s in each), strict=True))
+    A = np.broadcast_to(forward(chain, samples.q), (len(each), len(samples), 4, 4)).copy()
+    moved = [i for i, mistake in enumerate(mistakes, 1) if mistake.touches == "joints"]
+    if moved:
+        A[moved] = forward(chain, np.concatenate([each[i].q for i in moved])).reshape(len(moved), -1, 4, 4)
+    a = A[..., :3, :3]
+    # what says how the base is turned is the same where orientations alone are changed
+    own = [0, *(i for i, mistake in enumerate(mistakes, 1) if mistake.touches != "rotation")]
+    turned = np.zeros(len(each), int)
+    turned[own] = np.arange(len(own))
+    Y = _by_positions(A[own], position[own])[turned]
+    X = so3.nearest_rotation(np.sum(np.swapaxes(Y[:, None] @ a, -1, -2) @ R, axis=1))
+    score = np.full(len(each), -np.inf)
+    scales = [_Scale.of(chain, p) for p in position]
+    for base, tool in (_hand_eye(a, R), (Y, X)):
+        turns, gaps = _turns(base, a, tool, R), _linear(base, A, position)[0]
+        score = np.maximum(score, [s.log_likelihood(t, g) for s, t, g in zip(scales, turns, gaps, strict=True)])
+    volume = [0.0, *(mistake.log_volume for mistake in mistakes)]
+    return [float(x) for x in score + len(samples) * np.array(volume)]
 
 
 def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
@@ -234,7 +256,7 @@ def _log_likelihood(residual: Array, floor: float, volume: float) -> float:
 
 def _together(A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array, Array]:
     """Residuals (N, 3) of rotations [rad] and positions [m], base and tool fitted to both from the better start."""
-    Y = _by_positions(A, position)
+    Y = _by_positions(A[None], position[None])[0]
     starts = _hand_eye(A[:, :3, :3], R), (Y, so3.mean(np.swapaxes(Y @ A[:, :3, :3], 1, 2) @ R))
     each = [_refined(Y, X, A, R, position, scale) for Y, X in starts]
     return max(each, key=lambda left: scale.log_likelihood(*left))
@@ -271,43 +293,61 @@ def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Sc
 
 
 def _hand_eye(A: Array, R: Array) -> tuple[Array, Array]:
-    """(Y, X) with ``R ≈ Y A X`` for rotations A, R (N, 3, 3): by SVD (Shah 2013)."""
-    U, _, Vt = np.linalg.svd(np.einsum("nji,nlk->ikjl", R, A).reshape(9, 9))  # sum of kron(Rᵀ, Aᵀ), which takes y to z
-    z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
-    sign = np.sign(np.linalg.det(y)) or 1.0
-    return so3.nearest_rotation(sign * y), so3.nearest_rotation(sign * z).T
+    """(Y, X) with ``R ≈ Y A X`` for rotations A, R (…, N, 3, 3): by SVD (Shah 2013)."""
+    # sum of kron(Rᵀ, Aᵀ), which takes y to z
+    flat = (np.swapaxes(x.reshape(*x.shape[:-2], 9), -1, -2) for x in (R, A))
+    left, right = flat
+    products = (left @ np.swapaxes(right, -1, -2)).reshape(*A.shape[:-3], 3, 3, 3, 3)  # R_ji A_lk at j i l k
+    U, _, Vt = np.linalg.svd(np.moveaxis(products, (-4, -3, -2, -1), (-2, -4, -1, -3)).reshape(*A.shape[:-3], 9, 9))
+    z, y = U[..., 0].reshape(*U.shape[:-2], 3, 3), Vt[..., 0, :].reshape(*U.shape[:-2], 3, 3)
+    sign = np.where(np.linalg.det(y) < 0.0, -1.0, 1.0)[..., None, None]
+    return so3.nearest_rotation(sign * y), np.swapaxes(so3.nearest_rotation(sign * z), -1, -2)
 
 
 def _turns(Y: Array, A: Array, X: Array, R: Array) -> Array:
-    """Rotation vectors (N, 3) from the predicted to the read orientation, in the tool."""
-    return so3.log(np.swapaxes(Y @ A @ X, 1, 2) @ R)
+    """Rotation vectors (…, N, 3) from the predicted to the read orientation, in the tool."""
+    return so3.log(np.swapaxes(Y[..., None, :, :] @ A @ X[..., None, :, :], -1, -2) @ R)
 
 
 def _by_positions(A: Array, position: Array) -> Array:
-    """How the base is turned (3, 3) as positions (N, 3) say: base and tool point in turn."""
-    x = np.zeros(3)
+    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn."""
+    x, Y = np.zeros((len(A), 3)), np.empty((len(A), 3, 3))
+    still = np.arange(len(A))  # those that still change
     for _ in range(_ALTERNATIONS):
-        seen, known = position - position.mean(axis=0), se3.apply(A, x)
-        Y = so3.nearest_rotation(seen.T @ (known - known.mean(axis=0)))
-        _, new, _ = _linear(Y, A, position)
-        step, x = float(np.linalg.norm(new - x)), new
-        if step < 1e-5:
+        seen, known = position[still], _points(A[still], x[still])
+        seen, known = (z - z.mean(axis=1, keepdims=True) for z in (seen, known))
+        Y[still] = so3.nearest_rotation(np.swapaxes(seen, 1, 2) @ known)
+        _, new, _ = _linear(Y[still], A[still], position[still])
+        step = np.linalg.norm(new - x[still], axis=1)
+        x[still] = new
+        still = still[step >= 1e-5]
+        if not len(still):
             break
     return Y
 
 
+def _points(A: Array, x: Array) -> Array:
+    """Points x (…, 3) moved by poses A (…, N, 4, 4), (…, N, 3)."""
+    return np.asarray((A[..., :3, :3] @ x[..., None, :, None])[..., 0] + A[..., :3, 3])
+
+
 def _linear(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
-    """(residuals (N, 3), tool point x (3,), base's place t (3,)) of ``p ≈ Y (A x) + t``, robust."""
-    G = np.concatenate([Y @ A[:, :3, :3], np.broadcast_to(np.eye(3), (len(A), 3, 3))], axis=2)
-    h = position - A[:, :3, 3] @ Y.T
-    flat = G.reshape(-1, 6)
-    weight = np.ones(len(A))
+    """(residuals (…, N, 3), tool point x (…, 3), base's place t (…, 3)) of ``p ≈ Y (A x) + t``, robust."""
+    few, N = A.shape[:-3], A.shape[-3]
+    flat = np.empty((*few, N, 3, 6))
+    flat[..., :3] = Y[..., None, :, :] @ A[..., :3, :3]
+    flat[..., 3:] = np.eye(3)
+    flat = flat.reshape(*few, 3 * N, 6)
+    h = position - A[..., :3, 3] @ np.swapaxes(Y, -1, -2)
+    column = h.reshape(*few, 3 * N, 1)
+    weight = np.ones((*few, N))
     for _ in range(3):
-        weighted = np.repeat(weight, 3)[:, None] * flat
-        H, g = flat.T @ weighted, weighted.T @ h.ravel()
-        solution = np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)
-        gap = h - (flat @ solution).reshape(-1, 3)
-        square = np.sum(gap**2, axis=1)
-        weight = 1.0 / (square + max(float(np.median(square)), 1e-18))  # Cauchy
-        weight = weight / weight.max()
-    return gap, solution[:3], solution[3:]
+        weighted = np.swapaxes(np.repeat(weight, 3, axis=-1)[..., None] * flat, -1, -2)
+        H, g = weighted @ flat, weighted @ column
+        held = 1e-9 * np.trace(H, axis1=-2, axis2=-1)[..., None, None] * np.eye(6)
+        solution = np.linalg.solve(H + held, g)
+        gap = h - (flat @ solution).reshape(*few, N, 3)
+        square = np.sum(gap**2, axis=-1)
+        weight = 1.0 / (square + np.maximum(np.median(square, axis=-1), 1e-18)[..., None])  # Cauchy
+        weight = weight / weight.max(axis=-1, keepdims=True)
+    return gap, solution[..., :3, 0], solution[..., 3:, 0]

@@ -1,7 +1,8 @@
 """When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
-times is named. When none does, the robot or the pairing as a whole is wrong.
+times is named. When none does, only a part of the stations may be wrong, or one joint (:mod:`agreeing`); else the robot
+or the pairing as a whole is wrong.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.mistakes import Mistake, inverse_pose, left_handed, of_joints, of_pairing, of_units
@@ -44,6 +46,16 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     if best[1]:
         raise BadRecording(best[1], f"{said}; undone, it misses by {1e3 * best[0]:.1f} mm", best[2])
+    flat = [axis for axis, extent in zip("xyz", np.ptp(samples.position, axis=0), strict=True) if extent == 0.0]
+    if flat and len(samples.frames) == 1:
+        raise BadRecording(
+            f"coordinate {' and '.join(flat)} of the readings",
+            f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
+            "record an instrument that measures all three coordinates",
+        )
+    found = disagreement(few, chain)
+    if found is not None:
+        raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     raise BadRecording(
         "joint states and readings",
         said,

@@ -8,6 +8,7 @@ units of what a robot is usually wrong by. The motion of the tool is the same to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,10 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
 
+_APART = 1e-3  # usual errors, between which derivatives are taken
+_STILL = 1e-7  # usual errors; steps below say nothing
+_MOST_STEPS = 20
+
 
 def least_change(model: Model, nominal: Mechanism) -> Model:
     """The model, predicting the same, whose chain differs least from the nominal one.
@@ -27,21 +32,20 @@ def least_change(model: Model, nominal: Mechanism) -> Model:
     """
     if not isinstance(nominal, Chain):
         return model  # a Delta's constants leave no such freedom
-    from scipy.optimize import least_squares  # takes most of a second, and only a file that is written needs it
-
     n = nominal.n
     A = se3.transform(nominal.joint_basis)
-    inner = [se3.inverse(A[k - 1]) @ model.serial.origins[k] @ A[k] for k in range(1, n)]
-    drawn = [se3.inverse(A[k - 1]) @ nominal.origins[k] @ A[k] for k in range(1, n)]
+    inner = se3.inverse(A[:-1]) @ model.serial.origins[1:n] @ A[1:]
+    drawn = se3.inverse(se3.inverse(A[:-1]) @ nominal.origins[1:n] @ A[1:])
     unit = np.array([PRIOR_LENGTH_M] * 3 + [PRIOR_ANGLE_RAD] * 3)
 
     def change(x: Array) -> Array:
         D = _passing(nominal, x)
-        moved = [se3.inverse(D[k - 1]) @ inner[k - 1] @ D[k] for k in range(1, n)]
-        return np.concatenate([se3.log(se3.inverse(d) @ m) / unit for d, m in zip(drawn, moved, strict=True)] + [[0.0]])
+        moved = se3.inverse(D[..., :-1, :, :]) @ inner @ D[..., 1:, :, :]
+        return np.asarray((se3.log(drawn @ moved) / unit).reshape(*x.shape[:-1], -1))
 
-    size = _sizes(nominal)
-    x = least_squares(change, np.zeros(sum(size)), x_scale="jac", method="trf").x
+    x = np.zeros(sum(_sizes(nominal)))
+    if n > 1:  # of a single joint nothing lies between base and tool
+        x = _least_squares(change, x)
     D = _passing(nominal, x)
     origins = np.array(model.serial.origins)
     for k in range(1, n):
@@ -83,12 +87,37 @@ def _sizes(chain: Chain) -> list[int]:
     return [2 if turns else 4 for turns in chain.revolute]
 
 
-def _passing(chain: Chain, x: Array) -> Array:
-    """Motions (n, 4, 4) that pass through each joint: shift and turn about z, and all shifts where it slides."""
-    xi = np.zeros((chain.n, 6))
-    for k, part in enumerate(np.split(x, np.cumsum(_sizes(chain))[:-1])):
-        if chain.revolute[k]:
-            xi[k, 2], xi[k, 5] = part[0] * PRIOR_LENGTH_M, part[1] * PRIOR_ANGLE_RAD
+def _least_squares(residual: Callable[[Array], Array], x: Array) -> Array:
+    """Where the residuals (…, R) of x (…, P) are least, from here, by Newton's method without second derivatives.
+
+    They are close to linear here, so that a few steps do.
+    """
+    r = residual(x)
+    apart = _APART * np.eye(len(x))
+    for _ in range(_MOST_STEPS):
+        ends = residual(np.concatenate([x + apart, x - apart]))
+        J = ((ends[: len(x)] - ends[len(x) :]) / (2.0 * _APART)).T
+        step = -np.linalg.lstsq(J, r, rcond=1e-9)[0]  # nothing along what changes nothing
+        if np.abs(step).max(initial=0.0) < _STILL:
+            break
+        for share in (1.0, 0.3, 0.1, 0.01):
+            new = residual(x + share * step)
+            if new @ new < r @ r:
+                break
         else:
-            xi[k, :3], xi[k, 5] = part[:3] * PRIOR_LENGTH_M, part[3] * PRIOR_ANGLE_RAD
+            break
+        x, r = x + share * step, new
+    return x
+
+
+def _passing(chain: Chain, x: Array) -> Array:
+    """Motions (…, n, 4, 4) that pass through each joint: shift and turn about z, and all shifts where it slides.
+
+    x: (…, P), in units of what a robot is usually wrong by.
+    """
+    xi = np.zeros((*x.shape[:-1], chain.n, 6))
+    for k, part in enumerate(np.split(x, np.cumsum(_sizes(chain))[:-1], axis=-1)):
+        turn = 1 if chain.revolute[k] else 3
+        shifts = (2,) if chain.revolute[k] else (0, 1, 2)
+        xi[..., k, shifts], xi[..., k, 5] = part[..., :turn] * PRIOR_LENGTH_M, part[..., turn] * PRIOR_ANGLE_RAD
     return se3.exp(xi)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
@@ -329,7 +329,7 @@ def _solve(H: Array, g: Array, damping: float) -> Array:
     for ridge in (0.0, 1e-12, 1e-10, 1e-8):
         damped = H.copy()
         damped.flat[:: len(H) + 1] += damping + ridge
-        _, x, singular = lapack.dposv(damped, g, lower=1, overwrite_a=1)
+        _, x, singular = scipy.linalg.lapack.dposv(damped, g, lower=1, overwrite_a=1)
         if not singular:
             return np.asarray(x)
     return np.asarray(np.linalg.lstsq(H, g, rcond=1e-12)[0], dtype=float)

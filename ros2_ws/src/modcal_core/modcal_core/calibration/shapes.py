@@ -17,6 +17,7 @@ from modcal_core.geometry.so3 import Array
 REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
 SPLINE_DEGREE = 3
 PERIODIC = ("sine", "turn", "double")
+_FINE = 32  # of a long list of cycles, that are products of one wave with few others
 
 
 @dataclass(frozen=True)
@@ -133,9 +134,19 @@ class Shape:
 
 def periodic(kind: str, cycles: Array, x: Array) -> Array:
     """Basis functions (C, b, N) of shapes of a PERIODIC kind with these cycles a turn (C,), at drivers x (N,)."""
-    turn = np.exp(1j * cycles[:, None] * x)
+    turn = _turns(cycles, x)
     parts = (turn, turn * turn) if kind == "double" else (turn,)
     out = np.empty((len(cycles), 2 * len(parts), len(x)))
     for i, part in enumerate(parts):
         out[:, 2 * i], out[:, 2 * i + 1] = part.imag, part.real
     return out
+
+
+def _turns(cycles: Array, x: Array) -> Array:
+    """``exp(i c x)`` for cycles c (C,) at x (N,), (C, N); evenly spaced ones, as a scan has, by products of few."""
+    step = (cycles[-1] - cycles[0]) / max(len(cycles) - 1, 1)
+    if len(cycles) < 2 * _FINE or np.abs(cycles - cycles[0] - step * np.arange(len(cycles))).max() > 1e-9 * step:
+        return np.asarray(np.exp(1j * cycles[:, None] * x))
+    fine = np.exp(1j * (step * np.arange(_FINE))[:, None] * x)
+    coarse = np.exp(1j * cycles[::_FINE, None] * x)
+    return np.asarray((coarse[:, None] * fine).reshape(-1, len(x))[: len(cycles)])

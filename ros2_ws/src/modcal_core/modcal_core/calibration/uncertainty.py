@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+import scipy
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.effects import prior_stds
@@ -61,7 +61,7 @@ def uncertainty(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H * np.outer(scale, scale)
     try:
-        inverse = cho_solve(cho_factor(H, lower=True), np.eye(len(H)))
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, lower=True), np.eye(len(H)))
     except np.linalg.LinAlgError:  # singular to rounding
         inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
     covariance = inverse * np.outer(scale, scale)

@@ -85,6 +85,13 @@ class Operation:
         self._stop = self._stop or Stop(False, why, self._opened())
         return self._stop
 
+    def let_go(self, why: str, now: float) -> None:
+        """Begin to let go of it at time ``now`` [s]; some more ticks do so, and then say Stop."""
+        if self.phase == "tare":  # nothing was sent yet
+            self.stop(why)
+        elif self.phase != "release" and self._stop is None:
+            self._let_go(why, now)
+
     def tick(
         self, now: float, T_base_tool: Array, sensor: WrenchSensor, joints: Joints, state: Belief
     ) -> Setpoint | Wait | Stop:

@@ -24,6 +24,7 @@ APPLIED = 0.002  # s; a smaller offset is below what this method resolves
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
 _MOVING = 0.02  # m/s
+_LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
 _FINE = 0.25  # grid steps between the joint states that are looked at, at most
 
 
@@ -92,6 +93,7 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     moved = _speed(grid, t[::every], tip(q[::every]))
     if not (np.nanmax(seen, initial=0.0) > _MOVING and np.nanmax(moved, initial=0.0) > _MOVING):
         return None
+    seen, moved = _without_leaps(seen), _without_leaps(moved)
     whole = _lag(seen, moved, 0, round(SEARCH / STEP))
     if whole is None or whole[1] < TRUSTED:
         return None
@@ -112,6 +114,12 @@ def _speed(grid: Array, stamps: Array, position: Array) -> Array:
     # a speed beside a gap mixes both sides of it
     silent = np.convolve(silent, np.ones(3), mode="same") > 0
     return np.where(silent, np.nan, speed)
+
+
+def _without_leaps(speed: Array) -> Array:
+    """The speeds, none above some times what is usual in motion: one glitch on each side would correlate at any lag."""
+    usual = float(np.median(speed[speed > _MOVING]))
+    return np.minimum(speed, _LEAP * usual)
 
 
 def _lag(seen: Array, moved: Array, centre: int, reach: int) -> tuple[float, float] | None:

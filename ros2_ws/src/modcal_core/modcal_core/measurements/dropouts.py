@@ -48,7 +48,7 @@ def _joints(track: JointTrack, names: tuple[str, ...], notes: list[str], lost: d
     """The rows of a track that say where the named joints are that it carries."""
     mine = [j for j, name in enumerate(track.names) if name in names]
     bad = ~np.isfinite(track.position[:, mine])
-    rows: np.ndarray = np.asarray(bad.any(axis=1))
+    rows: np.ndarray = np.any(bad, axis=1)
     if not rows.any():
         return track
     worst = mine[int(np.argmax(bad.sum(axis=0)))]
@@ -66,8 +66,8 @@ def _readings(track: ReadingTrack, notes: list[str], lost: dict[str, int]) -> Re
     """The readings of a track that are finite, and that have an orientation where there is one."""
     if track.kind not in kinds() or not len(track.stamps):
         return track
-    broken: np.ndarray = np.asarray(~np.isfinite(track.values).all(axis=1))
-    gone = np.zeros(len(broken), np.bool_)
+    broken: np.ndarray = ~np.all(np.isfinite(track.values), axis=1)
+    gone: np.ndarray = np.zeros(len(broken), dtype=np.bool_)
     if track.kind == POSE:
         with np.errstate(invalid="ignore", over="ignore"):
             gone = ~broken & (np.linalg.norm(track.values[:, 3:], axis=1) < _LOST)

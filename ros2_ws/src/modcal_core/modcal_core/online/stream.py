@@ -26,7 +26,8 @@ _HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
 _JUMP = 1.0  # s; a stamp that lies this far before the last one is a clock that was set back, not a late message
 _RESTLESS = 30.0  # s without a stand after which readings in motion are used
-_STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from
+_STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from ...
+_EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on either side at least
 _UNIT = 1e-3
 
 
@@ -114,6 +115,7 @@ class Stream:
             self.counts.late += 1
             return
         readings.last = stamp
+        self.counts.unpaired += len(readings.waiting) == readings.waiting.maxlen
         readings.waiting.append((stamp, np.array(values, dtype=float)))
 
     def take(self) -> list[Samples]:
@@ -199,7 +201,7 @@ class Stream:
         moving = not sparse and t[-1] - max(self._stood, self._began) > _RESTLESS
         while readings.waiting:
             stamp, values = readings.waiting[0]
-            if stamp > t[-1] - (0.0 if sparse else _STENCIL):
+            if stamp > t[-1] - (0.0 if sparse else _STENCIL) or (moving and stamp > t[-_EITHER_SIDE]):
                 return  # the joint states around it have not come yet
             if not sparse and not moving and stamp >= self._since:
                 return  # it may belong to a stand
@@ -222,10 +224,10 @@ class Stream:
 
     def _interpolate(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
         """The posture at a reading's stamp: a cubic through the joint states around it, by least squares."""
-        first, last = np.searchsorted(t, (stamp - _STENCIL, stamp + _STENCIL))
-        first, last = min(first, max(0, np.searchsorted(t, stamp) - 2)), max(last, np.searchsorted(t, stamp) + 2)
+        first, at, last = np.searchsorted(t, (stamp - _STENCIL, stamp, stamp + _STENCIL))
+        first, last = min(first, max(0, at - _EITHER_SIDE)), min(max(last, at + _EITHER_SIDE), len(t))
         u = t[first:last] - stamp
-        if len(u) < 4 or u[0] > 0.0 or u[-1] < 0.0 or np.diff(u).max() > self._rules.gap:
+        if len(u) < 2 * _EITHER_SIDE or u[0] > 0.0 or u[-1] < 0.0 or np.diff(u).max() > self._rules.gap:
             self.counts.unpaired += 1
             return
         scale = max(-u[0], u[-1])

@@ -43,6 +43,15 @@ class Supervisor:
         self._last_station = -1
         self._wait = policy.first_solve
 
+    def follow(self, policy: Policy) -> None:
+        """Go by another policy from now on; what it counts begins with the last solve, or the last change."""
+        before, self.policy = self.policy, policy
+        learning = self.live is None
+        old, new = (p.first_solve if learning else p.after_change for p in (before, policy))
+        if old != new:
+            since = self._wait - old if old else 0  # stations that had been counted when the wait began
+            self._wait = max(since, 0) + new if new else 0
+
     @property
     def trusted(self) -> Calibration | None:
         """The calibration that is published."""

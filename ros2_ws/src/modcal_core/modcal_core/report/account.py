@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.report.figures import label, small
+from modcal_core.report.figures import in_decades, label, small
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import AFTER, BAD, LIGHT, SOFT, WARN
 from modcal_core.verdict.verdict import Row, Verdict
@@ -112,6 +112,7 @@ def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
             axes.plot(ends, [k, k], "|-", ms=5.0, lw=1.0, color=LIGHT["ink"])
     axes.set_xscale("log")
     axes.minorticks_off()
+    in_decades(axes.xaxis)
     axes.set_yticks(range(len(lines)), [line.words for line in lines], fontsize=7.5)
     axes.set_ylim(len(lines) - 0.5, -0.5)
     axes.spines["left"].set_visible(False)

@@ -176,7 +176,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
     shown = np.linalg.norm(left, axis=1) < 0.05
     for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
-        along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=colour, label="xyz"[k])
+        along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=LIGHT[colour], label="xyz"[k])
     label(along, f"configuration, {unit}" if unit else "configuration", "left over, mm")
     along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
     alt = f"The path of a {data['kind']} joint and what it leaves over: {data['residual_mm']['rms']:.2f} mm RMS."

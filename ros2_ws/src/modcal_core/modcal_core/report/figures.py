@@ -6,10 +6,11 @@ lay them side by side or, on a phone, one below the other.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from modcal_core.geometry.so3 import Array
 from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
@@ -17,11 +18,14 @@ from modcal_core.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
 
 MOST_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", "o", "soft"), ("explain", "s", "good"), ("held_out", "^", "after"))
 _MOST_REJECTED = 300
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def small(width: float, height: float, left: float = 0.55, bottom: float = 0.42) -> tuple[Figure, Axes]:
@@ -42,6 +46,25 @@ def label(axes: Axes, x: str, y: str) -> None:
     axes.set_ylabel(y, fontsize=8)
 
 
+def bars(edges: Array, height: Array, **style: Any) -> PathPatch:
+    """Bars from zero between edges (k + 1,), as one path: a patch for each takes longer than all the rest."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    seen = np.flatnonzero(height)
+    left, right, top, zero = edges[seen], edges[seen + 1], height[seen], np.zeros(len(seen))
+    corners = np.stack(
+        [np.c_[left, zero], np.c_[right, zero], np.c_[right, top], np.c_[left, top], np.c_[left, zero]], 1
+    )
+    codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(seen))
+    return PathPatch(Path(corners.reshape(-1, 2), codes), linewidth=0.8, **style)
+
+
+def in_decades(axis: Axis) -> None:
+    """Write a logarithmic axis as powers of ten in plain letters: setting them as formulas takes half of a picture."""
+    axis.set_major_formatter(lambda value, _: "10" + f"{round(np.log10(value)):d}".translate(_RAISED))
+
+
 def thinned(count: int, most: int) -> np.ndarray:
     """At most so many of this many rows, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
@@ -56,22 +79,16 @@ def error_histogram(report: Report) -> Chart | None:
     smallest = max(min(float(np.percentile(n, 1)) for n in norms.values()), 1e-5)
     largest = max(float(n.max()) for n in norms.values())
     bins = np.geomspace(0.8 * smallest, max(1.2 * largest, 2.0 * smallest), 40)
-    said = []
+    said, highest = [], 1
     for stage, colour, hatch in (("nominal", "before", "////"), ("final", "after", "")):
         rms = float(np.sqrt(np.mean(norms[stage] ** 2)))
         said.append(f"{stage}: {rms:.3f} mm RMS")
-        counted = np.clip(norms[stage], bins[0], None)
+        count, _ = np.histogram(np.clip(norms[stage], bins[0], None), bins)
+        highest = max(highest, int(count.max()))
         tone, plain = LIGHT[colour], not hatch
-        axes.hist(
-            counted,
-            bins.tolist(),
-            label=said[-1],
-            fill=plain,
-            hatch=hatch,
-            facecolor=tone,
-            edgecolor=tone,
-            linewidth=0.8,
-        )
+        axes.add_patch(bars(bins, count, label=said[-1], fill=plain, hatch=hatch, facecolor=tone, edgecolor=tone))
+    axes.set_xlim(bins[0] ** 1.05 / bins[-1] ** 0.05, bins[-1] ** 1.05 / bins[0] ** 0.05)
+    axes.set_ylim(0.0, 1.05 * highest)
     axes.set_xscale("log")
     axes.minorticks_off()  # they take as long to draw as all the rest
     axes.xaxis.set_major_formatter("{x:g}")
@@ -96,6 +113,7 @@ def spread_chart(report: Report) -> Chart | None:
     axes.semilogy(count[known], spread[known], "o", ms=3.0, color=LIGHT["after"])
     axes.semilogy(count[~known], spread[~known], "x", ms=5.0, color=LIGHT["bad"])
     axes.minorticks_off()
+    in_decades(axes.yaxis)
     axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")
     label(axes, "combination of parameters, the best known first", "deviation ÷ expected")
     alt = f"{seen.rank} of {seen.parameters} combinations of parameters are shown by the data."

@@ -91,6 +91,11 @@ def _inline(drawn: str, name: str, alt: str) -> str:
         body = body.replace(light, f"var(--{colour})")
     body = body.replace("#000000", "var(--ink)")
     body = re.sub(r">\s+<", "><", body)
+    return framed(body, width, height, alt)
+
+
+def framed(body: str, width: float, height: float, alt: str) -> str:
+    """An SVG element of this width and height [points]. body: what stands in it, and its end. alt: see ``chart``."""
     natural = _PX * width
     least = min(natural, max(_NARROWEST, 0.65 * natural))
     return (

@@ -20,5 +20,5 @@ COLOURS: dict[str, tuple[str, str]] = {
 }
 LIGHT = {name: light for name, (light, _) in COLOURS.items()}
 DARK = {name: dark for name, (_, dark) in COLOURS.items()}
-OF_AXES = (LIGHT[BAD], LIGHT[GOOD], LIGHT[AFTER])  # x, y, z
+OF_AXES = (BAD, GOOD, AFTER)  # x, y, z
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it

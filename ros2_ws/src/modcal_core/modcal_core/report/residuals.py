@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modcal_core.calibration.score import Errors
 from modcal_core.geometry.so3 import Array
-from modcal_core.report.figures import MOST_POINTS, label, small, thinned
-from modcal_core.report.page import Chart, chart
-from modcal_core.report.palette import LIGHT, OF_AXES
+from modcal_core.report.figures import MOST_POINTS, thinned
+from modcal_core.report.page import Chart
+from modcal_core.report.palette import AFTER, BEFORE, OF_AXES
+from modcal_core.report.panel import Panel
 from modcal_core.report.report import Report
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    Panel = tuple[Figure, Axes]
 
 _MOST_STEPS = 5  # that are drawn; more effects are drawn together
 _MOST_TEMPERATURES = 4
@@ -52,15 +46,14 @@ def comparisons(report: Report) -> tuple[Comparison, ...]:
     pairs = _pairs(report)
     most = max(min(MOST_POINTS // 3, _MOST_DRAWN // (6 * len(along) * len(pairs))), 40)
     rows = thinned(len(report.scored), most)
-    panel = small(3.0, 1.75, left=0.62)  # one for all: making axes takes longer than drawing on them
     out = []
     for k, (added, before, after) in enumerate(pairs):
         sizes = f"{_rms(before):.3f} to {_rms(after):.3f} mm RMS"
         text = "Dashes: before. Dots: after. All three components of the residual, on one scale."
-        charts = tuple(_before_after(panel, a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
+        charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
         out.append(Comparison(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
-    charts = tuple(_left(panel, a, final, rows, f"left-{i}") for i, a in enumerate(along))
+    charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
     text = (
         "The residual of the final model: x as circles, y as triangles, z as squares. "
         "A pattern here is an effect that the model lacks."
@@ -100,48 +93,28 @@ def _rms(errors: Errors) -> float:
     return 0.0 if size is None else size.rms
 
 
-def _before_after(
-    panel: Panel, a: Against, before: Errors, after: Errors, rows: np.ndarray, name: str, added: str
-) -> Chart:
-    figure, axes = panel
+def _before_after(a: Against, before: Errors, after: Errors, rows: np.ndarray, name: str, added: str) -> Chart:
     x = np.repeat(a.values[rows], 3)
     first, second = (1e3 * e.position[rows].ravel() for e in (before, after))
-    _frame(axes, x, first)
-    _marks(axes, x, first, LIGHT["before"], 0.012 * float(np.diff(axes.get_xlim())[0]), 1.1)
-    _marks(axes, x, second, LIGHT["after"], 0.0, 2.2)
-    label(axes, a.words, "residual, mm")
+    panel = _panel(x, first)
+    panel.dashes(x, first, BEFORE, 0.012, 1.1)
+    panel.dashes(x, second, AFTER, 0.0, 2.2)
     alt = f"Residual against {a.name}, before and after {added}: {_rms(before):.3f} and {_rms(after):.3f} mm RMS."
-    return chart(figure, name, alt, f"against {a.name}")
+    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name}")
 
 
-def _left(panel: Panel, a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
-    figure, axes = panel
+def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
     left = 1e3 * errors.position[rows]
-    _frame(axes, a.values[rows], left.ravel())
-    for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
-        axes.plot(a.values[rows], left[:, k], marker, ms=2.4, mfc="none", mew=0.7, color=colour)
-    label(axes, a.words, "residual, mm")
-    return chart(figure, name, f"What is left against {a.name}: {_rms(errors):.3f} mm RMS.", f"against {a.name}")
+    panel = _panel(a.values[rows], left.ravel())
+    for k, (colour, shape) in enumerate(zip(OF_AXES, ("circle", "triangle", "square"), strict=True)):
+        panel.hollow(a.values[rows], left[:, k], colour, shape)
+    alt = f"What is left against {a.name}: {_rms(errors):.3f} mm RMS."
+    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name}")
 
 
-def _frame(axes: Axes, x: Array, y: Array) -> None:
-    """An empty frame with limits that a few far samples do not stretch."""
-    for artist in [*axes.lines, *axes.patches]:
-        artist.remove()
+def _panel(x: Array, y: Array) -> Panel:
+    """An empty one with limits that a few far samples do not stretch."""
     reach = 1.15 * max(float(np.percentile(np.abs(y), 99.5)), 1e-6)
     low, high = float(x.min()), float(x.max())
     margin = 0.04 * max(high - low, 1e-6)
-    axes.set_xlim(low - margin, high + margin)
-    axes.set_ylim(-reach, reach)
-    axes.axhline(0.0, color=LIGHT["line"], lw=0.8, zorder=0)
-
-
-def _marks(axes: Axes, x: Array, y: Array, colour: str, half: float, wide: float) -> None:
-    """A dash of this half length, or a dot, at every point, as one path: a third of what markers take."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
-    ends = np.stack([np.c_[x - half, y], np.c_[x + half + 1e-9, y]], axis=1).reshape(-1, 2)
-    path = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(x)))
-    path.should_simplify = False
-    axes.add_patch(PathPatch(path, fill=False, edgecolor=colour, linewidth=wide, capstyle="round", joinstyle="round"))
+    return Panel((low - margin, high + margin), (-reach, reach))

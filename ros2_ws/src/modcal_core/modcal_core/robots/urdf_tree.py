@@ -25,7 +25,12 @@ from modcal_core.geometry.so3 import Array
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
 _FIX = "correct the URDF"
+_ONE_ROBOT = "describe one robot, with meshes in files of their own"
 _MOST_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
+
+# What is larger is no robot, and would hold up a node, or Python's stack, while it is read.
+_MOST_TEXT = 5_000_000  # characters
+_MOST_JOINTS, _DEEPEST = 2000, 250  # joints, in all and in a row
 
 # The children that are read in each element, and the attributes in each of those.
 _CHILDREN: Mapping[str, set[str]] = {
@@ -131,7 +136,11 @@ class Tree:
 
 def parse(urdf_xml: str) -> Tree:
     """The checked tree of a URDF text. Raises BadRobot for anything that is not one."""
-    robot = _parsed(_essential(document(urdf_xml)))
+    root = document(urdf_xml)
+    for tag in ("link", "joint"):
+        if (count := sum(_local(child) == tag for child in root)) > _MOST_JOINTS:
+            raise BadRobot("robot description", f"has {count} {tag}s, {_MOST_JOINTS} is the limit", _ONE_ROBOT)
+    robot = _parsed(_essential(root))
     joints = tuple(_joint(joint) for joint in robot.joints)
     links = tuple(link.name for link in robot.links)
     inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
@@ -142,6 +151,9 @@ def parse(urdf_xml: str) -> Tree:
 
 def document(urdf_xml: str) -> Any:
     """The root element of a URDF text, whatever it holds. Raises BadRobot for what is no XML, no URDF, or xacro."""
+    if len(urdf_xml) > _MOST_TEXT:
+        said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MOST_TEXT:.0f} million is the limit"
+        raise BadRobot("robot description", said, _ONE_ROBOT)
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
     parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True)
     text = urdf_xml.lstrip("\ufeff \t\r\n")
@@ -255,10 +267,10 @@ def _check(tree: Tree) -> None:
         name, count = Counter(names).most_common(1)[0] if names else ("", 1)
         if count > 1:
             raise BadRobot(f"{kind} '{name}'", f"stands {count} times in robot '{tree.name}'", "name each once")
-    carried: dict[str, str] = {}
+    links, carried = set(tree.links), dict[str, str]()
     for joint in tree.joints:
         for link in (joint.parent, joint.child):
-            if link not in tree.links:
+            if link not in links:
                 close = difflib.get_close_matches(link, tree.links, n=1, cutoff=0.3)
                 hint = f"add it, or name {close[0]}" if close else "add it"
                 raise BadRobot(f"joint {joint.name}", f"names link '{link}', which is not there", hint)
@@ -266,9 +278,20 @@ def _check(tree: Tree) -> None:
             said = f"is the child of joints {carried[joint.child]} and {joint.name}"
             raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")
         carried[joint.child] = joint.name
+    _check_depth(tree, carried)
+
+
+def _check_depth(tree: Tree, carried: Mapping[str, str]) -> None:
+    """Refuse loops, and more joints in a row than Python's stack should be asked for."""
+    depth: dict[str, int] = {}
     for joint in tree.joints:
-        link, steps = joint.parent, 0
-        while link in carried and steps <= len(tree.links):
-            link, steps = tree.above[link].parent, steps + 1
-        if steps > len(tree.links):
+        row, link = list[str](), joint.child
+        while link in carried and link not in depth and len(row) <= len(tree.links):
+            row.append(link)
+            link = tree.above[link].parent
+        if len(row) > len(tree.links):
             raise BadRobot(f"joint {joint.name}", "closes a loop", "give a tree of links")
+        first = depth.get(link, 0)
+        depth.update({below: first + k for k, below in enumerate(reversed(row), 1)})
+    if (deepest := max(depth.values(), default=0)) > _DEEPEST:
+        raise BadRobot("robot description", f"has {deepest} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)

@@ -16,6 +16,8 @@ import numpy as np
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.shapes import periodic
+from modcal_core.diagnosis.memory import play
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -33,13 +35,38 @@ _MOST_SIGNALS = 40
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that belong together. name: for a person, after "can be predicted from". columns: (D, 6, N). few: whether
-    a few of them are expected to matter, not all a little.
+    """Columns that belong together, each of which may matter a little. name: for a person, after "can be predicted
+    from". columns: (D, 6, N).
     """
 
     name: str
     columns: Array
-    few: bool = False
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Very many columns, a few of which may matter: in each part all motions (k, 6, N) times all numbers (c, N).
+
+    Columns are numbered part after part, motion after motion.
+    """
+
+    motions: tuple[Array, ...]
+    numbers: tuple[Array, ...]
+
+    def squares(self) -> Array:
+        """Squared lengths of the columns, (D,)."""
+        parts = zip(self.motions, self.numbers, strict=True)
+        return np.concatenate([(np.sum(u**2, axis=1) @ (x**2).T).ravel() for u, x in parts])
+
+    def written(self, which: np.ndarray) -> Array:
+        """The columns of these numbers (k,), in full, (k, 6, N)."""
+        ends = np.cumsum([0, *(len(u) * len(x) for u, x in zip(self.motions, self.numbers, strict=True))])
+        out = np.empty((len(which), 6, self.numbers[0].shape[-1]))
+        for first, last, u, x in zip(ends[:-1], ends[1:], self.motions, self.numbers, strict=True):
+            here = (which >= first) & (which < last)
+            motion, number = np.divmod(which[here] - first, len(x))
+            out[here] = u[motion] * x[number][:, None]
+        return out
 
 
 def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
@@ -55,7 +82,14 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
     for group in (builder.history(), builder.load(), builder.signals()):
         if group is not None:
             yield group
-    yield builder.single_waves()
+
+
+def single_waves(model: Model, samples: Samples, weight: Array) -> tuple[str, Waves]:
+    """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints.
+
+    With what they are called, for a person. weight: of the samples' six components, (6, N).
+    """
+    return "single waves of the joint positions", _Builder(model, samples, weight).single_waves()
 
 
 class _Builder:
@@ -114,7 +148,10 @@ class _Builder:
             if np.ptp(stamps) > 0.0:
                 share = stamps / np.ptp(stamps)
                 waves += [share, np.exp(-10.0 * share)]
-        return self._group("the order of the stations", [self._times(where, np.stack(waves))])
+        parts = [self._times(where, np.stack(waves))]
+        if not first and len(self.view.pose):
+            parts.append(self._turned(np.stack(waves)))
+        return self._group("the order of the stations", parts)
 
     def history(self) -> Group | None:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""
@@ -131,6 +168,8 @@ class _Builder:
         parts = [self._times(axes, come), self._times(self._ends(), come)]
         for some in numbers[1:]:
             parts += [self._times([axes[j]], some[j : j + 1]) for j in range(len(axes))]
+        if not s.moving.any():
+            parts += [self._times([axis], _standard(ahead)) for axis, ahead in zip(axes, play(s), strict=True)]
         return self._group("the way that the joints arrived and moved", parts)
 
     def load(self) -> Group | None:
@@ -170,15 +209,17 @@ class _Builder:
         said = f"what was recorded of {', '.join(called[:_MOST_NAMED])}{more}"
         return self._group(said, [self._times(where, numbers)])
 
-    def single_waves(self) -> Group:
-        """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints."""
+    def single_waves(self) -> Waves:
+        """See the function of this name."""
         axes = list(zip(self.places, self.axis, strict=True))
-        parts = [self._times([axis], self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :]) for j, axis in enumerate(axes)]
+        motions = [self._motions([axis]) for axis in axes]
+        numbers = [self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
         turns = [self._waves(j, 1) for j in range(self.chain.n)]
         both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
         if both:
-            parts.append(self._times([*axes, *self._ends()], np.stack(both)))
-        return self._group("single waves of the joint positions", parts, few=True)
+            motions.append(self._motions([*axes, *self._ends()]))
+            numbers.append(np.stack(both))
+        return Waves(tuple(motions), tuple(numbers))
 
     def _ends(self) -> list[tuple[int, int]]:
         """All directions of base and tool."""
@@ -193,7 +234,7 @@ class _Builder:
         q = self.samples.q[:, j]
         if not self.chain.revolute[j]:
             q = (q - q.min()) * np.pi / max(float(np.ptp(q)), 1e-9)
-        return np.concatenate([[np.sin(k * q), np.cos(k * q)] for k in range(1, count + 1)])
+        return periodic("sine", np.arange(1.0, count + 1.0), q).reshape(2 * count, -1)
 
     def _random(self, count: int, frequency: float) -> Array:
         """Random waves (count, N) of the posture in units of its spread, with about this frequency [rad]."""
@@ -206,8 +247,18 @@ class _Builder:
         N = len(self.samples)
         if not where:
             return np.empty((0, 6, N))
-        unit = np.stack([self._unit(place, direction) for place, direction in where])
-        return (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, N)
+        return (self._motions(where)[:, None] * numbers[None, :, None, :]).reshape(-1, 6, N)
+
+    def _motions(self, where: list[tuple[int, int]]) -> Array:
+        """Motions of the tool (k, 6, N) per unit of these directions at these places."""
+        return np.stack([self._unit(place, direction) for place, direction in where])
+
+    def _turned(self, numbers: Array) -> Array:
+        """Columns (3 × numbers, 6, N) of orientations alone, about the root's axes: positions are as they were."""
+        out = np.zeros((3, len(numbers), 6, len(self.samples)))
+        for axis in range(3):
+            out[axis, :, 3 + axis, self.view.pose] = numbers[:, self.view.pose].T
+        return np.asarray((out * self.weight).reshape(-1, 6, len(self.samples)))
 
     def _unit(self, place: int, direction: int) -> Array:
         N = len(self.samples)
@@ -219,16 +270,16 @@ class _Builder:
         out[3:, self.view.pose] = row[3 * N :].reshape(3, -1)
         return out * self.weight
 
-    def _group(self, name: str, parts: list[Array], few: bool = False) -> Group:
+    def _group(self, name: str, parts: list[Array]) -> Group:
         columns = np.concatenate(parts)
         size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
         columns = columns[size > 1e-9 * size.max(initial=1e-300)]
-        if len(columns) > _MOST_COLUMNS and not few:
+        if len(columns) > _MOST_COLUMNS:
             flat = columns.reshape(len(columns), -1)
             flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
             mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
             columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
-        return Group(name, columns, few)
+        return Group(name, columns)
 
 
 def _standard(x: Array) -> Array:

@@ -34,7 +34,8 @@ class Grounds:
     each thing that the data contradict or that makes the readings doubtful (a known distance, a stated tool, a reading
     that was computed from the joints); each makes the status open. convention: what was undone by itself
     ("pose inverted"), None if nothing. rejected_runs: runs (first, last station in order of time) of at least three
-    neighbours that were rejected and belong to no regime.
+    neighbours that were rejected and belong to no regime. outside: sentences on what lies outside what a frozen
+    calibration has seen.
     """
 
     converged: bool = True
@@ -43,3 +44,4 @@ class Grounds:
     contradictions: tuple[str, ...] = ()
     convention: str | None = None
     rejected_runs: tuple[tuple[int, int], ...] = ()
+    outside: tuple[str, ...] = ()

@@ -24,8 +24,9 @@ from modcal_core.calibration.split import block_length
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, derivatives, weights
-from modcal_core.verdict.features import groups
-from modcal_core.verdict.ridge import FOLDS, Baseline, Few, Layout, Regressor, Ridge
+from modcal_core.verdict.features import groups, single_waves
+from modcal_core.verdict.few import Few
+from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
 from modcal_core.verdict.verdict import Share
 
 _MOST = 500  # samples; a longer recording is thinned evenly
@@ -73,25 +74,28 @@ def predictable(case: Case) -> Predictable:
     r = layout.flat(_drawn_in(residual * weight))
     U = _parameters(J * weight, case)
     free = U if case.fitted else U[:0]
-    baseline, project = Baseline(layout.flat(free), layout), _Projection(layout.flat(free))
+    baseline, project = Baseline(layout.flat(free), layout), Projection(layout.flat(free))
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
     for group in groups(case.model, samples, weight):
         columns = layout.flat(group.columns)
-        before = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = project(columns)
-        size = np.sqrt(np.einsum("rd,rd->d", columns, columns))
+        size = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         keep = size > _LEAST_NEW * before
         if keep.any():
-            columns = columns / size if keep.all() else columns[:, keep] / size[keep]
-            tests.append(Few(group.name, columns, layout) if group.few else Ridge.of(group.name, columns, layout))
+            columns = (columns if keep.all() else columns[keep]) / size[keep, None]
+            tests.append(Ridge.of(group.name, columns, baseline))
+    name, waves = single_waves(case.model, samples, weight)
+    few = Few.of(name, waves, baseline, project, _LEAST_NEW)
+    tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 
 
 def _weighed(
     tests: list[Regressor], baseline: Baseline, residual: Array, own: Array, layout: Layout, unit: np.ndarray
 ) -> Predictable:
-    """The shares of a residual (R,), by the best of these regressors. own: regressors (R, K) of unit variance that are
+    """The shares of a residual (R,), by the best of these regressors. own: regressors (K, R) of unit variance that are
     part of what noise does. unit: of each sample what its noise shares with others, (N,).
     """
     trials = baseline.trials(residual[:, None])
@@ -102,7 +106,7 @@ def _weighed(
     source, prediction = predictions[best]
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (unit.max() + 1, _FLIPS))
-    error = own @ rng.normal(size=(own.shape[1], _FLIPS))
+    error = own.T @ rng.normal(size=(len(own), _FLIPS))
     noise = baseline.trials((r - prediction)[:, None] * signs[unit][layout.sample] + error)
     totals = np.einsum("rf,rf->f", noise.left, noise.left)
     top = np.full(_FLIPS, -np.inf)
@@ -160,21 +164,6 @@ def _parameters(J: Array, case: Case) -> Array:
         return _FREE * J / np.maximum(size, 1e-300)[:, None, None]
     value, vector = np.linalg.eigh(case.known.covariance)
     return np.asarray((np.sqrt(_DOUBT * np.maximum(value, 0.0))[:, None] * (vector.T @ flat)).reshape(J.shape))
-
-
-class _Projection:
-    """What is left of columns when a regression on U is taken out of them."""
-
-    def __init__(self, U: Array) -> None:
-        """U: regressors (R, K) of unit variance, of which there may be none."""
-        value, vector = np.linalg.eigh(U.T @ U)
-        keep = value > 1e-12 * value.max(initial=1e-300)
-        self._Q = (U @ vector[:, keep]) / np.sqrt(value[keep])
-        self._out = (value[keep] / (1.0 + value[keep]))[:, None]
-
-    def __call__(self, x: Array) -> Array:
-        """Columns (R, D) less what U predicts of them."""
-        return np.asarray(x - self._Q @ (self._out * (self._Q.T @ x))) if self._Q.shape[1] else x
 
 
 def _drawn_in(residual: Array) -> Array:

@@ -9,7 +9,8 @@ import numpy as np
 from modcal_core.calibration.score import FINEST, Errors
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward
 
 # Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
 _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
@@ -19,6 +20,9 @@ _LEAST = 12  # samples from which a median is taken for the usual
 _TURNED = np.radians(2.0)
 _LEVER = 0.1  # of the reach; an error of the arm that turns the tool moves it by the angle times this, at least
 _MOST_BY_ARM = np.radians(5.0)
+_FINE = 2e-5  # m; what rounding may make to be finer than any arm repeats
+_BY_ROUNDING = 1.6  # times what rounding makes: the tool reaches farther than the tip
+_MOSTLY = 0.5  # of the squared error
 _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
 _REPEATED = 3  # readings in a row that are the same to the last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
@@ -31,7 +35,13 @@ def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, ch
 
     errors: of the scored samples by stage (nominal, geometric, final). samples: all of the recording.
     """
-    return (*computed(errors, scored), *repeated(samples), *turned(errors["final"], scored, chain))
+    made = computed(errors, scored) or rounded(errors, scored, chain)
+    return (
+        *made,
+        *(coarse(errors["final"], scored) if not made else ()),
+        *repeated(samples),
+        *turned(errors["final"], scored, chain),
+    )
 
 
 def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
@@ -56,6 +66,57 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
                 "and are no measurement. Record an instrument that looks at the arm from outside.",
             )
     return ()
+
+
+def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) -> tuple[str, ...]:
+    """Whether nothing is left but what rounding the joint positions makes, where that is finer than instruments are.
+
+    Each joint's last digit is as wrong as a number between two steps is, step / √12, and moves the tip by its lever.
+    """
+    step = _step_of_joints(samples.q)
+    if not step or len(samples) < _LEAST or not is_direct(samples.kinds) or not isinstance(chain, Chain):
+        return ()
+    tip = forward(chain, samples.q)[:, :3, 3]
+    moved = np.stack([forward(chain, samples.q + step * e)[:, :3, 3] - tip for e in np.eye(chain.n)])
+    made = float(np.sqrt(np.mean(np.sum(moved**2, axis=(0, 2))) / 12.0))
+    for stage, called in (("nominal", "nominal"), ("final", "fitted")):
+        left = _rms(errors[stage].position_norm)
+        if made < _FINE and left < _BY_ROUNDING * made:
+            return (
+                f"The {called} model misses by {1e6 * left:.2g} µm RMS, and joint positions rounded to {step:.2g} rad "
+                f"make {1e6 * made:.2g} µm: the readings have no error of their own, so they were probably computed "
+                "from the joints (or commands) before these were rounded, and are no measurement. Record an instrument "
+                "that looks at the arm from outside.",
+            )
+    return ()
+
+
+def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
+    """Whether most of what is left is made by the last digit of the positions.
+
+    Each coordinate is as wrong as a number between two steps is, step / √12, which is step / 2 over three axes.
+    """
+    free = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]  # a socket reads zero
+    if free.sum() < _LEAST or not is_direct(samples.kinds):
+        return ()
+    step = _step(samples.position[free])
+    made, of = step / 2.0, _rms(left.position_norm[free])
+    if not step or not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
+        return ()
+    return (
+        f"Positions are rounded to {1e3 * step:g} mm, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
+        "that are left: that is the export and not the instrument. Write more digits.",
+    )
+
+
+def _step_of_joints(q: np.ndarray) -> float:
+    """The power of ten of a radian or a degree that joint positions are rounded to [rad]; 0 where there is none."""
+    for unit in (1.0, np.pi / 180.0):
+        for digits in range(1, 6):
+            u = q / (unit * 10.0**-digits)
+            if np.abs(u - np.round(u)).max() < _SAME:
+                return float(unit * 10.0**-digits)
+    return 0.0
 
 
 def _step(position: np.ndarray) -> float:

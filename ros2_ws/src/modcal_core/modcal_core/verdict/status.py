@@ -14,6 +14,7 @@ from modcal_core.verdict.contributions import Contribution, contributions, mean_
 from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
@@ -22,6 +23,7 @@ MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may co
 MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable
 MOST_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
 MOST_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
+MOST_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
 MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS
 
 
@@ -50,10 +52,14 @@ def judge(
         *_reasons("not_applied", _not_applied(case, grounds)),
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
         *_reasons("contradiction", _loose(case, known, stated)),
+        *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
+        *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
         *_reasons("predictable", _predictable(seen)),
         *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
         *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
     )
+    if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
+        reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
     told = known.position is not None and (known.rotation is not None or not angles)
     status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
     return Verdict(
@@ -131,6 +137,22 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
             f"less than {most:.2g}{unit}. See that base, tool and target are fixed and that no readings are mixed up; "
             "if the arm is like that, state its repeatability."
+        )
+
+
+def _below_stated(case: Case, floor: Floor | None, angle: bool) -> Iterator[str]:
+    """An error surely far below a floor that was stated: no model predicts what an arm does not repeat."""
+    if floor is None or floor.repeatability.source != "stated":
+        return
+    station = case.samples.station[case.held_out]
+    station = station[case.samples.is_pose[case.held_out]] if angle else station
+    square, (_, high) = resampled(mean_square(case.errors["final"], angle), station)
+    if high < floor.square / MOST_OVERSTATED**2:
+        unit, what = ("°", "orientation") if angle else (" mm", "position")
+        yield (
+            f"{floor.rms:.3g}{unit} was stated for the {what} of arm and instrument together, and only "
+            f"{np.sqrt(square):.3g}{unit} is left: the statement cannot be true, and says nothing of the floor. See "
+            "whether it is in the right unit."
         )
 
 

@@ -32,6 +32,7 @@ class Announcer:
         self._before = node.create_publisher(Float64, "~/residual_before", LATCHED)
         self._trusted = node.create_publisher(Bool, "~/trusted", LATCHED)
         self._last_names: tuple[str, ...] = ()
+        self._trusted.publish(Bool(data=False))  # until there is a model: who asks is not left waiting
 
     def model(self, files: Mapping[str, str]) -> None:
         """Publish a model that is trusted from now on."""

@@ -38,14 +38,14 @@ class Solved:
     rms: float | None
 
 
-def solve(job: Job, urdf: str) -> Solved:
-    """Calibrate and write the texts. Raises ModcalError for data that cannot carry a fit."""
+def solve(job: Job, urdf: str, page: bool = True) -> Solved:
+    """Calibrate and write the texts, report.html only if page. Raises ModcalError for data that cannot carry a fit."""
     resolved = resolve(job)
     report = resolved.report
     size = report.size_mm("final")
     return Solved(
         resolved.result.calibration,
-        calibration_files(resolved.result, report, job.chain, urdf),
+        calibration_files(resolved.result, report, job.chain, urdf, page=page),
         resolved.comparison,
         report.verdict,
         standing_of(report),

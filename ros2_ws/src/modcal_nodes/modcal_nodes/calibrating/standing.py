@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import get_args
+from typing import cast, get_args
 
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import REMEDY, short_status
@@ -51,4 +51,4 @@ def standing_of_json(text: str | None) -> Standing | None:
     because = reasons or tuple(filter(None, [remedy]))
     said = " ".join(because[:_MAX_SAID])
     lines = {"at_floor": "At the floor.", "open": f"Open: {said}", "cannot_tell": f"Cannot tell: {said or REMEDY}"}
-    return Standing(status, because, lines[status])
+    return Standing(cast(Status, status), because, lines[status])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from modcal_nodes.files import write_folder
 from modcal_nodes.inputs import read_calibration
 
 _SAMPLES = "samples.npz"
+_LOCK = ".in_use"
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,37 @@ class State:
     calibration: Calibration | None = None
     files: Mapping[str, str] | None = None
     samples: Samples | None = None
+
+
+class StateLock:
+    """Held on a folder as long as this process lives: two calibrators would overwrite each other's model."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take it. Raises BadTable where another process holds it, or the folder cannot be made."""
+        self.warning = ""  # why it could not be taken, where the file system knows no locks
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = (folder / _LOCK).open("a+")
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.seek(0)
+            who = self._file.read().strip() or "another process"
+            self._file.close()
+            raise BadTable(str(folder), f"is in use by {who}", "give each calibrator a folder of its own") from None
+        except OSError as error:
+            if not folder.is_dir():
+                raise BadTable(str(folder), f"cannot be made ({error.strerror})", "choose another folder") from error
+            self.warning = f"{folder}: cannot be locked ({error.strerror}): see that no other calibrator uses it"
+            return
+        self._file.truncate(0)
+        self._file.write(f"process {os.getpid()}\n")
+        self._file.flush()
+
+    def release(self) -> None:
+        """Give it up."""
+        if not self.warning:
+            self._file.truncate(0)
+            self._file.close()
 
 
 def read_state(folder: Path) -> State:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +12,8 @@ from modcal_core.online.supervisor import SUSPECTED, Supervisor
 from modcal_core.resolve import Comparison
 from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.health import ERROR, OK, WARN, Status
-from modcal_nodes.hearing import Ear
 
+_ADVISED = 40  # stations before a first solve that nobody has set: some twice as many numbers as an arm has
 _TIMED = 20_000  # updates whose times are remembered
 
 
@@ -35,15 +34,6 @@ class Times:
             out["from stamp to update, median [ms]"] = f"{1e3 * np.median(self.late):.2f}"
             out["from stamp to update, p99 [ms]"] = f"{1e3 * np.percentile(self.late, 99):.2f}"
         return out
-
-
-def tracker_status(hearing: Status, ears: Sequence[Ear]) -> Status:
-    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
-    instruments = [ear for ear in ears if "tracker/" in ear.topic]
-    if hearing.level != OK or any(ear.count for ear in instruments):
-        return hearing
-    topics = " and ".join(ear.topic for ear in instruments)
-    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)
 
 
 def model_status(
@@ -80,6 +70,19 @@ def model_status(
     return Status("model", OK if standing.at_floor else WARN, text, facts)
 
 
+def collected(supervisor: Supervisor) -> str:
+    """How far collecting is."""
+    policy = supervisor.policy
+    if supervisor.live is not None:
+        if supervisor.suspicion is not None and policy.after_change:
+            return f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved anew"
+        return f"{supervisor.stations} stations"
+    wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")
+    if supervisor.stations >= wanted:
+        return f"{supervisor.stations} stations of {wanted} are collected: {then}"
+    return f"{supervisor.stations} of {wanted} stations, then {then}"
+
+
 def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:
     """How many stations there are, what was left out, and how long updates take."""
     facts: dict[str, object] = {"messages refused": refused}
@@ -89,5 +92,5 @@ def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, t
         facts["readings without joint states"] = stream.counts.unpaired
     if supervisor.live is not None:
         facts["readings in unknown frames"] = supervisor.live.strange
-    message = f"{supervisor.stations} stations" + (f", {refused} messages refused" if refused else "")
+    message = collected(supervisor) + (f", {refused} messages refused" if refused else "")
     return Status("samples", WARN if refused else OK, message, {**facts, **times.values()})

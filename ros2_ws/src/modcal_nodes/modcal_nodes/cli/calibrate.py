@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.errors import ModcalError, NotEnoughData
-from modcal_core.loop import evaluate
+from modcal_core.evaluate import evaluate
 from modcal_core.measurements.recording import Recording
 from modcal_core.prepare import prepare_pieces
 from modcal_core.report.as_json import to_json_data

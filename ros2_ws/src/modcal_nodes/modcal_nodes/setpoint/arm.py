@@ -21,11 +21,10 @@ from modcal_core.robots.urdf import read_chain
 
 @dataclass(frozen=True)
 class Arm:
-    """The chain to the tool, what it may be told, and its force sensor. farthest: no tool lies farther off [m]."""
+    """The chain to the tool, and its force sensor. farthest: no tool lies farther off [m]."""
 
     urdf: str
     chain: Chain
-    limits: Limits
     sensor: WrenchSensor
     farthest: float
 
@@ -38,25 +37,27 @@ class Arm:
             frames.append((chosen["wrench_frame"], _fixed(urdf, chain, chosen["wrench_frame"])))
         load = Load(chosen["tool_mass"], _vector("tool_centre", chosen))
         sensor = WrenchSensor(frames, load, chosen["cutoff_hz"], -1.0 if chosen["wrench_by_tool"] else 1.0)
-        turning = chain.revolute
-        limits = Limits(
-            joint_speed=np.where(turning, chosen["joint_speed_rad_s"], chosen["joint_speed_m_s"]),
-            joint_acceleration=np.where(
-                turning, chosen["joint_acceleration_rad_s2"], chosen["joint_acceleration_m_s2"]
-            ),
-            speed=chosen["most_speed_m_s"],
-            acceleration=chosen["most_acceleration_m_s2"],
-            turning=chosen["most_turning_rad_s"],
-            turning_acceleration=chosen["most_turning_rad_s2"],
-            force=chosen["most_force_n"],
-            moment=chosen["most_moment_nm"],
-            displacement=chosen["most_displacement_m"],
-            turn=chosen["most_turn_rad"],
-            stale=chosen["stale_s"],
-            period=1.0 / chosen["rate_hz"],
-            gain=chosen["least_gain"],
-        )
-        return cls(urdf, chain, limits, sensor, 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3]))))
+        return cls(urdf, chain, sensor, 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3]))))
+
+
+def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
+    """What the arm may be told, by these parameters."""
+    turning = chain.revolute
+    return Limits(
+        joint_speed=np.where(turning, chosen["joint_speed_rad_s"], chosen["joint_speed_m_s"]),
+        joint_acceleration=np.where(turning, chosen["joint_acceleration_rad_s2"], chosen["joint_acceleration_m_s2"]),
+        speed=chosen["most_speed_m_s"],
+        acceleration=chosen["most_acceleration_m_s2"],
+        turning=chosen["most_turning_rad_s"],
+        turning_acceleration=chosen["most_turning_rad_s2"],
+        force=chosen["most_force_n"],
+        moment=chosen["most_moment_nm"],
+        displacement=chosen["most_displacement_m"],
+        turn=chosen["most_turn_rad"],
+        stale=chosen["stale_s"],
+        period=1.0 / chosen["rate_hz"],
+        gain=chosen["least_gain"],
+    )
 
 
 def task(chosen: dict[str, Any]) -> Task:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_nodes.simulation.furniture import FOLDS_AT, Furniture
-from modcal_nodes.simulation.mjcf import inertial, placed, text
+from modcal_nodes.simulation.mjcf import inertial, placed, quoted, text
 
 OBJECT = "object_joint"
 SECOND = "object_joint_2"  # the slide of a screw, the second hinge of a folding door
@@ -73,7 +72,7 @@ def _arm(chain: Chain, inertias: Inertias, scene: Furniture) -> str:
         limits = f'range="{chain.lower[k]:.17g} {chain.upper[k]:.17g}"' if np.isfinite(chain.lower[k]) else ""
         # what a motor's rotor adds through its gear, and the friction of bearings
         out.append(
-            f'<body gravcomp="1" {placed(chain.origins[k])}><joint name={quoteattr(name)} type="{kind}" '
+            f'<body gravcomp="1" {placed(chain.origins[k])}><joint name={quoted(name)} type="{kind}" '
             f'axis="{text(chain.axes[k])}" armature="0.1" damping="0.5" frictionloss="0.1" {limits}/>'
             + inertial(inertias, k)
         )
@@ -132,7 +131,7 @@ def _joint(name: str, scene: Furniture, kind: str, limits: str, resists: float =
 
 def _servos(chain: Chain, servo: Servo) -> str:
     return "".join(
-        f'<position joint={quoteattr(name)} kp="{gain:.17g}" kv="{servo.lag_s * gain:.17g}"'
+        f'<position joint={quoted(name)} kp="{gain:.17g}" kv="{servo.lag_s * gain:.17g}"'
         + (f' forcerange="{-limit:.17g} {limit:.17g}"/>' if np.isfinite(limit) else "/>")
         for name, gain, limit in zip(chain.names, servo.gains, servo.effort, strict=True)
     )

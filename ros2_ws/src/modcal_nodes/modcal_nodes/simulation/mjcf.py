@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xml.sax.saxutils import quoteattr
+from html import escape
 
 import numpy as np
 
@@ -14,6 +14,11 @@ from modcal_core.robots.urdf_inertias import Inertias
 
 PAYLOAD = "payload"
 NO_MASS = 1e-9  # kg and kg m²; MuJoCo moves no body without either
+
+
+def quoted(value: str) -> str:
+    """An attribute's value in XML. xml.sax.saxutils does the same and imports urllib, http and ssl for it."""
+    return f'"{escape(value)}"'
 
 
 def body_name(joint: str) -> str:
@@ -33,12 +38,12 @@ def mjcf(chain: Chain, origins: Array, T_tip_tool: Array, inertias: Inertias | N
     for k, name in enumerate(chain.names):
         kind = "hinge" if chain.revolute[k] else "slide"
         opening.append(
-            f"<body name={quoteattr(body_name(name))} {placed(origins[k])}>"
-            f"<joint name={quoteattr(name)} type={quoteattr(kind)} axis={quoteattr(text(chain.axes[k]))}/>"
+            f"<body name={quoted(body_name(name))} {placed(origins[k])}>"
+            f"<joint name={quoted(name)} type={quoted(kind)} axis={quoted(text(chain.axes[k]))}/>"
             + ('<geom type="sphere" size="0.03" mass="2"/>' if inertias is None else inertial(inertias, k))
         )
     mass = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
-    payload = f"<body name={quoteattr(PAYLOAD)} {placed(origins[-1])}>{mass}</body>"
+    payload = f"<body name={quoted(PAYLOAD)} {placed(origins[-1])}>{mass}</body>"
     site = f'<site name="tool" {placed(origins[-1] @ T_tip_tool)}/>'
     return "".join(opening) + payload + site + "</body>" * chain.n + "</worldbody></mujoco>"
 

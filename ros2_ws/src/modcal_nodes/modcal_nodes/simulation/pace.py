@@ -70,15 +70,15 @@ class Beat:
     The lock is held during each call.
     """
 
-    def __init__(self, period: float, call: Callable[[], None]) -> None:
-        self._period, self._call = period, call
+    def __init__(self, period: float, call: Callable[[], None], alive: Callable[[], bool] = lambda: True) -> None:
+        """call: guarded, so that what it raises is told. alive: asked after a failure; whether to go on."""
+        self._period, self._call, self._alive = period, call, alive
         self.lock = threading.Lock()
-        self.failure: Exception | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="beat", daemon=True)
 
     def start(self) -> None:
-        """Begin to call. An exception ends it and is kept as ``failure``."""
+        """Begin to call."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -89,12 +89,14 @@ class Beat:
 
     def _run(self) -> None:
         due = time.monotonic()
-        try:
-            while not self._ended.is_set():
+        while not self._ended.is_set():
+            try:
                 with self.lock:
                     self._call()
-                # a beat that was missed is not made up for: the call sends all that is due
-                due = max(due + self._period, time.monotonic() - self._period)
-                time.sleep(max(due - time.monotonic(), 0.0))
-        except Exception as error:
-            self.failure = error
+            except Exception:
+                if self._alive():
+                    raise
+                return
+            # a beat that was missed is not made up for: the call sends all that is due
+            due = max(due + self._period, time.monotonic() - self._period)
+            time.sleep(max(due - time.monotonic(), 0.0))

@@ -1,0 +1,302 @@
+"""All nodes at 1 kHz + 200 Hz while everything goes wrong: does any end by itself, and what is lost?
+
+    make chaos                     # BENCH_ARGS="--minutes 2" for a shorter one
+
+A simulated cell speaks on /raw. One calibrator hears it undisturbed. A relay passes everything on to all other nodes,
+and drops, delays, doubles and corrupts messages, changes the order of joints, restarts its publishers and moves the
+clock of the stamps. In every node callbacks raise exceptions; each node is killed and started again in turn. At the end
+both calibrators solve, and are compared with each other and with MuJoCo's truth; every message that the relay has
+published is looked for in the recorder's bags. Ends with exit code 1 when a limit is broken.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import argparse  # noqa: E402
+import signal  # noqa: E402
+import subprocess  # noqa: E402
+import sys  # noqa: E402
+import tempfile  # noqa: E402
+import time  # noqa: E402
+from collections import Counter  # noqa: E402
+from dataclasses import dataclass, field  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "bench")]
+
+import numpy as np  # noqa: E402
+from chaos_parts import RECORD, digest  # noqa: E402
+from nodes.cell import Said, call  # noqa: E402
+from nodes.processes import Process, environment, fresh_domain, listener, running  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.table import Table  # noqa: E402
+
+from modcal_core.calibration.store import Calibration  # noqa: E402
+from modcal_core.correction.conditions import Conditions  # noqa: E402
+from modcal_core.correction.correction import Correction  # noqa: E402
+from modcal_core.errors import BadRecording  # noqa: E402
+from modcal_msgs_py.mcap_walk import McapFile  # noqa: E402
+from modcal_nodes.inputs import read_calibration  # noqa: E402
+from modcal_nodes.parameters import SIMULATED_CELL  # noqa: E402
+from modcal_nodes.simulation.plant import Plant  # noqa: E402
+
+JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3
+UNWRITTEN = 1.0  # s of messages that a kill may take with it
+MOST_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
+CALM_DOWN = 0.25  # share of the time at the end in which the calibrator and the recorder are not killed any more
+TOPICS = ("/joint_states", "/tracker/pose")
+
+
+@dataclass
+class Subject:
+    """A node that is disturbed: its process, when it was killed, and how often it ended by itself."""
+
+    name: str
+    words: list[str]
+    folder: Path
+    domain: int
+    log: Path
+    popen: subprocess.Popen[bytes] | None = None
+    kills: list[float] = field(default_factory=list)
+    starts: list[float] = field(default_factory=list)
+    ended: list[int] = field(default_factory=list)
+
+    def start(self) -> None:
+        """Start it, or start it again; a recorder into another bag."""
+        words = [word.replace("BAG", f"bag{len(self.starts)}") for word in self.words]
+        command = [sys.executable, str(ROOT / "bench" / "chaos_parts.py"), "node", self.name, str(self.log)]
+        command += [str(len(self.starts)), "--ros-args", *words]
+        with (self.folder / f"{self.name}.log").open("ab") as stream:
+            self.popen = subprocess.Popen(
+                command, env=environment(self.domain), cwd=self.folder, stdout=stream, stderr=subprocess.STDOUT
+            )
+        self.starts.append(time.monotonic())
+
+    def look(self) -> None:
+        """Notice that it has ended by itself, and start it again."""
+        if self.popen is not None and self.popen.poll() is not None:
+            self.ended.append(self.popen.returncode)
+            self.start()
+
+    def kill(self) -> None:
+        """As an operator or the system would, without a word."""
+        assert self.popen is not None
+        self.kills.append(time.monotonic())
+        self.popen.kill()
+        self.popen.wait()
+
+    def stop(self) -> int:
+        """End it as it should be ended."""
+        assert self.popen is not None
+        if self.popen.poll() is None:
+            self.popen.send_signal(signal.SIGINT)
+        try:
+            return self.popen.wait(60.0)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            return -9
+
+
+def subjects(folder: Path, domain: int) -> list[Subject]:
+    """Every node but the cell, all within hearing of the relay; the furniture in a namespace of its own."""
+    panda = ROOT / "examples" / "robots" / "panda.urdf"
+    words = {
+        "recorder": ["-p", "out:=BAG"],
+        "calibrator": ["-p", "state:=state", "-p", "out:=disturbed", "-p", "memory_s:=20.0"],
+        "corrector": ["-r", "calibration:=calibrator/calibration"],
+        "viewer": [],
+        "articulation_estimator": [],
+        "acceleration_limits": [],
+        "impedance_setpoint": ["-p", "autostart:=true"],
+        "simulated_furniture": ["-r", "__ns:=/door", "-p", f"urdf:={panda}"],
+    }
+    return [Subject(name, w, folder, domain, folder / "injected.txt") for name, w in words.items()]
+
+
+def run(folder: Path, seconds: float) -> int:
+    """The whole of it; returns the exit code."""
+    domain = fresh_domain()
+    every = subjects(folder, domain)
+    calm = Process("calibrator", domain, folder, "-r", "__ns:=/raw", out=folder / "calm")
+    with running(calm), listener(domain) as (node, wait):
+        said = Said(node)
+        relay = subprocess.Popen(
+            [sys.executable, str(ROOT / "bench" / "chaos_parts.py"), "relay", str(folder / "relay.bin"), "5"],
+            env=environment(domain), cwd=folder,
+        )  # fmt: skip
+        try:
+            for subject in every:
+                subject.start()
+            wait(lambda: said.level("/raw/calibrator: samples") >= 0 and said.level("/calibrator: samples") >= 0, 60.0)
+            cell = Process(
+                "simulated_cell", domain, folder, "-r", "__ns:=/raw", urdf=ROOT / "examples" / "robots" / "ur10.urdf",
+                seed=SEED, start_delay_s=4.0, stations=200, repeat=True, joint_rate_hz=JOINT_RATE,
+                tracker_rate_hz=TRACKER_RATE,
+            )  # fmt: skip
+            with running(cell):
+                _disturb(every, wait, seconds)
+                answers = {
+                    name: call(node, wait, f"{name}/solve", 300.0).message for name in ("calibrator", "raw/calibrator")
+                }
+                cell.stop()
+            relay.terminate()
+            relay.wait(20.0)
+            due = time.monotonic() + 2.0
+            wait(lambda: time.monotonic() > due, 10.0)
+        finally:
+            relay.kill()
+            codes = {subject.name: subject.stop() for subject in every}
+        calm.stop(patience=60.0)
+    return _report(folder, every, codes, answers)
+
+
+def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
+    """Kill one after the other, evenly over the time, and see that none ends otherwise."""
+    begun, round_, turn = time.monotonic(), seconds / (2.0 * len(every)), 0
+    while (since := time.monotonic() - begun) < seconds:
+        due = time.monotonic() + 0.2
+        wait(lambda due=due: time.monotonic() > due, 10.0)
+        for subject in every:
+            subject.look()
+        if since > (turn + 1) * round_:
+            subject = every[turn % len(every)]
+            turn += 1
+            late = since > (1.0 - CALM_DOWN) * seconds
+            if not (late and subject.name in ("calibrator", "recorder")):
+                subject.kill()
+                subject.start()
+
+
+def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str]]:
+    """How many messages were published, how many of them are in no bag, how many of those have no excuse, and where."""
+    data = (folder / "relay.bin").read_bytes()
+    published = [RECORD.unpack_from(data, at) for at in range(0, len(data) - RECORD.size + 1, RECORD.size)]
+    bags = [_in_bag(folder / f"bag{k}") for k in range(len(recorder.starts))]
+    left = sum(bags, Counter[tuple[int, bytes]]())
+    # a recorder hears a topic from the first message of its bag on
+    heard_from: list[dict[int, float]] = []
+    for bag in bags:
+        first: dict[int, float] = {}
+        for when, topic, key in published:
+            if topic not in first and (topic, key) in bag:
+                first[topic] = when
+        heard_from.append(first)
+    injected = [line.split() for line in (folder / "injected.txt").read_text().splitlines()]
+    faults = [float(t) for t, name, *place in injected if name == "recorder" and any("/" in p for p in place)]
+    lost, why = 0, Counter[str]()
+    for when, topic, key in published:
+        if left[topic, key] > 0:
+            left[topic, key] -= 1
+            continue
+        lost += 1
+        down = [
+            kill - UNWRITTEN <= when < heard_from[k + 1].get(topic, np.inf) for k, kill in enumerate(recorder.kills)
+        ]
+        if any(down) or when < heard_from[0].get(topic, np.inf):
+            why["while the recorder was down or unmatched, or in its last second"] += 1
+        elif any(0.0 <= fault - when < 0.5 or 0.0 <= when - fault < 0.5 for fault in faults):
+            why["near an exception in one of the recorder's callbacks"] += 1
+        else:
+            why["without an excuse"] += 1
+    return len(published), lost, why["without an excuse"], why
+
+
+def _in_bag(folder: Path) -> Counter[tuple[int, bytes]]:
+    found: Counter[tuple[int, bytes]] = Counter()
+    for path in sorted(folder.glob("*.mcap")):
+        try:
+            for raw in McapFile(path).messages():
+                if raw.topic in TOPICS:
+                    found[TOPICS.index(raw.topic), digest(bytes(raw.cdr))] += 1
+        except BadRecording as error:  # what a kill has cut off; whole chunks have been read
+            print(f"{path.name}: {error}", flush=True)
+    return found
+
+
+def _deviations(one: Calibration, other: Calibration) -> float:
+    """How far the tip of one lies from that of the other at random postures, at most, in combined deviations.
+
+    In the base link, where what base and first link, or tool and last link, share is not seen: the parameters
+    themselves differ in that from fit to fit.
+    """
+    both = Correction(one), Correction(other)
+    n, worst = both[0].chain.n, 0.0
+    for q in np.random.default_rng(0).uniform(-2.0, 2.0, (100, n)):
+        at = Conditions(0.0, q, np.zeros(n), np.zeros(n), np.full(n, np.nan), ())
+        apart = both[0].pose(q, at)[:3, 3] - both[1].pose(q, at)[:3, 3]
+        # without the scatter of the arm, which is no error of the calibration
+        var = [np.diag(c.covariance(q, at))[:3] - c.calibration.spread.position**2 for c in both]
+        worst = max(worst, float(np.abs(apart / np.sqrt(var[0] + var[1])).max()))
+    return worst
+
+
+def _off(calibration: Calibration, truth: Plant) -> float:
+    """RMS of the tool's true position, by MuJoCo, about that of a calibration, at random postures [m]."""
+    rng, chain = np.random.default_rng(0), truth.chain
+    q = rng.uniform(np.maximum(chain.lower, -2.0), np.minimum(chain.upper, 2.0), (100, chain.n))
+    true = truth.world.tool_in_tracker(q)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum((calibration.calibrated.predict(q)[:, :3, 3] - true) ** 2, axis=1))))
+
+
+def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: dict[str, str]) -> int:
+    table, broken = Table("", "seen", "limit", ""), 0
+
+    def row(what: str, value: str, limit: str = "", good: bool = True) -> None:
+        nonlocal broken
+        broken += not good
+        table.add_row(what, value, limit, "" if not limit else "ok" if good else "[red]broken")
+
+    for line in (folder / "relay.txt").read_text().splitlines():
+        count, _, what = line.partition(" ")
+        row(f"relay: {what}", count)
+    injected = Counter(line.split()[1] for line in (folder / "injected.txt").read_text().splitlines())
+    for subject in every:
+        row(f"{subject.name}: exceptions, kills", f"{injected[subject.name]}, {len(subject.kills)}")
+        said = ", ".join(map(str, subject.ended)) or "never"
+        row(f"{subject.name}: ended by itself", said, "never", not subject.ended)
+        row(f"{subject.name}: exit code when told to end", str(codes[subject.name]), "0", codes[subject.name] == 0)
+    published, lost, unexcused, why = _losses(folder, every[0])
+    row("recorder: lost of published", f"{lost} of {published}")
+    for reason, count in sorted(why.items()):
+        row(f"recorder: lost {reason}", str(count))
+    row("recorder: lost without an excuse", str(unexcused), "0", unexcused == 0)
+    for name, answer in answers.items():
+        row(f"{name}: solve", answer)
+    try:
+        disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
+        apart = _deviations(disturbed, calm)
+        row("disturbed against calm, the tip at 100 postures", f"{apart:.2f} deviations", f"{MOST_DEVIATIONS:g}",
+            apart <= MOST_DEVIATIONS)  # fmt: skip
+        urdf = ROOT / "examples" / "robots" / "ur10.urdf"
+        chosen = {**{name: p.default for name, p in SIMULATED_CELL.items()}, "urdf": str(urdf), "seed": SEED}
+        truth = Plant({**chosen, "stations": 10})
+        off, best = _off(disturbed, truth), _off(calm, truth)
+        row("disturbed against the truth, RMS", f"{1e3 * off:.3f} mm (calm: {1e3 * best:.3f})", "0.1 mm, or twice calm",
+            off <= max(1e-4, 2.0 * best))  # fmt: skip
+    except Exception as error:  # the table says so, and is still printed
+        row("the two calibrations", repr(error), "both there", False)
+    Console(width=150).print(table)
+    return 1 if broken else 0
+
+
+def main() -> int:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--keep", type=Path, default=None, help="a folder for logs and bags that is left behind")
+    chosen = parser.parse_args()
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True)
+        return run(chosen.keep, 60.0 * chosen.minutes)
+    with tempfile.TemporaryDirectory() as name:
+        return run(Path(name), 60.0 * chosen.minutes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

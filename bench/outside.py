@@ -1,0 +1,114 @@
+"""Real arms outside what the fit has seen: the outer fifth of a recording's postures, frozen, in blocks of joint space.
+
+The grids of a UR5 and of a Barrett WAM (../shared/data/serial_robots). A posture's distance from the middle counts each
+joint by its own spread; the farthest fifth is held out and parted into blocks about the two directions in which it
+extends most. In no block may the full model be worse than the geometry that was fitted beside it: the lower end of the
+95 % interval of the difference of their mean squares, from resampled postures, must not lie above zero.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from modcal_core.report.report import Report
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data" / "serial_robots"
+ROBOTS = {"ur5": "ur5_grid.csv", "wam7": "wam_grid.csv"}
+BLOCKS = 5
+STAGES = ("nominal", "geometric", "final")
+PERIOD = 10.0  # s between rows, whose times nobody wrote down
+
+
+def rows(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Commanded joints (N, n) [rad] and measured positions (N, 3) [m]: what was aimed at less the difference to it."""
+    with (DATA / ROBOTS[name]).open() as stream:
+        table = list(csv.DictReader(stream))
+
+    def columns(*names: str) -> np.ndarray:
+        return np.array([[float(row[name]) for name in names] for row in table])
+
+    q = np.deg2rad(columns(*(key for key in table[0] if key.startswith("joint_"))))
+    return q, 1e-3 * (columns("x_t", "y_t", "z_t") - columns("x_dif", "y_dif", "z_dif"))
+
+
+def outer_fifth(q: np.ndarray) -> np.ndarray:
+    """The block of each posture of the outer fifth, −1 for those inside, (N,)."""
+    away = (q - np.median(q, axis=0)) / q.std(axis=0)
+    far = np.linalg.norm(away, axis=1)
+    outside = far > np.quantile(far, 0.8)
+    away = away - away[outside].mean(axis=0)
+    directions = np.linalg.svd(away[outside], full_matrices=False)[2][:2]
+    angle = np.arctan2(*(away @ directions.T).T)
+    edges = np.quantile(angle[outside], np.linspace(0.0, 1.0, BLOCKS + 1)[1:-1])
+    return np.where(outside, np.searchsorted(edges, angle), -1)
+
+
+def difference(final: np.ndarray, geometric: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of the mean of final² − geometric² of the same postures, both (N,) [m]; in mm²."""
+    both = 1e6 * (final**2 - geometric**2)
+    means = both[rng.integers(len(both), size=(4000, len(both)))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def say(what: str, report: Report, end: str) -> None:
+    """Print the mean errors [mm] of a report by stage."""
+    missed = [report.errors[stage].position_norm for stage in STAGES]
+    sizes = "".join(f"{1e3 * np.nanmean(each):10.3f}" for each in missed)
+    print(f"{what:<24}{len(missed[-1]):>10}{sizes}  {end}", flush=True)
+
+
+def main() -> None:
+    """Print a row for the inner part, for the outer fifth, and for each of its blocks."""
+    from modcal_core.evaluate import evaluate
+    from modcal_core.loop import calibrate
+    from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
+    from modcal_core.prepare import prepare
+    from modcal_nodes.cli.robot import read_robot
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="robots whose name holds this")
+    only = parser.parse_args().only
+    if not DATA.is_dir():
+        sys.exit("no real recordings: ../shared/data is not beside this checkout")
+    rng, worse = np.random.default_rng(0), 0
+    heads = "".join(f"{head:>10}" for head in ("postures", *STAGES))
+    print(f"{'mean error, mm':<24}{heads}  status, or final² − geometric²")
+    for name in (name for name in ROBOTS if only in name):
+        chain = read_robot(ROOT / "examples" / "robots" / f"{name}.yaml")
+        q, p = rows(name)
+        stamps = 1.7e9 + PERIOD * np.arange(len(q))
+        unknown = np.full_like(q, np.nan)
+        joints = JointTrack(chain.names, stamps, q, unknown, unknown, stamps)
+        readings = ReadingTrack("point", "tracker", stamps, p, stamps)
+        recording = Recording((joints,), (readings,), warnings=(ORDER_ONLY,))
+        samples = prepare(recording, chain).samples
+        block = outer_fifth(samples.q)
+        done = calibrate(samples.select(np.flatnonzero(block < 0)), chain, np.random.default_rng(0))
+
+        say(f"{name}, inside", done.report, done.report.judged.status)
+        for which in (None, *range(BLOCKS)):
+            chosen = np.flatnonzero(block >= 0 if which is None else block == which)
+            report = evaluate(done.calibration, samples.select(chosen), np.random.default_rng(0))
+            final, geometric = (report.errors[stage].position_norm for stage in ("final", "geometric"))
+            low, high = difference(final, geometric, rng)
+            bad = low > 0.0
+            worse += bad
+            say(
+                f"{name}, outer fifth" if which is None else f"  block {which + 1}",
+                report,
+                report.judged.status if which is None else f"{low:+.4f} … {high:+.4f} mm²{'  WORSE' if bad else ''}",
+            )
+    sys.exit(f"{worse} worse than geometry" if worse else 0)
+
+
+if __name__ == "__main__":
+    main()

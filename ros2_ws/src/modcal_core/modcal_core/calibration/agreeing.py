@@ -1,0 +1,299 @@
+"""Readings of which only a part agrees with the robot: which part, and what the rest looks like.
+
+Where the model misses by far, or rejects many stations, the largest set of stations that agree on one base and one tool
+is found by drawing a few stations at a time (RANSAC; Fischler & Bolles 1981). The rest is then read with each of the
+:mod:`mistakes` undone, with another base or tool, and with the position of one joint taken as unknown: with the others
+given, an orientation tells the angle of a joint in closed form, and the place of the tool must agree. Where no stations
+agree, one joint may be wrong everywhere: then its angles, base and tool are found in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.conventions import _by_positions, _hand_eye, _linear, _turns
+from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
+from modcal_core.calibration.runs import consecutive
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward
+
+_ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
+_OF_REACH = 0.006  # the same for positions
+_CLEARLY = 2.0  # times both; what misses by less may be the arm's own error, or that of a few stations drawn
+_DRAWN = 5  # stations
+_DRAWS = 240
+_LEAST = 12  # stations that must agree, and be explained
+_MOST_AGREE = 0.95  # where more do, single readings are wrong
+_EXPLAINED = 0.8  # share of the rest that an explanation must bring back
+_MORE = 0.3  # share of all stations that a joint's angles must bring back beyond those that agree as they are
+_MOST = 160  # stations; more are thinned evenly
+_STARTS, _ROUNDS = 16, 25
+_STILL = 1e-9  # rad
+_FACTORS = {
+    "the other way round": -1.0,
+    "in revolutions": 2.0 * np.pi,
+    "in degrees": np.pi / 180.0,
+    "twice as far": 0.5,
+    "half as far": 2.0,
+    "at the motor, before a gear of 100": 0.01,
+    "at the motor, before a gear of 50": 0.02,
+}
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
+
+    Y: Array
+    X: Array
+    x: Array
+    t: Array
+
+    def missed(self, A: Array, samples: Samples) -> tuple[Array, Array]:
+        """Angles [rad] and distances [m], (N,)."""
+        gap = samples.position - (se3.apply(A, self.x) @ self.Y.T + self.t)
+        turn = _turns(self.Y, A[:, :3, :3], self.X, samples.R)
+        return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """what: a phrase naming what looks wrong. remedy: what to do. stations: how many, of how many."""
+
+    what: str
+    remedy: str
+    stations: int
+    of: int
+
+
+def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """What looks wrong with the stations that do not agree with the others, None where nothing is found.
+
+    samples: in a frame of several, that with most readings is looked at.
+    """
+    if not isinstance(chain, Chain) or not len(samples):
+        return None
+    f = int(np.argmax(np.bincount(samples.frame)))
+    rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
+    if len(rows) < 2 * _LEAST or samples.frames[f] in samples.sockets:
+        return None
+    rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+    try:
+        return _Search(samples.select(rows), chain).found()
+    except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
+        return None
+
+
+class _Search:
+    """The stations of one frame, in order of time."""
+
+    def __init__(self, samples: Samples, chain: Chain) -> None:
+        self.samples, self.chain = samples, chain
+        self.A = forward(chain, samples.q)
+        self.poses = bool(samples.is_pose.all())
+        self.limit = _ANGLE, _OF_REACH * chain.reach()
+        self.rng = np.random.default_rng(0)
+
+    def found(self) -> Disagreement | None:
+        everything = np.arange(len(self.samples))
+        placed, agree = self._largest(everything)
+        if agree.mean() > _MOST_AGREE:
+            return None
+        if placed is not None and agree.sum() >= max(_LEAST, 0.2 * len(agree)):
+            rest = np.flatnonzero(~self._within(placed, self.A, self.samples, _CLEARLY))
+            if len(rest) >= _LEAST // 2:
+                said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
+                if said is not None:
+                    return said
+        return self._joint_throughout(float(agree.mean()))
+
+    def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
+        angle, gap = placed.missed(A, samples)
+        return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
+
+    def _placed(self, A: Array, samples: Samples) -> _Placed:
+        """Base and tool from these stations."""
+        if self.poses:
+            Y, X = _hand_eye(A[:, :3, :3], samples.R)
+        else:
+            Y, X = _by_positions(A[None], samples.position[None])[0], np.eye(3)
+        _, x, t = _linear(Y, A, samples.position)
+        return _Placed(Y, X, x, t)
+
+    def _largest(self, rows: np.ndarray) -> tuple[_Placed | None, np.ndarray]:
+        """Base and tool that most of these stations agree on, and which of them do, (rows,)."""
+        samples, A = self.samples.select(rows), self.A[rows]
+        best, agree = None, np.zeros(len(rows), bool)
+        drawn = _DRAWN if self.poses else _DRAWN + 3
+        if len(rows) < drawn + 2:
+            return best, agree
+        for k in range(_DRAWS if self.poses else _DRAWS // 4):
+            if k % 2:
+                some = self.rng.choice(len(rows), drawn, replace=False)
+            else:  # what changes at a time leaves neighbours alike
+                first = int(self.rng.integers(max(len(rows) - 2 * drawn, 1)))
+                some = first + self.rng.choice(min(2 * drawn, len(rows)), drawn, replace=False)
+            placed = self._placed(A[some], samples.select(some))
+            inside = self._within(placed, A, samples, _CLEARLY)
+            if inside.sum() > agree.sum():
+                best, agree = placed, inside
+        for _ in range(3):
+            if agree.sum() > drawn:
+                best = self._placed(A[agree], samples.select(np.flatnonzero(agree)))
+                agree = self._within(best, A, samples)
+        return best, agree
+
+    def _by_mistake(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+        part = self.samples.select(rest)
+        best, named = _EXPLAINED, None
+        for mistake in self._mistakes():
+            undone = mistake.undone(part)
+            A = forward(self.chain, undone.q) if mistake.touches == "joints" else self.A[rest]
+            share = float(self._within(placed, A, undone).mean())
+            if share > best:
+                best, named = share, mistake
+        if named is None:
+            return None
+        return self._said(rest, f"{named.offender} at {self._stations(rest)}, and not at the others", named.remedy)
+
+    def _mistakes(self) -> Iterator[Mistake]:
+        yield from of_units()
+        yield from of_axes()
+        yield from of_joints(self.samples.names)
+        if self.poses:
+            yield inverse_pose()
+            yield from of_rotations()
+
+    def _elsewhere(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+        """The rest with a base, a tool, or both of its own."""
+        other, agree = self._largest(rest)
+        if other is None or agree.sum() < _LEAST // 2 or agree.mean() < _EXPLAINED:
+            return None
+        tool = replace(placed, Y=other.Y, t=other.t), "the base (or the tracker) stands elsewhere"
+        base = replace(placed, X=other.X, x=other.x), "the tool (or the target on it) sits elsewhere"
+        part, A = self.samples.select(rest), self.A[rest]
+        said = next(
+            (text for one, text in (tool, base) if self._within(one, A, part).mean() >= _EXPLAINED),
+            "base and tool are others",
+        )
+        remedy = "see whether two trackers or two targets write under one name; give each part a frame or a recording"
+        return self._said(rest, f"{said} at {self._stations(rest)}", remedy)
+
+    def _one_joint(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+        """The rest with the position of one joint unknown."""
+        if not self.poses:
+            return None
+        part = self.samples.select(rest)
+        for j in self._joints():
+            q = self._solved(j, placed, part)
+            share = float(self._within(placed, forward(self.chain, q), part).mean())
+            if share >= _EXPLAINED:
+                return self._joint_said(j, rest, part.q[:, j], q[:, j])
+        return None
+
+    def _joints(self) -> list[int]:
+        return [j for j in range(self.chain.n) if self.chain.revolute[j]]
+
+    def _solved(self, j: int, placed: _Placed, part: Samples) -> Array:
+        """Postures with the angle of joint j as the orientations tell it."""
+        q = part.q.copy()
+        q[:, j] = 0.0
+        R0 = forward(self.chain, q)[:, :3, :3]
+        q[:, j] = 1.0
+        axis = so3.log(forward(self.chain, q)[:, :3, :3] @ np.swapaxes(R0, 1, 2))
+        B = R0 @ placed.X @ np.swapaxes(part.R, 1, 2) @ placed.Y
+        along = np.einsum("ni,nij,nj->n", axis, B, axis)
+        cross = np.einsum("nij,nji->n", so3.hat(axis), B)
+        q[:, j] = np.arctan2(cross, np.trace(B, axis1=1, axis2=2) - along)
+        return q
+
+    def _joint_throughout(self, before: float) -> Disagreement | None:
+        """One joint that is off everywhere. before: share of the stations that agree as they are."""
+        if not self.poses:
+            return None
+        everything = np.arange(len(self.samples))
+        best: tuple[float, int, Array] | None = None
+        for j in self._joints():
+            for q in self._unknown(j):
+                placed = self._placed(forward(self.chain, q), self.samples)
+                q = self._solved(j, placed, self.samples)
+                share = float(self._within(placed, forward(self.chain, q), self.samples).mean())
+                if share >= max(_EXPLAINED, before + _MORE) and (best is None or share > best[0]):
+                    best = share, j, q[:, j]
+        if best is None:
+            return None
+        _, j, seen = best
+        return self._joint_said(j, everything, self.samples.q[:, j], seen)
+
+    def _unknown(self, j: int) -> Iterator[Array]:
+        """Postures with angles of joint j that orientations agree on, from several starts."""
+        samples = self.samples
+        for k in range(_STARTS):
+            q = samples.q.copy()
+            if k:
+                q[:, j] = self.rng.uniform(-np.pi, np.pi, len(q)) * min(1.0, 0.15 * k)
+            last = np.inf
+            for _ in range(_ROUNDS):
+                A = forward(self.chain, q)
+                Y, X = _hand_eye(A[:, :3, :3], samples.R)
+                placed = _Placed(Y, X, np.zeros(3), np.zeros(3))
+                q = self._solved(j, placed, samples)
+                turned = _turns(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
+                left = float(np.median(np.linalg.norm(turned, axis=1)))
+                if left > 0.999 * last:
+                    break
+                last = left
+            if last < self.limit[0]:
+                yield q
+                return
+
+    def _joint_said(self, j: int, rows: np.ndarray, reported: Array, seen: Array) -> Disagreement | None:
+        name = self.samples.names[j]
+        where = f" at {self._stations(rows)}" if len(rows) < len(self.samples) else ""
+        remedy = f"see how the position of {name} comes into joint_states"
+        swing = np.degrees(2.0 * _spread(seen))
+        if np.ptp(self.samples.q[:, j]) < _STILL:
+            what = f"joint {name} is reported as standing still and moves by some {swing:.0f}°: it looks never reported"
+            return self._said(rows, what, remedy)
+        if np.ptp(reported) < _STILL:
+            what = (
+                f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
+            )
+            return self._said(rows, what, remedy)
+        off = seen - reported
+        if _spread(off) < 2.0 * _ANGLE:
+            turn = np.degrees(np.angle(np.mean(np.exp(1j * off))))
+            if abs(turn) < np.degrees(_CLEARLY * _ANGLE):  # it stands as reported: what is wrong is not this joint
+                return None
+            return self._said(rows, f"joint {name} reads {-turn:.1f}° too much{where}: another zero", remedy)
+        for how, factor in _FACTORS.items():
+            if _spread(seen - factor * reported) < 2.0 * _ANGLE:
+                return self._said(rows, f"joint {name} looks counted {how}{where}", remedy)
+        return self._said(rows, f"joint {name} was elsewhere than reported{where}", remedy)
+
+    def _stations(self, rows: np.ndarray) -> str:
+        bad = np.zeros(len(self.samples), bool)
+        bad[rows] = True
+        runs = consecutive(bad)
+        if len(runs) <= 3:
+            number = self.samples.station
+            each = [f"{number[a]} to {number[b - 1]}" for a, b in runs]
+            return f"stations {' and '.join(each)}"
+        return f"{len(rows)} of {len(bad)} stations, here and there"
+
+    def _said(self, rows: np.ndarray, what: str, remedy: str) -> Disagreement:
+        return Disagreement(what, remedy, len(rows), len(self.samples))
+
+
+def _spread(angle: Array) -> float:
+    """Circular deviation [rad] of angles (N,), of the nine tenths that lie closest together."""
+    off = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
+    off = np.sort(np.abs(off - np.median(off)))[: max(int(0.9 * len(off)), 1)]
+    return float(np.sqrt(np.mean(off**2)))

@@ -1,0 +1,73 @@
+"""What is shipped: the model fitted once more, to every accepted sample, and what is known of it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.gauge import least_change
+from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.moments import sharpened
+from modcal_core.calibration.moves import identify_moved
+from modcal_core.calibration.score import usual_scatter
+from modcal_core.calibration.store import Calibration, parameter_table
+from modcal_core.calibration.structure import Choice
+from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.urdf_inertias import Inertias
+
+_MOST_KEPT = 200  # postures that a calibration remembers
+
+
+def ship(
+    samples: Samples,
+    chain: Mechanism,
+    choice: Choice,
+    cell: Cell,
+    inertias: Inertias | None = None,
+    scored: Fit | None = None,
+    wrong: np.ndarray | None = None,
+    regimes: Model | None = None,
+) -> Calibration:
+    """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
+
+    scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
+    (N,): they are left out, and no others; by default the fit decides. regimes: a model to begin from where base or
+    tool moved.
+    """
+    decided = wrong is not None
+    watched = float(samples.stamps.min()), float(samples.stamps.max())
+    if wrong is not None and wrong.any():
+        samples = samples.select(np.flatnonzero(~wrong))
+    nominal = fit_cell(chain, samples, cell, inertias, regimes)
+    fit = last = identify_moved(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
+    fits = [nominal, fit]
+    geometric = fit.model
+    if scored is None or not scored.model.effects:
+        tidy = least_change(fit.model, chain)
+    else:
+        start = nominal.model.with_effects(sharpened(scored.model, samples).effects)
+        fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)
+        fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
+        # places moved by what was passed through the joints: effects settle where they are now
+        tidy = least_change(fit.model, chain)
+        settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
+        tidy, last = least_change(settled.model, chain), settled
+        fits += [fit, settled]
+    seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
+    kind = str(samples.kind[0])
+    few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
+    covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
+    return Calibration(
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, covariance, watched),
+        scatter=usual_scatter(samples),
+        converged=all(each.converged for each in fits),
+        clock=samples.clock,
+        ranges=driver_ranges(tidy, samples),
+        usual=usual_sizes(tidy, samples),
+    )

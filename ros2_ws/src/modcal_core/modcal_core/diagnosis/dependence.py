@@ -1,0 +1,319 @@
+"""What the rest of a model depends on: which joint, tool, base or instrument, and in which of its circumstances.
+
+Where the verdict is open, a person has to know where to look, whether or not an effect exists for what is wrong. A
+*place* is what errs: a joint about its axis, a link in all directions, tool, base, or the instrument. A *driver* is
+what the error goes with: the joint's own position, how it arrived, the order of the stations, a load, gravity, a
+signal, the distance. For each pair flexible functions of the driver, as motions of the place, are fitted to four fifths
+of the stations and predict the rest (ridge). The share of the squares that they predict ranks the pairs; of pairs that
+predict nearly as much the one with the fewest functions is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.effects import place_index
+from modcal_core.calibration.linearise import View
+from modcal_core.calibration.model import Model
+from modcal_core.diagnosis.memory import last_moves, play
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.other_joints import spoken_name
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+
+WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
+_NEARLY = 0.93  # of the best share; with fewer functions that is plainer
+_RIVAL = 0.97  # of the named share; what predicts as much from elsewhere is named beside it
+CONSTANT = ""  # the driver of an error that depends on nothing
+_FOLDS = 5
+_RIDGE = (1e-4, 1e-2, 1.0)  # of the mean square of the columns
+_MOST = 400  # samples; more are thinned evenly
+_LEAST = 15  # stations; with fewer nothing is said
+_CYCLES = 130  # a turn; gears of more teeth are rare
+_HATS = 12  # over a joint's range
+_MOST_SIGNALS = 20
+_SMALL = 1e-9
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """place: what errs ("joint elbow", "tool"). driver: what it goes with. share: of the squares that is predicted from
+    it at stations that were not fitted, 0 … 1. rivals: other pairs that predict as much.
+    """
+
+    place: str
+    driver: str
+    share: float
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """For a person, to follow "what is left ..."."""
+        more = f"; as well: {'; '.join(self.rivals)}" if self.rivals else ""
+        how = (
+            f"goes with {self.driver}, as an error of {self.place}"
+            if self.driver
+            else (f"is a constant error of {self.place}")
+        )
+        return f"{how} ({self.share:.0%} of it{more})"
+
+
+@dataclass(frozen=True)
+class _Pair:
+    place: str
+    driver: str
+    columns: Array  # (D, 6, N)
+
+
+def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | None = None) -> Dependence | None:
+    """What the residual of a model depends on most, None where no pair predicts a good part of it.
+
+    weight: of the six components, (6, N). fitted: derivatives (P, 6, N) by the parameters that were fitted to these
+    samples, None where the model is frozen; constant errors are looked for only then.
+    """
+    if samples.stations < _LEAST or not isinstance(model.chain, Chain) or model.instruments:
+        return None
+    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
+    view = View.of(model, samples, model.circumstances(samples))
+    residual = np.zeros((6, len(samples)))
+    residual[:3], residual[3:, view.pose] = view.position, view.rotation
+    residual = _drawn_in((residual * weight)[:, rows])
+    take = (weight[:, rows] > 0.0).ravel()
+    r = residual.ravel()[take]
+    whole = float(r @ r)
+    out = _orthonormal((fitted * weight)[..., rows].reshape(len(fitted), -1)[:, take]) if fitted is not None else None
+    r = r if out is None else r - out @ (out.T @ r)
+    fold = np.tile(_folds(samples.station[rows]), 6)[take]
+    found: list[tuple[float, int, str, str]] = []
+    for pair in _pairs(model, samples, view, constant=fitted is None):
+        X = (pair.columns * weight)[..., rows].reshape(len(pair.columns), -1)[:, take].T
+        size = np.linalg.norm(X, axis=0)
+        X = X[:, size > _SMALL * max(size.max(initial=0.0), 1e-300)]
+        X = X if out is None else X - out @ (out.T @ X)
+        left = np.linalg.norm(X, axis=0)
+        X = X[:, left > 0.02 * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
+        if X.shape[1]:
+            share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
+            found.append((share, X.shape[1], pair.place, pair.driver))
+    return _named(found)
+
+
+def _named(found: list[tuple[float, int, str, str]]) -> Dependence | None:
+    best = max((share for share, *_ in found), default=0.0)
+    if best < WORTH_NAMING:
+        return None
+    share, _, place, driver = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
+    rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2] != place]
+    rivals.sort(key=lambda f: (f[1], -f[0]))
+    return Dependence(place, driver, share, tuple(f"{d or 'a constant error'}, of {p}" for _, _, p, d in rivals[:1]))
+
+
+def _predicted(X: Array, r: Array, fold: np.ndarray) -> float:
+    """The squares of r (R,) that X (R, D) predicts of each fold, fitted to the others, at the best ridge."""
+    parts = [(X[fold == k], r[fold == k]) for k in range(_FOLDS)]
+    grams, sides = [x.T @ x for x, _ in parts], [x.T @ y for x, y in parts]
+    G, g = sum(grams), sum(sides)
+    unit = float(np.trace(G)) / len(G)
+    best = -np.inf
+    for ridge in _RIDGE:
+        missed = 0.0
+        for (x, y), gram, side in zip(parts, grams, sides, strict=True):
+            missed += float(np.sum((y - x @ np.linalg.solve(G - gram + ridge * unit * np.eye(len(G)), g - side)) ** 2))
+        best = max(best, float(r @ r) - missed)
+    return best
+
+
+def _folds(station: np.ndarray) -> np.ndarray:
+    _, of = np.unique(station, return_inverse=True)
+    return np.asarray(np.random.default_rng(0).permutation(of.max() + 1)[of] % _FOLDS)
+
+
+def _drawn_in(residual: Array) -> Array:
+    """The residual (6, N) with samples beyond several times the usual size brought in to there."""
+    size = np.linalg.norm(residual, axis=0)
+    return np.asarray(residual * np.minimum(1.0, 5.0 * float(np.median(size)) / np.maximum(size, 1e-300)))
+
+
+def _orthonormal(J: Array) -> Array:
+    """Orthonormal columns (R, P) of the space that rows J (P, R) span."""
+    J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
+    value, vector = np.linalg.eigh(J @ J.T)
+    keep = value > 1e-9 * value.max()
+    return np.asarray(J.T @ vector[:, keep] / np.sqrt(value[keep]))
+
+
+def _pairs(model: Model, samples: Samples, view: View, constant: bool) -> Iterator[_Pair]:
+    """Every place with every driver."""
+    builder = _Builder(model, samples, view)
+    yield from builder.of_joints(constant)
+    yield from builder.of_ends(constant)
+    yield from builder.of_instrument()
+
+
+class _Builder:
+    """Columns of places times numbers of drivers."""
+
+    def __init__(self, model: Model, samples: Samples, view: View) -> None:
+        self.model, self.samples, self.view = model, samples, view
+        self.at = model.circumstances(samples)
+        self.chain = model.serial
+        self.N = len(samples)
+        self.one = np.ones((1, self.N))
+        self.order = self._over_order()
+        step = last_moves(samples).T
+        came = np.where((samples.approach != 0.0).any(axis=1)[:, None], samples.approach, np.sign(step.T)).T
+        near = [np.sign(step) * np.exp(-np.abs(step) / width) for width in (0.2, 0.8)]
+        self.arrived = np.concatenate([came[:, None], step[:, None], np.stack(near, axis=1), play(samples)], axis=1)
+        self.came = came
+
+    def of_joints(self, constant: bool) -> Iterator[_Pair]:
+        chain = self.chain
+        for j, name in enumerate(chain.names):
+            place = place_index(name, chain)
+            axis = [(place, 5 if chain.revolute[j] else 2)]
+            q = self.samples.q[:, j]
+            who = f"joint {name}"
+            if constant:
+                yield self._pair(who, CONSTANT, axis, self.one)
+            yield self._pair(who, f"the position of {name} itself", axis, self._hats(q))
+            if chain.revolute[j]:
+                yield self._pair(who, f"the position of {name} itself", axis, self._waves(j, 5))
+                yield from self._single_waves(who, j, axis)
+            yield self._pair(who, f"how {name} arrived (backlash, friction, hysteresis)", axis, self.arrived[j])
+            yield self._pair(who, f"the order of the stations: {name} changed on the way", axis, self.order)
+            others = [self._waves(i, 1) for i in range(chain.n) if i != j]
+            yield self._pair(who, "the positions of the other joints", axis, np.concatenate(others))
+            loads = [self.at.driver(f"{kind}:{name}") for kind in self._loads()]
+            yield self._pair(who, f"the load of {name}", axis, _curves(np.stack(loads)))
+            for signal in self.at.signal_names()[:_MOST_SIGNALS]:
+                number = _curves(self.at.driver(signal)[None])
+                yield self._pair(who, f"what was recorded of {spoken_name(signal)}", axis, number)
+            every = [(place, d) for d in range(6)]
+            yield self._pair(f"{who} across its axis too", f"the position of {name} itself", every, self._waves(j, 2))
+
+    def _loads(self) -> list[str]:
+        kinds = ["payload", *(["load"] if self.at.arm.weighed else [])]
+        return [*kinds, *(["effort"] if np.isfinite(self.samples.effort).all() else [])]
+
+    def _single_waves(self, who: str, j: int, axis: list[tuple[int, int]]) -> Iterator[_Pair]:
+        """The wave of the joint's own position that stands out most, if any does."""
+        unit = self._unit(*axis[0])
+        own = np.sum(unit * self._residual(), axis=0)
+        square = np.sum(unit**2, axis=0)
+        angle = np.arange(6, _CYCLES + 1)[:, None] * self.samples.q[:, j]
+        found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own) / np.sqrt(max(float(square.sum()), 1e-300))
+        k = 6 + int(np.argmax(found))
+        wave = np.stack([np.sin(k * self.samples.q[:, j]), np.cos(k * self.samples.q[:, j])])
+        yield self._pair(
+            who, f"the position of {self.chain.names[j]} itself, {k} times a turn (a gear)", axis, np.r_[wave]
+        )
+
+    def _residual(self) -> Array:
+        out = np.zeros((6, self.N))
+        out[:3], out[3:, self.view.pose] = self.view.position, self.view.rotation
+        return out
+
+    def of_ends(self, constant: bool) -> Iterator[_Pair]:
+        """Tool and base."""
+        tool, base = ([(place, d) for d in range(6)] for place in (self.chain.tool_place, 0))
+        gravity, sight = self._down_in_tool(), self._sight_in_tool()
+        for who, where in (("the tool", tool), ("the base", base)):
+            if constant:
+                yield self._pair(who, CONSTANT, where, self.one)
+            yield self._pair(who, "the order of the stations", where, self.order)
+            yield self._pair(who, "how the joints arrived", where, self.came)
+            for signal in self.at.signal_names()[:_MOST_SIGNALS]:
+                number = _curves(self.at.driver(signal)[None])
+                yield self._pair(who, f"what was recorded of {spoken_name(signal)}", where, number)
+        yield self._pair("the tool", "how it is turned against gravity", tool, gravity)
+        yield self._pair("the tool", "how it is turned against gravity", tool, np.sign(gravity))
+        yield self._pair("the tool", "the side from which the tracker looks at it", tool, _curves(sight))
+        loads = [self.at.payload[0, d] for d in (3, 4)]
+        if self.at.arm.weighed:
+            loads += [self.at.gravity[0, d] for d in (3, 4)]
+        yield self._pair("the base", "the moment of the arm's weight on it", base, np.stack(loads))
+
+    def of_instrument(self) -> Iterator[_Pair]:
+        """Readings that depend on where the target is, from the instrument's origin."""
+        x = self.view.reading  # (3, N), along the root's axes
+        r = np.linalg.norm(x, axis=0)
+        unit = r.mean()
+        radial = np.zeros((6, self.N))
+        radial[:3] = x / np.maximum(r, 1e-9)
+        powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
+        who = "the tracker's readings"
+        yield _Pair(who, "the distance from the tracker", powers[:, None] * radial)
+        before = np.zeros_like(x)
+        order = np.lexsort((self.samples.stamps, self.samples.frame))
+        before[:, order[1:]] = np.diff(x[:, order], axis=1)
+        moved = np.zeros((1, 6, self.N))
+        moved[0, :3] = before
+        yield _Pair(who, "the last move of the target (a filter, or a late clock)", moved)
+        if len(self.view.pose):
+            turns = np.zeros((3, len(self.order), 6, self.N))
+            for axis in range(3):
+                turns[axis, :, 3 + axis, self.view.pose] = self.order[:, self.view.pose].T
+            yield _Pair("the tracker's orientations alone", "the order of the stations", turns.reshape(-1, 6, self.N))
+        z = (x - x.mean(axis=1, keepdims=True)) / np.maximum(x.std(axis=1, keepdims=True), 1e-9)
+        one = [z[i] for i in range(3)]
+        two = [z[i] * z[j] for i in range(3) for j in range(i + 1)]
+        three = [z[i] * z[j] * z[k] for i in range(3) for j in range(i + 1) for k in range(j + 1)]
+        along = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)[:, :, None]
+        place = "the place of the target before the tracker"
+        for some in (one, [*one, *two, *three]):
+            numbers = np.stack(some)
+            yield _Pair(who, place, (numbers[:, None, None] * along[None]).reshape(-1, 6, self.N))
+        seen = self.samples.position.T
+        angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
+        waves = [f(k * a) * r / unit for a in angles for k in range(1, 5) for f in (np.sin, np.cos)]
+        columns = (np.stack(waves)[:, None, None] * along[None]).reshape(-1, 6, self.N)
+        yield _Pair(who, "the direction in which the tracker looks", columns)
+
+    def _down_in_tool(self) -> Array:
+        R = self.view.f.rotation(-1)
+        down = self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0]
+        return np.asarray(np.einsum("nji,j->in", R, down))
+
+    def _sight_in_tool(self) -> Array:
+        R = self.view.f.rotation(-1)
+        x = self.view.reading / np.maximum(np.linalg.norm(self.view.reading, axis=0), 1e-9)
+        return np.asarray(np.einsum("nji,jn->in", R, x))
+
+    def _over_order(self) -> Array:
+        """Hats over the order of the stations, and a rest that dies away."""
+        rank = np.argsort(np.argsort(self.samples.stamps, kind="stable"), kind="stable") / max(self.N - 1, 1)
+        hats = np.maximum(1.0 - np.abs(rank * 8.0 - np.arange(9)[:, None]), 0.0)
+        steps = np.stack([(rank > k / 10.0) * 1.0 for k in range(1, 10)])
+        return np.concatenate([hats, steps])
+
+    def _hats(self, q: Array) -> Array:
+        low, high = float(q.min()), float(q.max())
+        u = (q - low) / max(high - low, _SMALL) * (_HATS - 1)
+        return np.maximum(1.0 - np.abs(u - np.arange(_HATS)[:, None]), 0.0)
+
+    def _waves(self, j: int, count: int) -> Array:
+        q = self.samples.q[:, j]
+        if not self.chain.revolute[j]:
+            q = (q - q.min()) * np.pi / max(float(np.ptp(q)), _SMALL)
+        return np.concatenate([self.one, *[[np.sin(k * q), np.cos(k * q)] for k in range(1, count + 1)]])
+
+    def _unit(self, place: int, direction: int) -> Array:
+        row = self.view.unit_column(place, direction)
+        out = np.zeros((6, self.N))
+        out[:3] = row[: 3 * self.N].reshape(3, self.N)
+        out[3:, self.view.pose] = row[3 * self.N :].reshape(3, -1)
+        return out
+
+    def _pair(self, who: str, driver: str, where: list[tuple[int, int]], numbers: Array) -> _Pair:
+        unit = np.stack([self._unit(place, direction) for place, direction in where])
+        return _Pair(who, driver, (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, self.N))
+
+
+def _curves(numbers: Array) -> Array:
+    """Numbers (c, N) in units of their spread, their squares, and their signs."""
+    numbers = np.nan_to_num(numbers)
+    x = (numbers - numbers.mean(axis=1, keepdims=True)) / np.maximum(numbers.std(axis=1, keepdims=True), 1e-12)
+    return np.concatenate([x, x**2, np.sign(numbers)])

@@ -1,0 +1,101 @@
+"""The other path: a frozen calibration at another recording, and how far it misses there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, refit_cell, with_frames
+from modcal_core.calibration.conventions import proved
+from modcal_core.calibration.runs import runs_of
+from modcal_core.calibration.score import errors, outlying
+from modcal_core.calibration.sockets import with_sockets
+from modcal_core.calibration.split import hold_out_all, split
+from modcal_core.calibration.store import Calibration
+from modcal_core.diagnosis.locate import frozen, located
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.notes import moved_note, unseen_note
+from modcal_core.report.report import Report, Step
+from modcal_core.verdict.case import frozen_case
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.not_applied import applicable
+from modcal_core.verdict.readings import doubtful
+from modcal_core.verdict.rejection import MOST_SINGLE, rejection
+from modcal_core.verdict.status import judge
+from modcal_core.verdict.where import with_places
+
+MOST_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
+
+
+def evaluate(
+    calibration: Calibration,
+    samples: Samples,
+    rng: np.random.Generator,
+    refit_base: bool = False,
+    refit_tool: bool = False,
+    cell: Cell | None = None,
+    block: int | None = None,
+) -> Report:
+    """How far a frozen calibration misses on another recording.
+
+    Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
+    and the score is that of the rest. Otherwise every sample is scored.
+
+    Readings are judged by the spread that the calibration has of itself. Where more of them lie outside than single
+    wrong readings make up, it is the model that is wrong, and none is left out of the score.
+    """
+    cell = (cell or Cell()).met(samples)
+    samples = with_sockets(samples, cell, calibration.nominal.chain)
+    samples, convention = proved(samples, calibration.nominal.chain)
+    converged = True
+    applied = applicable(calibration, samples)
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
+    if refit_base or refit_tool:
+        sets = split(samples, rng, block)
+        train = samples.select(np.union1d(sets.train, sets.explain))
+        fits = {stage: refit_cell(model, train, cell, refit_base, refit_tool) for stage, model in models.items()}
+        models = {stage: fit.model for stage, fit in fits.items()}
+        converged = all(fit.converged for fit in fits.values())
+    else:
+        sets = hold_out_all(samples)
+        models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
+    held_out = samples.select(sets.held_out)
+    wrong = np.zeros(len(samples), bool)
+    wrong[sets.held_out] = outlying(models["final"], calibration.spread, calibration.with_scatter(held_out))
+    single = wrong[sets.held_out].mean() <= MOST_SINGLE
+    rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
+    scored = samples.select(rows)
+    missed = {stage: errors(model, scored) for stage, model in models.items()}
+    grounds = Grounds(
+        converged=converged,
+        not_applied=applied.not_applied,
+        contradictions=doubtful(missed, scored, samples, calibration.nominal.chain),
+        convention=convention,
+        rejected_runs=runs_of(samples, wrong),
+        outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
+    )
+    case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
+    judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
+    return Report(
+        samples=samples,
+        sets=sets,
+        scored=scored,
+        rejected=len(held_out) - len(scored),
+        errors=missed,
+        parameters=calibration.parameters,
+        notes=(
+            *moved_note(missed["final"], calibration, refit_base, refit_tool),
+            *unseen_note(scored, calibration),
+            *applied.notes,
+        ),
+        steps=(
+            Step("geometry", missed["geometric"]),
+            *([Step("all effects", missed["final"])] if calibration.calibrated.effects else []),
+        ),
+        model=models["final"],
+        missed=errors(models["final"], samples).position_norm,
+        wrong=wrong,
+        rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
+        grounds=grounds,
+        judged=judged,
+        left=located(frozen(models["final"], calibration.spread), samples) if judged.status == "open" else None,
+    )

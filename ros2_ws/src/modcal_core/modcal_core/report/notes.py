@@ -1,0 +1,52 @@
+"""Sentences beside a report: what readings do not see, and where a calibration is used that it was not made for."""
+
+from __future__ import annotations
+
+from modcal_core.calibration.doubts import LIMIT_OF_REACH
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.score import Errors
+from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.samples import Samples
+
+
+def instrument_notes(fit: Fit) -> tuple[str, ...]:
+    """For each kind of reading that is no position what it cannot see, and how it scatters about the model."""
+    out = []
+    for name, size in fit.spread.others.items():
+        kind = kinds()[name]
+        said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
+        out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
+    return tuple(out)
+
+
+def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
+    """A sentence for the person whose robot, tracker or tool stands elsewhere than when it was calibrated."""
+    size = missed.size_mm()
+    limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
+    if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
+        return ()
+    return (
+        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",
+    )
+
+
+def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
+    """A sentence for joints that go where the calibration has never seen them, and what is done there.
+
+    beyond: share of the samples that may do so without a word.
+    """
+    low, high = calibration.seen
+    margin = 0.02 * (high - low)
+    out = (samples.q < low - margin) | (samples.q > high + margin)
+    if out.any(axis=1).mean() <= beyond:
+        return ()
+    worst = [
+        f"{name} (seen {low[j]:.2f} … {high[j]:.2f}, here {samples.q[:, j].min():.2f} … {samples.q[:, j].max():.2f})"
+        for j, name in enumerate(samples.names)
+        if out[:, j].any()
+    ]
+    return (
+        f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
+        f"{', '.join(worst)}. Learned curves are not continued there.",
+    )

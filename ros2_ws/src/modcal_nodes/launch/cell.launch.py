@@ -1,0 +1,10 @@
+"""The simulated cell: ``ros2 launch modcal_nodes cell.launch.py stations:=60``; without a urdf, a Panda."""
+
+from typing import Any
+
+from modcal_nodes.launching import described
+
+
+def generate_launch_description() -> Any:
+    """Nodes and arguments as modcal_nodes/launching.py lists them; ``--show-args`` tells of each."""
+    return described("cell")

@@ -1,0 +1,78 @@
+"""The frames that a calibration adds to a robot's tree, beside those that others publish.
+
+    base → TRACKER_calibrated   where each tracker stands, static
+    base → TIP_corrected        where the tip truly is, with every posture
+    TIP_corrected → tool_corrected   what the tracker sees of it, static
+
+A frame has one parent. One that somebody else publishes already, under another parent, is refused and not taken over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+CALIBRATED, CORRECTED = "_calibrated", "_corrected"
+TOOL = f"tool{CORRECTED}"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """``T_parent_child`` (4, 4) [m]."""
+
+    parent: str
+    child: str
+    T: Array
+
+    def numbers(self) -> tuple[float, ...]:
+        """x y z [m] and the quaternion x y z w."""
+        return tuple(float(v) for v in se3.to_pose(self.T))
+
+
+def static_frames(calibration: Calibration) -> tuple[Frame, ...]:
+    """Where the trackers stand in the base link, and the tool behind the corrected tip."""
+    model = calibration.calibrated
+    base, tip = model.serial.base, model.serial.tip
+    trackers = (
+        Frame(base, f"{name or 'tracker'}{CALIBRATED}", se3.inverse(T))
+        for name, T in zip(model.frames, model.T_frame_base, strict=True)
+    )
+    return (*trackers, Frame(f"{tip}{CORRECTED}", TOOL, np.array(model.T_tip_tool)))
+
+
+def corrected_frame(base: str, tip: str, T_base_tip: Array) -> Frame:
+    """Where the tip truly is."""
+    return Frame(base, f"{tip}{CORRECTED}", T_base_tip)
+
+
+class Parents:
+    """Who is whose parent, by what others publish."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, str] = {}
+
+    def hear(self, pairs: Iterable[tuple[str, str]]) -> None:
+        """Take (parent, child) of a message."""
+        self._of.update({child.lstrip("/"): parent.lstrip("/") for parent, child in pairs})
+
+    def require_free(self, frame: Frame) -> None:
+        """Raises BadTable where the child has another parent, or its parent hangs below it."""
+        if not frame.child.endswith((CALIBRATED, CORRECTED)):
+            raise BadTable(f"frame {frame.child}", "is not one of this package's", "see docs/nodes.md")
+        parent = self._of.get(frame.child)
+        if parent is not None and parent != frame.parent:
+            said = f"has the parent {parent} already, which somebody else publishes"
+            raise BadTable(f"frame {frame.child}", said, "stop that publisher, or set publish_tf: false")
+        above, seen = frame.parent, set[str]()
+        while above in self._of and above not in seen:
+            seen.add(above)
+            above = self._of[above]
+            if above == frame.child:
+                raise BadTable(f"frame {frame.child}", f"is above {frame.parent} already", "set publish_tf: false")

@@ -1,0 +1,220 @@
+"""Callbacks that may fail without ending their node: a fault costs the one message, and is said and counted.
+
+Every node is a :class:`GuardedNode`; what it hands to rclpy (subscriptions and their events, timers, services,
+parameter callbacks) is wrapped here, the built-in services included. A deliberate end of the node is :class:`NodeEnds`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from copy import copy
+from functools import update_wrapper
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from modcal_core.errors import ModcalError
+
+_RECENT = 10.0  # s in which a fault counts as recent
+_THROTTLE = 1.0  # s between two lines in the log about the same place
+_OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
+_EVENTS = ("deadline", "incompatible_qos", "incompatible_type", "liveliness", "matched", "message_lost")
+
+
+class NodeEnds(Exception):
+    """Raised by a callback that wants its node to end with this error, exit code 2."""
+
+    def __init__(self, error: ModcalError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+class Faults:
+    """Exceptions that callbacks have raised, by place: a topic, a service, a timer's function. For any thread."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.counts: Counter[str] = Counter()
+        self._last: tuple[float, str] | None = None
+        self._said: dict[str, float] = {}
+        self._lock = threading.Lock()
+
+    def note(self, place: str, error: Exception) -> str:
+        """Count and log a fault; returns its sentence."""
+        said = f"{place}: {described(error)}"
+        now = time.monotonic()
+        with self._lock:
+            self.counts[place] += 1
+            self._last = now, said
+            quiet = now - self._said.get(place, -_THROTTLE) < _THROTTLE
+            if not quiet:
+                self._said[place] = now
+        if not quiet:
+            log = self._node.get_logger()
+            log.error(f"fault in {said}; what was being handled is left out, the node goes on")
+            log.debug("".join(traceback.format_exception(error)))
+        return said
+
+    def recent(self) -> str:
+        """The last fault if it is recent, else nothing."""
+        last = self._last
+        return last[1] if last is not None and time.monotonic() - last[0] < _RECENT else ""
+
+    @property
+    def last(self) -> str:
+        """The last fault, however long ago; empty: there was none."""
+        return self._last[1] if self._last is not None else ""
+
+
+def described(error: Exception) -> str:
+    """An exception in one line: the message of a refusal, else what was raised and where."""
+    if isinstance(error, ModcalError):
+        return str(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return " ".join(f"{type(error).__name__}: {error}{where}".split())
+
+
+class Guarded:
+    """A callback whose exceptions are noted and not passed on. callback: may be replaced, as tests do."""
+
+    def __init__(
+        self, node: GuardedNode, place: str, callback: Callable[..., Any], instead: Callable[..., Any] | None = None
+    ) -> None:
+        """instead: makes the answer after a fault, from the arguments and the fault's sentence; None: nothing."""
+        self.node, self.place, self.callback, self._instead = node, place, callback, instead
+        update_wrapper(self, callback)  # rclpy asks how many arguments it takes
+
+    def __call__(self, *args: Any) -> Any:
+        """Call it; a fault is noted, and answered where an answer is due."""
+        try:
+            return self.callback(*args)
+        except Exception as error:
+            return self._after(error, args)
+
+    def _after(self, error: Exception, args: tuple[Any, ...]) -> Any:
+        if isinstance(error, NodeEnds | ExternalShutdownException):
+            raise error
+        if not self.node.context.ok():  # rcl raises for everything that is published after the end
+            raise error
+        said = self.node.faults.note(self.place, error)
+        return self._instead(*args, said) if self._instead is not None else None
+
+    def awaited(self) -> Callable[..., Any]:
+        """The same for a coroutine function."""
+
+        async def guarded(*args: Any) -> Any:
+            try:
+                return await self.callback(*args)
+            except Exception as error:
+                return self._after(error, args)
+
+        update_wrapper(guarded, self.callback)
+        guarded.guarded = self  # type: ignore[attr-defined]
+        return guarded
+
+
+class GuardedNode(Node):
+    """A node whose callbacks cannot end it. Stands first among the bases: ``class Arm(GuardedNode, LifecycleNode)``."""
+
+    _faults: Faults | None = None
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **{"enable_logger_service": True, **options})
+        for service in self.services:  # those that rclpy makes without asking create_service
+            if not _is_guarded(service.callback):
+                service.callback = self.guarded_service(service.srv_name, service.callback)
+
+    @property
+    def faults(self) -> Faults:
+        """What callbacks have raised so far."""
+        if self._faults is None:
+            self._faults = Faults(self)
+        return self._faults
+
+    def guarded(self, place: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """A callback whose exceptions cost what it was called for, and no more."""
+        return callback if _is_guarded(callback) else Guarded(self, place, callback)
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, *args: Any, **options: Any) -> Any:
+        """As of Node, with the QoS that parameters qos_overrides.TOPIC.publisher.POLICY state."""
+        qos_profile = self._overridden(topic, "publisher", qos_profile, options)
+        return super().create_publisher(msg_type, topic, qos_profile, *args, **options)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, *args: Any, **options: Any
+    ) -> Any:
+        """As of Node, guarded, with the QoS that parameters qos_overrides.TOPIC.subscription.POLICY state."""
+        qos_profile = self._overridden(topic, "subscription", qos_profile, options)
+        events = options.get("event_callbacks")
+        for name in _EVENTS:
+            if (event := getattr(events, name, None)) is not None:
+                setattr(events, name, self.guarded(f"{topic}, {name}", event))
+        return super().create_subscription(
+            msg_type, topic, self.guarded(topic, callback), qos_profile, *args, **options
+        )
+
+    def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
+        """As of Node, guarded."""
+        inner = getattr(callback, "func", callback)
+        place = f"timer {getattr(inner, '__name__', type(inner).__name__).lstrip('_')}"
+        return super().create_timer(timer_period_sec, self.guarded(place, callback), *args, **options)
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
+        """As of Node, guarded: after a fault the caller is told, if the response has words for that."""
+        return super().create_service(srv_type, srv_name, self.guarded_service(srv_name, callback), *args, **options)
+
+    def add_on_set_parameters_callback(self, callback: Any) -> None:
+        """As of Node, guarded: after a fault the parameters are refused."""
+        super().add_on_set_parameters_callback(
+            Guarded(self, "parameters", callback, lambda _, said: SetParametersResult(successful=False, reason=said))
+        )
+
+    def add_post_set_parameters_callback(self, callback: Any) -> None:
+        """As of Node, guarded."""
+        super().add_post_set_parameters_callback(self.guarded("parameters", callback))
+
+    def _overridden(self, topic: str, kind: str, qos: Any, options: dict[str, Any]) -> Any:
+        """The QoS to ask for; where the user overrides it, a copy that rclpy may change, with the option for that."""
+        stated = getattr(self, "_parameter_overrides", {})
+        start = f"qos_overrides.{self.resolve_topic_name(topic)}.{kind}." if stated else ""
+        if not start or not any(name.startswith(start) for name in stated):
+            return qos
+        options.setdefault("qos_overriding_options", QoSOverridingOptions(_OVERRIDABLE))
+        return copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
+
+    def guarded_service(self, name: str, callback: Any) -> Callable[..., Any]:
+        """A service's callback; after a fault the caller is told no."""
+        if _is_guarded(callback):
+            return callback
+        guarded = Guarded(self, f"service {name}", callback, _refusal)
+        return guarded.awaited() if inspect.iscoroutinefunction(callback) else guarded
+
+
+def _is_guarded(callback: Any) -> bool:
+    return isinstance(callback, Guarded) or hasattr(callback, "guarded")
+
+
+def _refusal(request: Any, response: Any, said: str) -> Any:
+    """An answer that says no, as far as its type can."""
+    answer = type(response)()
+    if hasattr(answer, "success"):
+        answer.success = False
+    for words in ("message", "reason", "status_message"):
+        if hasattr(answer, words):
+            setattr(answer, words, said)
+    if hasattr(answer, "result") and hasattr(answer.result, "successful"):
+        answer.result = SetParametersResult(successful=False, reason=said)
+    if hasattr(answer, "results") and hasattr(request, "parameters"):
+        answer.results = [SetParametersResult(successful=False, reason=said) for _ in request.parameters]
+    return answer

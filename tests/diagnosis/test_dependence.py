@@ -1,0 +1,83 @@
+"""What the rest of an open verdict depends on is named: joint, tool, base or tracker, and with what it goes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.stated import Stated
+from modcal_core.diagnosis.memory import play
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate, evaluate
+from modcal_core.measurements.samples import Samples
+
+CHAIN = ur10()
+KNOWN = Cell(
+    stated=Stated(repeatability_mm=0.01, repeatability_deg=0.001, instrument_mm=0.09, instrument_deg=0.006)
+)  # what the readings scatter by, and a little
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(21, 120)
+
+
+def said(samples: Samples) -> str:
+    report = calibrate(samples, CHAIN, np.random.default_rng(0), KNOWN, look_for_effects=False).report
+    return " ".join(report.judged.open_because)
+
+
+def with_error(made: Recorded, j: int, off: Array) -> Samples:
+    """Readings of an arm whose joint stands elsewhere than reported by so much (N,)."""
+    q = made.samples.q.copy()
+    q[:, j] += off
+    noise = made.samples.position - made.exact.position
+    moved = samples_of(CHAIN, made.samples.q, made.world.tool_in_tracker(q))
+    return replace(moved, position=moved.position + noise)
+
+
+def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
+    assert said(made.samples) == ""
+
+
+def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
+    far = np.linalg.norm(made.samples.position, axis=1, keepdims=True)
+    bent = replace(made.samples, position=made.samples.position * (1.0 + 1e-3 * (far - far.mean()) ** 2))
+    assert "an error of the tracker's readings" in said(bent)
+
+
+def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
+    down = made.world.T_tracker_base[:3, :3] @ [0.0, 0.0, -1.0]
+    side = np.sign(made.samples.R[:, :, 0] @ down)[:, None]
+    loose = replace(made.samples, position=made.samples.position + 4e-4 * side * made.samples.R[:, :, 0])
+    text = said(loose)
+    assert "how it is turned against gravity, as an error of the tool" in text
+
+
+def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
+    ahead = play(made.samples, (0.8,))[2, 0]
+    text = said(with_error(made, 2, 8e-4 * ahead))
+    assert "how elbow_joint arrived" in text
+    assert "as an error of joint elbow_joint" in text
+
+
+def test_play_follows_only_beyond_its_width(made: Recorded) -> None:
+    there = np.array([0.0, 0.5, 2.0, 1.6, 0.0])
+    q = np.repeat(there[:, None], 6, axis=1)
+    ahead = play(replace(made.samples.select(np.arange(5)), q=q, approach=np.zeros_like(q)), (1.0,))[0, 0]
+    assert ahead == pytest.approx([0.0, 0.5, 1.0, 0.6, -1.0])
+
+
+def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Recorded) -> None:
+    inner = np.flatnonzero(made.samples.q[:, 1] < 1.0)
+    frozen = calibrate(made.samples.select(inner), CHAIN, np.random.default_rng(0), KNOWN, look_for_effects=False)
+    moved = with_error(made, 4, np.full(120, 2e-3))
+    report = evaluate(frozen.calibration, moved, np.random.default_rng(0), cell=KNOWN)
+    text = " ".join(report.judged.open_because)
+    assert "is a constant error of joint wrist_2_joint" in text
+    assert "lie outside the joint ranges that were calibrated: shoulder_lift_joint" in text
+    assert report.judged.status == "open"

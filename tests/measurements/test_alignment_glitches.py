@@ -1,0 +1,29 @@
+"""Single wrong joint states and readings do not decide what the clocks' offset is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import ur10
+from cli.recordings import streams, with_joints, with_reading
+
+from modcal_core.measurements.alignment import clock_offset
+from modcal_core.robots.kinematics import forward
+
+
+@pytest.mark.parametrize("late", [0.0, 0.12])
+def test_glitches_do_not_move_the_clock(late: float, rng: np.random.Generator) -> None:
+    """Eight joint states and eight readings are far off, as after a flipped bit; the delay is still found."""
+    recording = streams(30, late=late)
+    q, values = recording.joints[0].position.copy(), recording.readings[0].values.copy()
+    for changed in (q, values):
+        rows = rng.choice(len(changed), 8, replace=False)
+        changed[rows, 1] += rng.choice([-1.0, 1.0], 8) * 10.0 ** rng.uniform(0.0, 6.0, 8)
+    spoiled = with_reading(with_joints(recording, position=q), values=values)
+    chain = ur10()
+    order = [spoiled.joints[0].names.index(name) for name in chain.names]
+    found = clock_offset(
+        spoiled.readings[0], spoiled.joints[0].stamps, q[:, order], lambda p: forward(chain, p)[:, :3, 3]
+    )
+    assert found is not None
+    assert found.offset == pytest.approx(late, abs=0.004)

@@ -1,0 +1,213 @@
+"""The calibrator in a real cell: what it keeps over a restart, learns of a change, and does while its solver works."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli.recordings import START, URDF
+from nodes.beside_a_cell import HEARING, MODEL, beside_a_cell, latched, part, stations
+from nodes.cell import LATCHED, PlayedCell, Said, call
+from nodes.processes import SLOWER, Process, fresh_domain, listener, running
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from modcal_core.geometry import se3
+from modcal_core.robots.urdf import read_chain
+from modcal_nodes.inputs import read_calibration
+
+pytestmark = pytest.mark.dds
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The state of a calibrator that has solved 48 stations, heard 8 more, and ended; tests take a copy of it."""
+    folder = tmp_path_factory.mktemp("saved")
+    domain, whole = fresh_domain(), stations(64)
+    first = Process("calibrator", domain, folder, effects=False, state=folder / "state")
+    with running(first), listener(domain) as (node, wait):
+        cell, said = PlayedCell(node), Said(node)
+        wait(cell.heard, 60.0)
+        cell.describe(URDF.read_text())
+        cell.play(part(whole, slice(0, 48)))
+        wait(cell.taken, 60.0)
+        assert call(node, wait, "calibrator/solve").success
+        wait(lambda: said.value(MODEL, "state") == "trusted", 10.0)
+        cell.play(part(whole, slice(48, 56)))
+        wait(cell.taken, 60.0)
+        assert first.stop() == 0
+    return folder / "state"
+
+
+def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved, tmp_path / "state")
+    domain, whole = fresh_domain(), stations(64)
+    kept = read_calibration(tmp_path / "state")
+
+    second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
+    with running(second), listener(domain) as (node, wait):
+        cell, said = PlayedCell(node), Said(node)
+        models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
+        wait(cell.heard, 60.0)
+        cell.describe(URDF.read_text())
+        cell.play(part(whole, slice(56, 64)))
+        wait(lambda: models and trusted and trusted[-1], 20.0)  # it says no until it knows the arm
+        assert said.value(MODEL, "state") == "trusted" or wait(lambda: said.value(MODEL, "state") == "trusted", 10.0)
+        status = json.loads((tmp_path / "state" / "report.json").read_text())["status"]
+        wait(lambda: said.value(MODEL, "status") == status, 10.0)
+        assert (said.level(MODEL) == 0) == (status == "at_floor")
+        # the stations from before the restart are there, too
+        assert call(node, wait, "calibrator/solve").success
+        assert second.stop() == 0
+    assert f"robot: {kept.robot}" in models[0]
+    report = json.loads((tmp_path / "state" / "report.json").read_text())
+    assert report["recording"]["stations"] == 48
+
+
+def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved, tmp_path / "state")
+    domain = fresh_domain()
+    before = {p.name: p.read_bytes() for p in (tmp_path / "state").iterdir()}
+    longer = URDF.read_text().replace("0.612", "0.622")
+    assert longer != URDF.read_text()
+    second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
+    with running(second), listener(domain) as (node, wait):
+        cell, said = PlayedCell(node), Said(node)
+        models = latched(node, "calibrator/calibration")
+        wait(cell.heard, 60.0)
+        cell.describe(longer)
+        cell.play(stations(4))
+        wait(lambda: said.level(MODEL) == 2, 20.0)
+        assert "other nominal kinematics" in said.text(MODEL)
+        assert second.stop() == 0
+    assert not models
+    assert {p.name: p.read_bytes() for p in (tmp_path / "state").iterdir()} == before
+
+
+def test_a_killed_calibrator_leaves_no_process_behind(tmp_path: Path) -> None:
+    calibrator = Process("calibrator", fresh_domain(), tmp_path)
+    with running(calibrator):
+        children = _eventually(lambda: _children(calibrator.popen.pid), 60.0)
+        calibrator.popen.send_signal(signal.SIGKILL)
+        calibrator.popen.wait()
+        _eventually(lambda: not any(_alive(child) for child in children), 20.0)
+
+
+def test_a_killed_solver_is_replaced(tmp_path: Path) -> None:
+    with beside_a_cell(tmp_path) as (calibrator, node, wait, cell, _):
+        cell.play(stations())
+        wait(cell.taken, 60.0)
+        for child in _children(calibrator.popen.pid):
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                os.kill(child, signal.SIGKILL)
+                wait(lambda: not _alive(child), 20.0)  # noqa: B023
+        answer = call(node, wait, "calibrator/solve")
+        if not answer.success:  # the node had not noticed yet
+            answer = call(node, wait, "calibrator/solve")
+        assert answer.success, answer.message
+
+
+def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
+    """By asking: until somebody accepts, the old model stands, marked as one that does not hold."""
+    bump = se3.exp(np.array([5e-4, -4e-4, 3e-4, 0.0, 0.0, 0.0]))
+    with beside_a_cell(tmp_path, accept="asked", after_change=24) as (_, node, wait, cell, said):
+        models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
+        changes, before = latched(node, "calibrator/change"), latched(node, "calibrator/residual_before", Float64)
+        after = latched(node, "calibrator/residual", Float64)
+        cell.play(stations(64))
+        wait(cell.taken, 60.0)
+        assert call(node, wait, "calibrator/solve").success
+        assert not models
+        assert not any(trusted)
+        assert call(node, wait, "calibrator/accept").success
+        wait(lambda: models and any(trusted), 10.0)
+        assert not call(node, wait, "calibrator/accept").success  # there is nothing more
+        results = len(after)
+        cell.play(stations(96, begin=START + 1000.0, bump=bump))
+        wait(lambda: len(after) > results, 60.0)
+        wait(lambda: not trusted[-1] and said.level(MODEL) == 1, 20.0)
+        change = json.loads(changes[-1])
+        assert change["place"] == "tool"
+        assert change["size_mm"] == pytest.approx(1e3 * np.linalg.norm(bump[:3, 3]), rel=0.2)
+        assert len(models) == 1
+        assert before[-1] > 5e-4 > 2e-4 > after[-1]
+        assert call(node, wait, "calibrator/accept").success
+        wait(lambda: len(models) == 2 and trusted[-1], 10.0)
+        report: list[str] = []
+        node.create_subscription(String, "calibrator/report", lambda m: report.append(m.data), LATCHED)
+        wait(lambda: report, 10.0)
+        found = json.loads(report[-1])["effects"]
+        assert [(e["family"], e["place"]) for e in found] == [("step", "tool")]
+
+
+def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
+    with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
+        cell.play(stations(150))
+        wait(cell.taken, 60.0)
+        done: list[Any] = []
+        client = node.create_client(Trigger, "calibrator/solve")
+        wait(client.service_is_ready, 30.0)
+        answer = client.call_async(Trigger.Request())
+        answer.add_done_callback(done.append)
+        again = client.call_async(Trigger.Request())
+        wait(again.done, 10.0)
+        if not done:
+            assert again.result().message == "a solve is running already"
+        heard = 150
+        extra = stations(40, seed=1, begin=START + 1000.0)
+        while not done:
+            cell.play(extra, lambda _, m: m if hasattr(m, "name") else None)
+            heard += 40
+            wait(lambda: said.value(HEARING, "messages of /joint_states") == str(heard), 10.0)  # noqa: B023
+            extra = stations(40, seed=1, begin=START + 1000.0 + 100.0 * heard)
+        assert done[0].result().success
+
+
+def test_the_running_estimate_is_published(tmp_path: Path) -> None:
+    with beside_a_cell(tmp_path, effects=False) as (calibrator, node, wait, cell, _):
+        estimates: list[Any] = []
+        node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
+        names = latched(node, "calibrator/estimate_names")
+        cell.play(stations(60))
+        wait(cell.taken, 60.0)
+        assert call(node, wait, "calibrator/solve").success
+        # where there is no folder for it, no page of a report is drawn
+        assert not any("matplotlib" in Path(f"/proc/{p}/maps").read_text() for p in _children(calibrator.popen.pid))
+        wait(lambda: estimates and names, 10.0)
+        std = np.array(estimates[-1].data).reshape(2, -1)[1]
+        cell.play(stations(200, begin=START + 500.0, seed=1))
+        wait(lambda: np.array(estimates[-1].data).reshape(2, -1)[1].max() < 0.8 * std.max(), 20.0)
+        assert len(names[-1].split("\n")) == len(std)
+    chain = read_chain(URDF.read_text())
+    assert any(name.startswith(chain.names[2]) for name in names[-1].split("\n"))
+
+
+def _children(pid: int) -> list[int]:
+    """Processes of the workshop: those a process has started, resource trackers included."""
+    try:
+        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def _eventually(condition: Any, seconds: float) -> Any:
+    end = time.monotonic() + SLOWER * seconds
+    while time.monotonic() < end:
+        if value := condition():
+            return value
+        time.sleep(0.05)
+    raise AssertionError(f"waited {seconds} s in vain")

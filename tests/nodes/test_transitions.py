@@ -1,0 +1,135 @@
+"""The setpoint node refuses what its state does not allow, answers, lives on, and lets go of what it pulls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from compliance.toy import PANDA, Toy, door
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import GetState
+from nodes.processes import Process, fresh_domain, listener, running
+from nodes.pulled_arm import PulledArm, Witness
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
+pytestmark = pytest.mark.dds
+UNKNOWN = 99
+
+
+class Cell:
+    """A node that runs, an arm for it to talk to, and what may be asked of it."""
+
+    def __init__(self, process: Process, arm: PulledArm, wait: Callable[[Callable[[], Any], float], Any]) -> None:
+        self.process, self.arm, self.wait = process, arm, wait
+        self._state = arm.node.create_client(GetState, "impedance_setpoint/get_state")
+        self._set = arm.node.create_client(SetParameters, "impedance_setpoint/set_parameters")
+
+    def state(self) -> int:
+        return int(self.arm._call(self.wait, self._state, GetState.Request()).current_state.id)
+
+    def set(self, name: str, value: float) -> tuple[bool, str]:
+        stated = Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+        result = self.arm._call(self.wait, self._set, SetParameters.Request(parameters=[stated])).results[0]
+        return result.successful, result.reason
+
+    def pull(self) -> None:
+        """Be pulling at a locked door, with force in the hand."""
+        if self.state() == State.PRIMARY_STATE_UNCONFIGURED:
+            self.arm.ready(self.wait)
+        self.arm.again(self.wait, Toy(door(), locked=True))
+        self.arm.pull(self.wait)
+        self.wait(lambda: self.arm.toy.peak > 8.0, 60.0)
+
+
+def felt(arm: PulledArm) -> float:
+    """The force between hand and handle [N]."""
+    return float(np.linalg.norm(arm.toy.contact[:3]))
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    domain = fresh_domain()
+    process = Process(
+        "impedance_setpoint", domain, tmp_path_factory.mktemp("cell"), direction="[-1.0, 0.0, 0.0]", tip=PANDA.tip,
+        use_sim_time=True,
+    )  # fmt: skip
+    with running(process), listener(domain) as (node, wait):
+        yield Cell(process, PulledArm(node), wait)
+        assert process.stop() == 0
+        assert "Traceback" not in process.output
+
+
+def test_illegal_transitions_are_answered_in_every_state(cell: Cell) -> None:
+    """Activate while unconfigured, configure twice, and a number that is no transition."""
+    arm, wait = cell.arm, cell.wait
+    legal = {
+        State.PRIMARY_STATE_UNCONFIGURED: {Transition.TRANSITION_CONFIGURE},
+        State.PRIMARY_STATE_INACTIVE: {Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVATE},
+        State.PRIMARY_STATE_ACTIVE: {Transition.TRANSITION_DEACTIVATE},
+    }
+    every = {
+        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_DEACTIVATE, UNKNOWN,
+    }  # fmt: skip
+    for state, onwards in zip(
+        legal, (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, None), strict=True
+    ):
+        for transition in sorted(every - legal[state]):
+            assert not arm.change(wait, transition)
+            assert cell.state() == state
+        if onwards is not None:
+            assert arm.change(wait, onwards)
+    wait(lambda: "is refused in state active" in arm.health["inputs"].message, 10.0)
+    assert arm.health["faults"].level == b"\0"
+
+
+@pytest.mark.parametrize("transition", [Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, UNKNOWN])
+def test_in_the_middle_of_a_pull_it_lets_go(cell: Cell, transition: int) -> None:
+    """The last setpoints go back to where the tool is, and the force with them; the node can pull again."""
+    arm, wait = cell.arm, cell.wait
+    cell.pull()
+    assert not arm.change(wait, transition)
+    wait(lambda: "is refused in state active" in arm.said(), 10.0)
+    assert cell.state() == State.PRIMARY_STATE_ACTIVE
+    assert felt(arm) < 3.0
+    Witness(arm).look()
+
+
+def test_deactivated_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:
+    arm, wait = cell.arm, cell.wait
+    cell.pull()
+    assert arm.change(wait, Transition.TRANSITION_DEACTIVATE)
+    assert cell.state() == State.PRIMARY_STATE_INACTIVE
+    assert felt(arm) < 3.0
+    Witness(arm).look()
+    count = len(arm.trajectories)
+    assert arm.change(wait, Transition.TRANSITION_ACTIVATE)
+    assert len(arm.trajectories) == count
+
+
+def test_a_limit_that_is_changed_holds_for_the_next_pull(cell: Cell) -> None:
+    """most_speed_m_s is a limit of safety; while it pulls nothing can be changed, and what is read earlier says so."""
+    arm, wait = cell.arm, cell.wait
+    arm.again(wait, Toy(door()))
+    assert cell.set("most_speed_m_s", 0.004) == (True, "")
+    arm.pull(wait)
+    assert "cannot change while it pulls" in cell.set("most_speed_m_s", 0.25)[1]
+    wait(lambda: len(arm.poses) > 150, 60.0)
+    p = np.array([[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in arm.poses[:150]])
+    steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    assert 0.0 < steps.max() < 1.05 * 0.004 / 250.0 * 2.0  # a tick that was late may be followed by twice as much
+    arm.ask(wait, "stop")
+    assert cell.set("most_speed_m_s", 0.25) == (True, "")
+    assert "is read when the node is configured" in cell.set("tool_mass", 1.0)[1]
+    assert "must rise" in cell.set("slow_force_n", 400.0)[1]
+
+
+def test_told_to_end_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:
+    cell.pull()
+    cell.process.popen.terminate()
+    cell.wait(lambda: cell.process.popen.poll() is not None, 15.0)  # the arm goes on meanwhile
+    assert cell.process.popen.poll() == 0
+    assert felt(cell.arm) < 3.0

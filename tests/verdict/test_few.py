@@ -1,0 +1,42 @@
+"""Columns that are never written out: products with them are those with the columns in full."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modcal_core.verdict.features import Waves
+from modcal_core.verdict.few import Few
+from modcal_core.verdict.ridge import Baseline, Layout, Projection
+
+N = 30
+
+
+@pytest.mark.parametrize("parameters", [0, 4])
+def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -> None:
+    rng = np.random.default_rng(0)
+    waves = Waves(
+        (rng.normal(size=(1, 6, N)), rng.normal(size=(3, 6, N))), (rng.normal(size=(7, N)), rng.normal(size=(5, N)))
+    )
+    seen = np.ones((6, N), bool)
+    seen[3:, ::3] = False  # some readings without orientation
+    layout = Layout.of(np.array([0, 5, 12, 18, 25, N]), seen)
+    U = 10.0 * layout.flat(rng.normal(size=(parameters, 6, N)))
+    full = layout.flat(waves.written(np.arange(22)) * seen)
+    seen_only = Waves(tuple(u * seen for u in waves.motions), waves.numbers)
+    few = Few.of("", seen_only, Baseline(U, layout), Projection(U), 0.02)
+    assert few is not None
+    np.testing.assert_allclose(seen_only.squares(), np.sum(full**2, axis=1), rtol=1e-12)
+
+    # ridge regression on parameters of unit variance, taken out of the columns, which are then of unit length
+    left = full - full @ U.T @ np.linalg.solve(U @ U.T + np.eye(parameters), U)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    np.testing.assert_allclose(few.columns.rows(np.arange(22)), left, atol=1e-9)
+    r = rng.normal(size=(left.shape[1], 3))
+    trials = Baseline(U, layout).trials(r)
+    for k, (a, b) in enumerate(layout.spans):
+        rest = np.r_[0:a, b : left.shape[1]]
+        train = r[rest] - U[:, rest].T @ np.linalg.solve(
+            U[:, rest] @ U[:, rest].T + np.eye(parameters), U[:, rest] @ r[rest]
+        )
+        np.testing.assert_allclose(few.trained.products(trials)[k], left[:, rest] @ train, atol=1e-9)
