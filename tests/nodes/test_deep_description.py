@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -39,14 +38,13 @@ def test_a_node_refuses_it_and_goes_on(make: type[GuardedNode]) -> None:
         pair.wait(lambda: description.get_subscription_count() and joints.get_subscription_count(), 5.0)
         for text, said in ((row(3000), "has 3001 links, 2000"), (row(600), "600 joints in a row"), (LARGE, "million")):
             description.publish(String(data=text))
-            begun = time.monotonic()
+            state = JointState(name=["j1", f"another {said}"], position=[0.0, 0.0])  # once anew: it is looked at again
 
-            def told(said: str = said) -> bool:
-                joints.publish(JointState(name=["j1", f"j{time.monotonic_ns()}"], position=[0.0, 0.0]))
+            def told(said: str = said, state: JointState = state) -> bool:
+                joints.publish(state)
                 return any(said in s.message for s in heard)
 
             pair.wait(told, 5.0)
-            assert time.monotonic() - begun < 5.0
         assert not pair.node.faults.counts
 
 

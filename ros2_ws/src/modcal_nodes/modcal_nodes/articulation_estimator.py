@@ -110,7 +110,7 @@ class ArticulationEstimator(GuardedNode):
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
-            self._urdf, self._chain = message.data, None
+            self._urdf, self._chain, self._refusal = message.data, None, ""
             self._forget()
 
     def _recognise(self, names: frozenset[str]) -> None:
