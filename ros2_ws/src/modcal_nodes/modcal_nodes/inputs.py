@@ -123,7 +123,7 @@ def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: 
     try:
         return read(data)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {shown(error)}", _REMEDY) from error
+        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {str(error)[:120]}", _REMEDY) from error
 
 
 def _move(data: Mapping[str, Any]) -> Move:

@@ -200,7 +200,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         kind = str(recorded["kind"])
         _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
-        raise BadTable(source, f"damaged: {shown(error)}", "calibrate again") from error
+        raise BadTable(source, f"damaged: {type(error).__name__}: {str(error)[:120]}", "calibrate again") from error
     except BadRobot as error:
         raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None
