@@ -11,8 +11,9 @@ from cells import Recorded, record, samples_of, ur10
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.diagnosis.memory import play
+from modcal_core.evaluate import evaluate
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import calibrate, evaluate
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 
 CHAIN = ur10()

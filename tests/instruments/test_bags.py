@@ -120,14 +120,11 @@ own_target: [wire_0]
     ("text", "said"),
     [
         ("known: [{frame: a, in: b, plane: {normal: [0, 0, 2], offset_m: 0}}]", "a normal has three numbers"),
-        ("known: [{frame: a, in: b, place: 3}]", "known, entry 1: unknown key place"),
-        ("known: [{frame: a}]", "known, entry 1: 'in' is not stated"),
-        (
-            "distances: [{stamps: [1.0], distance_m: 0.2}]",
-            "distances, entry 1: stamps: it has 1 entries, 2 are allowed",
-        ),
+        ("known: [{frame: a, in: b, place: 3}]", "unknown key place"),
+        ("known: [{frame: a}]", "'in' is not stated"),
+        ("distances: [{stamps: [1.0], distance_m: 0.2}]", "stamps: it has 1 entries, 2 are allowed"),
         ("distances: [{stamps: [1.0, 2.0], distance_m: 200}]", "distance 1.0 to 2.0: 200 ± 5e-05 m, 0 to 50 m is"),
-        ("planes: []", "unknown key planes; known are distances, fixed"),
+        ("planes: []", "unknown key planes"),
     ],
 )
 def test_a_cell_file_that_cannot_be_is_refused(

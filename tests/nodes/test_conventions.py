@@ -12,6 +12,7 @@ import rclpy
 from nodes.in_process import spun
 from nodes.processes import EXECUTABLES, environment, fresh_domain
 from nodes.test_guarding import NODES as MADE
+from nodes.test_guarding import PLANNED
 from rcl_interfaces.msg import LoggerLevel
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.node import Node
@@ -27,7 +28,7 @@ from modcal_nodes.running import SENSOR
 from modcal_nodes.simulation.switches import SWITCHES
 from modcal_nodes.viewer import Viewer
 
-EVERY = sorted({*MADE, "door_demo"})
+EVERY = sorted(MADE)
 
 
 def other(value: Any) -> Any:
@@ -48,6 +49,7 @@ def test_what_is_read_once_is_read_only_and_the_rest_is_taken(
 ) -> None:
     """Every parameter of every node is set: it is refused, with a reason, or it is what the node goes by from then on."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "planned.yaml").write_text(PLANNED)
     make, parameters = MADE[name]
     with spun(make, **{k: v for k, v in parameters.items() if k != "autostart"}) as pair:
         node: Any = pair.node

@@ -19,11 +19,13 @@ from modcal_nodes.acceleration_limits import AccelerationLimits
 from modcal_nodes.articulation_estimator import ArticulationEstimator
 from modcal_nodes.calibrator import Calibrator
 from modcal_nodes.corrector import Corrector
+from modcal_nodes.door_demo import DoorDemo
 from modcal_nodes.guarding import Guarded, GuardedNode
 from modcal_nodes.impedance_setpoint import ImpedanceSetpoint
 from modcal_nodes.recorder import Recorder
 from modcal_nodes.simulated_cell import SimulatedCell
 from modcal_nodes.simulated_furniture import SimulatedFurniture
+from modcal_nodes.trajectory_sender import TrajectorySender
 from modcal_nodes.viewer import Viewer
 
 pytestmark = pytest.mark.dds
@@ -39,7 +41,10 @@ NODES: dict[str, tuple[Callable[[], GuardedNode], dict[str, Any]]] = {
     "viewer": (Viewer, {}),
     "simulated_cell": (SimulatedCell, {"urdf": URDF, "stations": 2}),
     "simulated_furniture": (SimulatedFurniture, {"urdf": URDF, "seed": 3, "kind": "drawer"}),
+    "trajectory_sender": (TrajectorySender, {"trajectory": "planned.yaml", "patience_s": 600.0}),
+    "door_demo": (DoorDemo, {"start": "false", "patience_s": 600.0}),
 }
+PLANNED = "{joint_names: [a], points: [{positions: [0.0], time_from_start: {sec: 0, nanosec: 0}}]}"
 
 
 class Boom(Exception):
@@ -57,6 +62,7 @@ async def boom_later(*_: Any) -> Any:
 @pytest.fixture(params=NODES)
 def pair(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "planned.yaml").write_text(PLANNED)
     make, parameters = NODES[request.param]
     with spun(make, **parameters) as made:
         if request.param == "impedance_setpoint":

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
 from modcal_nodes.guarding import GuardedNode, NodeEnds
+from modcal_nodes.health import OK, Health, Status
 from modcal_nodes.launching import LAUNCHES
 from modcal_nodes.parameters import DOOR_DEMO, declare, values
 from modcal_nodes.running import run
@@ -42,6 +43,7 @@ class DoorDemo(GuardedNode):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
+        Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waits for the pull to begin")])
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _start(self) -> list[subprocess.Popen[bytes]]:

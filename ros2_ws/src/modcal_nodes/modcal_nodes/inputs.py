@@ -17,7 +17,7 @@ from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
-from modcal_core.measurements.schema import require, shown
+from modcal_core.measurements.schema import require, shown, told
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
 from modcal_msgs_py.choosing import Topics
@@ -123,7 +123,7 @@ def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: 
     try:
         return read(data)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {str(error)[:120]}", _REMEDY) from error
+        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {told(error)}", _REMEDY) from error
 
 
 def _move(data: Mapping[str, Any]) -> Move:

@@ -25,7 +25,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.schema import shown
+from modcal_core.measurements.schema import shown, told
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -200,7 +200,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         kind = str(recorded["kind"])
         _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
-        raise BadTable(source, f"damaged: {type(error).__name__}: {str(error)[:120]}", "calibrate again") from error
+        raise BadTable(source, f"damaged: {told(error)}", "calibrate again") from error
     except BadRobot as error:
         raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None

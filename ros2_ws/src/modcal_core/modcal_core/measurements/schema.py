@@ -34,6 +34,11 @@ def shown(value: Any) -> str:
     return reprlib.repr(value)[:80]
 
 
+def told(error: Exception) -> str:
+    """What an exception says, in few letters, and of which kind it is."""
+    return f"{type(error).__name__}: {error}"[:200]
+
+
 def _check(data: Any, schema: Schema, where: str, remedy: str) -> None:
     assert set(schema) <= _WORDS, set(schema) - _WORDS
     if "type" in schema:
