@@ -92,9 +92,9 @@ def joints_of(path: Path) -> Recording:
 )  # fmt: skip
 def test_a_definition_that_cannot_be_read_costs_its_topic(tmp_path: Path, type_name: str, text: str) -> None:
     path = bag_with(tmp_path / "bag.mcap", [("/other", type_name, text, bytes(64))])
-    began = time.perf_counter()
+    began = time.process_time()
     joints_of(path)
-    assert time.perf_counter() - began < 2.0
+    assert time.process_time() - began < 2.0
 
 
 def test_definitions_of_a_bag_are_still_read(tmp_path: Path) -> None:
@@ -152,17 +152,17 @@ def chunk(records: bytes, size: int, compression: str) -> bytes:
 
 
 def bomb() -> bytes:
-    """12 GB of zeros in less than 400 kB."""
-    packer = zstandard.ZstdCompressor(level=19).compressobj()
+    """100 MiB of zeros in some kilobytes."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
     zeros = bytes(1 << 20)
-    return b"".join(packer.compress(zeros) for _ in range(200)) + packer.flush()
+    return b"".join(packer.compress(zeros) for _ in range(100)) + packer.flush()
 
 
 @pytest.mark.parametrize(
     ("make", "declared", "compression"),
     [
         (bomb, 12 << 30, "zstd"),
-        (bomb, 200 << 20, "zstd"),  # as it is: more than any recorder would pack
+        (bomb, 100 << 20, "zstd"),  # as it is: more than any recorder would pack
         (bomb, 1, "zstd"),
         (lambda: bytes(100), 2**64 - 1, "lz4"),
         (lambda: bytes(100), 2**64 - 1, "zstd"),
@@ -175,11 +175,11 @@ def test_a_chunk_that_would_fill_the_memory_is_not_unpacked(
     tmp_path: Path, make: Callable[[], bytes], declared: int, compression: str
 ) -> None:
     (tmp_path / "bomb.mcap").write_bytes(chunk(make(), declared, compression))
-    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     for act in (read_bag, lambda path: repair_bag(path, tmp_path / "new")):
         with pytest.raises(BadRecording, match="holds no (whole )?message"):
             act(tmp_path / "bomb.mcap")
-    assert time.perf_counter() - began < 2.0
+    assert time.process_time() - began < 2.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
 
 
@@ -189,3 +189,26 @@ def test_the_reason_is_in_the_refusal(tmp_path: Path) -> None:
         BadRecording, match=r"holds no message \(a chunk of 144 bytes declares 12884901888, \d+ is the limit\)"
     ):
         read_bag(tmp_path / "bomb.mcap")
+
+
+@pytest.mark.parametrize("kind", ["sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"])
+def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind: str) -> None:
+    """They pack a thousand times as tightly as they are slow to decode, one by one."""
+    count, path = 200_000, tmp_path / "bag.mcap"
+
+    def text(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    def record(opcode: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", opcode, len(body)) + body
+
+    schema = struct.pack("<H", 1) + text(kind.encode()) + text(b"ros2msg") + text(definition(kind)[0].encode())
+    channel = struct.pack("<HH", 1, 1) + text(b"/joint_states") + text(b"cdr") + text(b"")
+    message = record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0))
+    records = record(Opcode.SCHEMA, schema) + record(Opcode.CHANNEL, channel) + count * message
+    path.write_bytes(chunk(zstandard.ZstdCompressor(level=1).compress(records), len(records), "zstd"))
+    assert path.stat().st_size < 100_000
+    began = time.process_time()
+    recording = read_bag(path)
+    assert time.process_time() - began < 2.0
+    assert f"{count} messages on /joint_states were left out: they are no {kind}." in recording.warnings

@@ -35,6 +35,7 @@ PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
 _MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
 _MOST_KEPT = 64
+_HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
 
 
@@ -188,12 +189,16 @@ class _Reader:
     def _row_by_row(self, topic: str, type_name: str, fields: Fields, block: Block, which: NDArray[np.int64]) -> None:
         """Messages whose layouts change from one to the next."""
         content = np.frombuffer(block.content, np.uint8)
-        for i in which.tolist():
+        failed = 0
+        for k, i in enumerate(which.tolist()):
             start, stop = int(block.starts[i]), int(block.stops[i])
             layout = Layout.of(fields, bytes(block.content[start:stop]))
             if layout is None:
-                self._builder.lose(topic, f"they are no {type_name}")
+                failed += 1
+                if self._hopeless(topic, type_name, failed, len(which) - k):
+                    return
                 continue
+            failed = 0
             rows = layout.rows(content, np.array([start]))
             self._rows(topic, type_name, layout, rows, np.array([1e-9 * int(block.heads["received"][i])]))
 
@@ -203,16 +208,26 @@ class _Reader:
         store = store_with(type_name, self._file.schemas.get(type_name, ""))
         if type_name not in store.types:
             return
-        for i in which.tolist():
+        failed = 0
+        for k, i in enumerate(which.tolist()):
             try:
                 message = store.deserialize_cdr(bytes(block.content[block.starts[i] : block.stops[i]]), type_name)
             except Exception:  # the decoder raises whatever the bytes lead it to
-                self._builder.lose(topic, f"they are no {type_name}")
+                failed += 1
+                if self._hopeless(topic, type_name, failed, len(which) - k):
+                    return
                 continue
+            failed = 0
             try:
                 self._builder.add(topic, type_name, message, 1e-9 * int(block.heads["received"][i]))
             except BadRecording as error:
                 self._builder.lose(topic, _why(error))
+
+    def _hopeless(self, topic: str, type_name: str, failed: int, left: int) -> bool:
+        """Count a message that cannot be decoded; after many in a row, all that are left, this one included."""
+        hopeless = failed >= _HOPELESS
+        self._builder.lose(topic, f"they are no {type_name}", left if hopeless else 1)
+        return hopeless
 
 
 def _why(error: ModcalError) -> str:
