@@ -58,8 +58,8 @@ def listed_files(folder: Path) -> list[Path]:
         raise ValueError("it is too large")
     text = file.read_text(encoding="utf-8")
     stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
-    if not isinstance(stated, list) or not all(isinstance(name, str) and name for name in stated):
-        raise TypeError("relative_file_paths is no list of names")
+    if not isinstance(stated, list) or not stated or not all(isinstance(name, str) and name for name in stated):
+        raise ValueError("relative_file_paths is no list of names")
     out = []
     for name in (folder / Path(name).name for name in stated):
         packed = [name.with_name(f"{name.name}{end}") for end in (".zstd", ".zst")]

@@ -31,17 +31,18 @@ class Db3File:
         """How many messages there are by topic and type. Raises BadRecording for a file that is no bag."""
         with closing(self._opened()) as reader:
             out: dict[tuple[str, str], int] = {}
-            for c in reader.connections:
+            for c in _named(reader):
                 out[c.topic, c.msgtype] = out.get((c.topic, c.msgtype), 0) + c.msgcount
             return out
 
     def blocks(self) -> Iterator[Block]:
         """Every message, many at once, in the order of reception. Raises BadRecording for a file that is no bag."""
         with closing(self._opened()) as reader:
-            connections = [c for c in reader.connections if c.ext.serialization_format == "cdr"]
+            connections = [c for c in _named(reader) if c.ext.serialization_format == "cdr"]
             number = {c.id: i for i, c in enumerate(connections[: 1 << 16])}
             self.known = {i: (connections[i].topic, connections[i].msgtype) for i in number.values()}
-            self.schemas = {c.msgtype: c.msgdef.data for c in connections if c.msgdef.data}
+            texts = {c.msgtype: c.msgdef.data for c in connections if c.msgdef.data}
+            self.schemas = {name: text for name, text in texts.items() if isinstance(text, str)}
             total = sum(c.msgcount for c in connections)
             rows: list[tuple[int, int, bytes]] = []
             size = 0
@@ -78,6 +79,11 @@ class Db3File:
             said = f"cannot be read as a SQLite bag ({type(error).__name__})"
             raise BadRecording(str(self.path), said, "convert it: ros2 bag convert, or record again") from error
         return reader
+
+
+def _named(reader: Any) -> list[Any]:
+    """The connections of a database whose topic and type are texts; a cell may hold anything."""
+    return [c for c in reader.connections if isinstance(c.topic, str) and isinstance(c.msgtype, str)]
 
 
 def block_of(rows: list[tuple[int, int, bytes]]) -> Block:
