@@ -241,6 +241,8 @@ class _Builder:
         x = self.view.reading  # (3, N), along the root's axes
         r = np.linalg.norm(x, axis=0)
         unit = r.mean()
+        if unit == 0.0:  # sockets: the ball is always at their origin
+            return
         radial = np.zeros((6, self.N))
         radial[:3] = x / np.maximum(r, 1e-9)
         powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
