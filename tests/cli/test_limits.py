@@ -70,6 +70,21 @@ def test_a_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     truth = Mujoco(URDF.read_text(), read_chain(URDF.read_text()))
     most = np.max([np.diag(truth.matrix(q)) for q in recording.joints[0].position], axis=0)
     assert (np.array([j["inertia"]["most"] for j in data["joints"]]) > most).all()  # and the payload
+    assert "30 of 30 joint states report no velocity" in data["notes"][-1]
+
+
+def test_what_a_bag_does_not_say_is_counted(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    recording = stations(30)
+    (track,) = recording.joints
+    q = track.position.copy()
+    q[3, 1] = np.nan
+    moving = replace(track, position=q, velocity=np.zeros_like(q))
+    write_recording(replace(recording, joints=(moving,)), tmp_path / "bag")
+    assert run(["limits", str(tmp_path / "bag")]) == 0
+    said = " ".join(capfd.readouterr().out.split())
+    assert "1 of 30" in said
+    assert "left out" in said
+    assert "no velocity" not in said
 
 
 CASES = {

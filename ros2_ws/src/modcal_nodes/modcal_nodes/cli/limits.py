@@ -23,7 +23,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.by_joint import numbers_by_joint
 from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.files import to_json, to_yaml, write_folder
 
@@ -107,19 +107,20 @@ def limits_command(
         arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
     arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
-    q, v = _motion(arm.chain, recording, at, velocity, workspace, seed)
+    q, v, notes = _motion(arm.chain, recording, at, velocity, workspace, seed)
     found = LimitsFound(arm, q, v, source.name)
     with voice.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
-        data = to_json_data(found)
+        data = {**to_json_data(found), "notes": list(notes)}
     if out is not None:
         write_folder(out, {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))})
     where = "" if out is None else f"Limits: {out / 'limits.json'}"
-    voice.result(data, partial(_show, data, len(q)), where)
+    voice.result(data, partial(_show, data, len(q), notes), where)
 
 
-def _show(data: dict[str, object], postures: int, console: Console) -> None:
+def _show(data: dict[str, object], postures: int, notes: tuple[str, ...], console: Console) -> None:
     console.print(_table(data))
+    tell(notes, console)
     if postures > 1:
         click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
 
@@ -131,8 +132,8 @@ def _motion(
     velocity: tuple[str, ...],
     workspace: int | None,
     seed: int,
-) -> tuple[Array, Array]:
-    """Positions and velocities (N, n) that are asked for."""
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Positions and velocities (N, n) that are asked for, and what must be known of them."""
     if recording is not None:
         return _recorded(chain, recording)
     speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
@@ -140,7 +141,7 @@ def _motion(
         if at:
             raise BadTable("--at and --workspace", "are two ways to say which postures", "give one of them")
         q = random_postures(chain, workspace, np.random.default_rng(seed))
-        return q, np.tile(speeds, (len(q), 1))
+        return q, np.tile(speeds, (len(q), 1)), ()
     # a joint that cannot stand at zero stands at the limit next to it
     q = _column(chain, at, "--at", np.clip(0.0, chain.lower, chain.upper))
     outside = (q < chain.lower) | (q > chain.upper)
@@ -148,10 +149,10 @@ def _motion(
         j = int(np.argmax(outside))
         said = f"{q[j]:g} is outside its limits, {chain.lower[j]:g} to {chain.upper[j]:g}"
         raise BadTable(f"--at {chain.names[j]}", said, "give radians, or metres, within them")
-    return q[None], speeds[None]
+    return q[None], speeds[None], ()
 
 
-def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array]:
+def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array, tuple[str, ...]]:
     _, q = joint_stamps_and(recording, chain.names, "position")
     _, v = joint_stamps_and(recording, chain.names, "velocity")
     good = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -161,7 +162,14 @@ def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array]:
             f"{recording.source}, joint_states", f"say nothing of {', '.join(missing)}", "give another --tip"
         )
     rows = good[np.unique(np.linspace(0, len(good) - 1, _MOST).round().astype(int))]
-    return q[rows], np.nan_to_num(v[rows])
+    notes = list(recording.warnings)
+    if len(good) < len(q):
+        notes.append(f"{len(q) - len(good)} of {len(q)} joint states lack the position of a joint: they are left out.")
+    still = ~np.isfinite(v[good]).all(axis=1)
+    if still.any():
+        said = f"{int(still.sum())} of {len(good)} joint states report no velocity of some joint"
+        notes.append(f"{said}: it counts as standing still, so that viscous friction is left out.")
+    return q[rows], np.nan_to_num(v[rows]), tuple(notes)
 
 
 def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) -> Array:
