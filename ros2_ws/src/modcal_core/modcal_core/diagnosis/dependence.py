@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
-from modcal_core.diagnosis.memory import last_moves, play
+from modcal_core.diagnosis.memory import last_moves, moments_on_base, play, slipped
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -231,10 +231,10 @@ class _Builder:
         yield self._pair("the tool", "how it is turned against gravity", tool, gravity)
         yield self._pair("the tool", "how it is turned against gravity", tool, np.sign(gravity))
         yield self._pair("the tool", "the side from which the tracker looks at it", tool, _curves(sight))
-        loads = [self.at.payload[0, d] for d in (3, 4)]
-        if self.at.arm.weighed:
-            loads += [self.at.gravity[0, d] for d in (3, 4)]
-        yield self._pair("the base", "the moment of the arm's weight on it", base, np.stack(loads))
+        moments = moments_on_base(self.at)
+        yield self._pair("the base", "the moment of the arm's weight on it", base, moments)
+        slip = slipped(self.samples, moments)
+        yield self._pair("the base", "what the moment of the arm's weight on it was before (it slips)", base, slip)
 
     def of_instrument(self) -> Iterator[_Pair]:
         """Readings that depend on where the target is, from the instrument's origin."""

@@ -17,7 +17,7 @@ from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.shapes import periodic
-from modcal_core.diagnosis.memory import play
+from modcal_core.diagnosis.memory import moments_on_base, play, slipped
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -79,7 +79,7 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
         yield builder.neighbours()
     yield builder.order(0, _SLOW)
     yield builder.order(_SLOW, _FAST)
-    for group in (builder.history(), builder.load(), builder.signals()):
+    for group in (builder.history(), builder.slip(), builder.load(), builder.signals()):
         if group is not None:
             yield group
 
@@ -171,6 +171,14 @@ class _Builder:
         if not s.moving.any():
             parts += [self._times([axis], _standard(ahead)) for axis, ahead in zip(axes, play(s), strict=True)]
         return self._group("the way that the joints arrived and moved", parts)
+
+    def slip(self) -> Group | None:
+        """The base with what its load leaves behind where it slips."""
+        if self.samples.moving.any():
+            return None
+        moments = _standard(slipped(self.samples, moments_on_base(self.at)))
+        base = [(0, d) for d in range(6)]
+        return self._group("what the load on the base was before", [self._times(base, moments)])
 
     def load(self) -> Group | None:
         """Every joint's directions with its torques: of a weight at the tip, of the arm, and as the actuators say."""
