@@ -199,17 +199,20 @@ class _Builder:
         return [*kinds, *(["effort"] if np.isfinite(self.samples.effort).all() else [])]
 
     def _single_waves(self, who: str, j: int, axis: list[tuple[int, int]]) -> Iterator[_Pair]:
-        """The wave of the joint's own position that stands out most, if any does."""
+        """The wave of the joint's own position that stands out most, alone and as large as the joint's load."""
         unit = self._unit(*axis[0])
-        own = np.sum(unit * self._residual(), axis=0)
-        square = np.sum(unit**2, axis=0)
-        angle = np.arange(6, _CYCLES + 1)[:, None] * self.samples.q[:, j]
-        found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own) / np.sqrt(max(float(square.sum()), 1e-300))
-        k = 6 + int(np.argmax(found))
-        wave = np.stack([np.sin(k * self.samples.q[:, j]), np.cos(k * self.samples.q[:, j])])
-        yield self._pair(
-            who, f"the position of {self.chain.names[j]} itself, {k} times a turn (a gear)", axis, np.r_[wave]
-        )
+        name, q = self.chain.names[j], self.samples.q[:, j]
+        numbers = [("", np.ones(self.N))]
+        if self.at.arm.weighed:
+            load = self.at.driver(f"load:{name}")
+            numbers.append((", as large as its load", load / max(float(np.abs(load).max()), 1e-12)))
+        angle = np.arange(6, _CYCLES + 1)[:, None] * q
+        for how, number in numbers:
+            own = np.sum(unit * self._residual(), axis=0) * number
+            found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own)
+            k = 6 + int(np.argmax(found))
+            wave = np.stack([np.sin(k * q), np.cos(k * q)]) * number
+            yield self._pair(who, f"the position of {name} itself, {k} times a turn (a gear){how}", axis, wave)
 
     def _residual(self) -> Array:
         out = np.zeros((6, self.N))
