@@ -20,7 +20,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
+from modcal_core.calibration.mistakes import (
+    Mistake,
+    inverse_pose,
+    of_axes,
+    of_columns,
+    of_joints,
+    of_rotations,
+    of_units,
+)
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -156,6 +164,7 @@ def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[M
         yield from of_rotations(stated)
     yield from of_units()
     yield from of_axes()
+    yield from of_columns()
     yield from of_joints(names)
 
 
