@@ -57,8 +57,6 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
     ),
     "metres as millimetres": (lambda s: replace(s, position=1e-3 * s.position), "positions look like metres taken"),
     "joint sign": (lambda s: replace(s, q=s.q * [1, 1, 1, 1, 1, -1]), "joint wrist_3_joint looks reversed"),
-    "columns y z x": (lambda s: replace(s, position=s.position[:, [1, 2, 0]]), "columns stood in the order y z x"),
-    "columns z x y": (lambda s: replace(s, position=s.position[:, [2, 0, 1]]), "columns stood in the order z x y"),
     "joints converted twice": (lambda s: replace(s, q=np.radians(s.q)), "converted to radians twice"),
 }
 

@@ -24,7 +24,6 @@ from modcal_core.calibration.mistakes import (
     Mistake,
     inverse_pose,
     of_axes,
-    of_columns,
     of_joints,
     of_rotations,
     of_units,
@@ -164,7 +163,6 @@ def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[M
         yield from of_rotations(stated)
     yield from of_units()
     yield from of_axes()
-    yield from of_columns()
     yield from of_joints(names)
 
 

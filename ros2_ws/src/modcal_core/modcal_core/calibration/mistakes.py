@@ -149,17 +149,6 @@ def of_axes() -> Iterator[Mistake]:
         )
 
 
-def of_columns() -> Iterator[Mistake]:
-    """Positions whose columns stand in another order, right-handed still: only orientations tell."""
-    for order, said in (([2, 0, 1], "y z x"), ([1, 2, 0], "z x y")):
-        yield Mistake(
-            f"positions look as if their columns stood in the order {said}, in other axes than orientations",
-            "correct the order of the columns",
-            lambda s, order=order: replace(s, position=s.position[:, order]),  # type: ignore[misc]
-            "reading",
-        )
-
-
 def left_handed() -> Mistake:
     """The same where orientations do not say which: one is the others, seen from another side."""
     return Mistake(
