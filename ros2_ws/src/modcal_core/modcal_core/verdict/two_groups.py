@@ -125,7 +125,7 @@ def _split(columns: Array, residual: Array) -> tuple[float, Array, Array] | None
     total = float(np.sum(level**2))
     if total <= 0.0:
         return None
-    best: tuple[float, Array, Array, Array] | None = None
+    best: tuple[float, Array, Array, float] | None = None
     for start in range(d):
         sign = np.where(np.sum(U[start] * level, axis=0) > 0.0, 1.0, -1.0)
         for _ in range(_ROUNDS):
