@@ -53,7 +53,7 @@ class Case:
 
 
 Maker = Callable[[Works, np.random.Generator], Case]
-KINDS: dict[str, dict[str, Maker]] = {"main": {}, "later": {}, "fresh": {}, "real": {}, "good": {}}
+KINDS: dict[str, dict[str, Maker]] = {"main": {}, "later": {}, "fresh": {}, "fresh_again": {}, "real": {}, "good": {}}
 
 
 def kind(group: str = "main") -> Callable[[Maker], Maker]:

@@ -105,6 +105,8 @@ def test_frozen_without_refit_scores_every_station() -> None:
     [
         (lambda q: q[:, [0, 2, 1, 3, 4, 5]], "joints shoulder_lift_joint and elbow_joint look swapped"),
         (lambda q: q * [1, 1, -1, 1, 1, 1], "joint elbow_joint looks reversed"),
+        (lambda q: q * [1, -1, 1, 1, -1, 1], "joints shoulder_lift_joint and wrist_2_joint look reversed"),
+        (lambda q: q[:, [0, 3, 1, 2, 4, 5]], "shoulder_lift_joint, elbow_joint and wrist_1_joint look interchanged"),
         (lambda q: np.degrees(0.03 * q), "joint positions look like degrees"),
         (lambda q: np.roll(q, 1, axis=0), "readings look"),
     ],
@@ -116,3 +118,12 @@ def test_mistakes_in_pairing_are_named(spoil: object, offender: str) -> None:
     wrong = spoil(made.samples.q)  # type: ignore[operator]
     with pytest.raises(BadRecording, match=offender):
         calibrate(samples_of(ur10(), wrong, T), ur10(), np.random.default_rng(0))
+
+
+def test_the_description_of_a_left_arm_for_a_right_one() -> None:
+    """What a mirror shows of the arm is what the arm of the mirrored description does."""
+    made = record(6, 80)
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    seen = mirror @ made.world.tool_in_tracker(made.samples.q) @ mirror
+    with pytest.raises(BadRecording, match="mirror image of its URDF"):
+        calibrate(samples_of(ur10(), made.samples.q, seen), ur10(), np.random.default_rng(0))

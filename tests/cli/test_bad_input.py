@@ -33,6 +33,16 @@ def swapped(r: Recording) -> Recording:
     return with_joints(r, names=tuple(names))
 
 
+def between(r: Recording) -> Recording:
+    """Zeros of a joint_state_publisher between the driver's positions."""
+    track = r.joints[0]
+    stamps = np.concatenate([track.stamps, track.stamps + 0.003])
+    order = np.argsort(stamps)
+    unknown = np.full((len(stamps), 6), np.nan)
+    q = np.concatenate([track.position, np.zeros_like(track.position)])[order]
+    return with_joints(r, stamps=stamps[order], position=q, velocity=unknown, effort=unknown, received=stamps[order])
+
+
 def missing(r: Recording) -> Recording:
     track = r.joints[0]
     unknown = np.full((len(track.stamps), 5), np.nan)
@@ -85,6 +95,12 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "clocks a day apart": (lambda: streams(8, late=86400.0), [], "do not overlap in time"),
     "quaternion not of unit length": (lambda: unnormalised(stations()), [], "a quaternion has length 1.500"),
     "link of --tip not in the URDF": (stations, ["--tip", "tool1"], "link 'tool1': is not in the robot .*tool0"),
+    "--tip names the link before the last joint": (
+        stations, ["--tip", "wrist_2_link"], "wrist_3_joint moved as well and is not between base and tip"
+    ),
+    "two publishers of joint states": (
+        lambda: between(streams(8)), [], r"/joint_states: the position of \w+: jumps to and fro.*two nodes publish"
+    ),
     "no robot description": (lambda: replace(stations(), robot_description=None), [], "holds no robot_description.*--urdf"),
     "robot description is no URDF": (lambda: replace(stations(), robot_description="<sdf/>"), [], "is <sdf>, not <robot>"),
     "another robot's URDF": (

@@ -12,6 +12,7 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.diagnosis.memory import play
 from modcal_core.evaluate import evaluate
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
@@ -64,6 +65,21 @@ def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
     text = said(with_error(made, 2, 8e-4 * ahead))
     assert "how elbow_joint arrived" in text
     assert "as an error of joint elbow_joint" in text
+
+
+def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
+    """The base tilts with the weight's moment until it slips, and from there again: MuJoCo's poses say the moment."""
+    base = made.world.T_tracker_base
+    reach = (np.linalg.inv(base) @ made.world.tool_in_tracker(made.samples.q))[:, :2, 3]
+    held, turn = np.zeros(2), np.zeros((120, 3))
+    for k, moment in enumerate(reach):
+        held = np.clip(held, moment - 0.7 * reach.std(axis=0), moment + 0.7 * reach.std(axis=0))
+        turn[k] = [-1.5e-3 * (moment - held)[1], 1.5e-3 * (moment - held)[0], 0.0]
+    T = base @ se3.transform(so3.exp(turn), np.zeros((120, 3))) @ np.linalg.inv(base)
+    moved = samples_of(CHAIN, made.samples.q, T @ made.world.tool_in_tracker(made.samples.q))
+    noise = made.samples.position - made.exact.position
+    text = said(replace(moved, position=moved.position + noise))
+    assert "(it slips), as an error of the base" in text
 
 
 def test_play_follows_only_beyond_its_width(made: Recorded) -> None:

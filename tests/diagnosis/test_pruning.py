@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from cells import ur10
 from diagnosis.test_diagnosis import at_joint, recorded
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.chances import as_normal
 from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.diagnosis.pruning import needless
+from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.diagnosis.pruning import is_nothing, joint_size, needless
 
 JOINT = "elbow_joint"
 TRUE = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))
@@ -40,3 +44,13 @@ def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
     refitted = errors(identify(cell.model, train, choice.parameters).model, explain).position_norm
     assert abs(np.mean(removed**2) / np.mean(refitted**2) - 1.0) < 0.15
     assert needless(fit, train, explain, fit.spread, keep=3)[1] == ()
+
+
+def test_amplitudes_that_trade_with_geometry_are_judged_together() -> None:
+    """Two amplitudes of which only the sum is known: nothing each, and together ten standard deviations."""
+    effect = replace(TRUE.started(np.array([1e-4, 1e-4])), std=np.full(2, 1e-3))
+    known = Uncertainty((), 1e-6 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-10 * np.ones((2, 2)))
+    assert joint_size((effect,), 0, known) == pytest.approx(as_normal(100.0, 2), rel=1e-2)
+    assert not is_nothing((effect,), 0, known)
+    small = effect.with_values(np.array([1e-4, -1e-4]), effect.std)
+    assert is_nothing((small,), 0, known)

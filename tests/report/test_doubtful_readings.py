@@ -88,6 +88,17 @@ def test_positions_rounded_to_the_size_of_the_error() -> None:
     assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
 
 
+def test_joints_rounded_to_the_size_of_the_error() -> None:
+    """MuJoCo's readings are of where the arm stood; all joints, or one, are written with too few digits."""
+    samples = record(6, 100).samples
+    assert "Joint positions are rounded to 0.001 rad" in said(replace(samples, q=np.round(samples.q, 3)))
+    q = samples.q.copy()
+    q[:, 1] = np.round(q[:, 1], 3)
+    assert "The positions of shoulder_lift_joint are rounded" in said(replace(samples, q=q))
+    q[:, 1] = np.round(samples.q[:, 1], 5)
+    assert said(replace(samples, q=q)) == ""
+
+
 def test_the_zeros_of_a_socket_are_not_rounded() -> None:
     samples = record(6, 40, "point").samples
     zero = replace(samples, position=np.zeros((40, 3)), sockets=("tracker",))

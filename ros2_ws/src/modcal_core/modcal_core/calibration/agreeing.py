@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.conventions import _by_positions, _hand_eye, _linear, _turns
+from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
 from modcal_core.calibration.runs import consecutive
 from modcal_core.geometry import se3, so3
@@ -58,7 +58,7 @@ class _Placed:
     def missed(self, A: Array, samples: Samples) -> tuple[Array, Array]:
         """Angles [rad] and distances [m], (N,)."""
         gap = samples.position - (se3.apply(A, self.x) @ self.Y.T + self.t)
-        turn = _turns(self.Y, A[:, :3, :3], self.X, samples.R)
+        turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
         return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
 
 
@@ -121,10 +121,10 @@ class _Search:
     def _placed(self, A: Array, samples: Samples) -> _Placed:
         """Base and tool from these stations."""
         if self.poses:
-            Y, X = _hand_eye(A[:, :3, :3], samples.R)
+            Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
         else:
-            Y, X = _by_positions(A[None], samples.position[None])[0], np.eye(3)
-        _, x, t = _linear(Y, A, samples.position)
+            Y, X = base_by_positions(A[None], samples.position[None])[0], np.eye(3)
+        _, x, t = tool_and_place(Y, A, samples.position)
         return _Placed(Y, X, x, t)
 
     def _largest(self, rows: np.ndarray) -> tuple[_Placed | None, np.ndarray]:
@@ -242,10 +242,10 @@ class _Search:
             last = np.inf
             for _ in range(_ROUNDS):
                 A = forward(self.chain, q)
-                Y, X = _hand_eye(A[:, :3, :3], samples.R)
+                Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
                 placed = _Placed(Y, X, np.zeros(3), np.zeros(3))
                 q = self._solved(j, placed, samples)
-                turned = _turns(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
+                turned = turns_left(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
                 left = float(np.median(np.linalg.norm(turned, axis=1)))
                 if left > 0.999 * last:
                     break

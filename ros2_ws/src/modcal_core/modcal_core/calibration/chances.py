@@ -22,6 +22,12 @@ def beyond_chi2(x: float, freedom: int) -> float:
     return float(scipy.special.chdtrc(freedom, x))
 
 
+def as_normal(square: float, freedom: int) -> float:
+    """The size of a standard normal number that is exceeded, either way, as seldom as this sum of so many squares."""
+    chance = beyond_chi2(square, freedom)
+    return float(-scipy.special.ndtri(0.5 * chance)) if chance > 1e-300 else float(np.sqrt(square))
+
+
 def median_chi2(freedom: int) -> float:
     """What the sum of so many squared standard normal numbers exceeds half of the time."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))

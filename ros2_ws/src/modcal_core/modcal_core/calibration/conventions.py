@@ -19,7 +19,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
+from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.calibration.mistakes import (
+    Mistake,
+    inverse_pose,
+    of_axes,
+    of_joints,
+    of_rotations,
+    of_units,
+)
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -46,7 +54,6 @@ _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are n
 _TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
 _MOST_LEFT = 0.5  # of the residual, by the convention that is meant
 _ROUNDS = 8
-_ALTERNATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -196,12 +203,12 @@ def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> lis
     own = [0, *(i for i, mistake in enumerate(mistakes, 1) if mistake.touches != "rotation")]
     turned = np.zeros(len(each), int)
     turned[own] = np.arange(len(own))
-    Y = _by_positions(A[own], position[own])[turned]
+    Y = base_by_positions(A[own], position[own])[turned]
     X = so3.nearest_rotation(np.sum(np.swapaxes(Y[:, None] @ a, -1, -2) @ R, axis=1))
     score = np.full(len(each), -np.inf)
     scales = [_Scale.of(chain, p) for p in position]
-    for base, tool in (_hand_eye(a, R), (Y, X)):
-        turns, gaps = _turns(base, a, tool, R), _linear(base, A, position)[0]
+    for base, tool in (base_and_tool_turns(a, R), (Y, X)):
+        turns, gaps = turns_left(base, a, tool, R), tool_and_place(base, A, position)[0]
         score = np.maximum(score, [s.log_likelihood(t, g) for s, t, g in zip(scales, turns, gaps, strict=True)])
     volume = [0.0, *(mistake.log_volume for mistake in mistakes)]
     return [float(x) for x in score + len(samples) * np.array(volume)]
@@ -256,8 +263,8 @@ def _log_likelihood(residual: Array, floor: float, volume: float) -> float:
 
 def _together(A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array, Array]:
     """Residuals (N, 3) of rotations [rad] and positions [m], base and tool fitted to both from the better start."""
-    Y = _by_positions(A[None], position[None])[0]
-    starts = _hand_eye(A[:, :3, :3], R), (Y, so3.mean(np.swapaxes(Y @ A[:, :3, :3], 1, 2) @ R))
+    Y = base_by_positions(A[None], position[None])[0]
+    starts = base_and_tool_turns(A[:, :3, :3], R), (Y, so3.mean(np.swapaxes(Y @ A[:, :3, :3], 1, 2) @ R))
     each = [_refined(Y, X, A, R, position, scale) for Y, X in starts]
     return max(each, key=lambda left: scale.log_likelihood(*left))
 
@@ -265,9 +272,9 @@ def _together(A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array
 def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Scale) -> tuple[Array, Array]:
     """Residuals after robust Newton steps of base and tool from here."""
     a = A[:, :3, :3]
-    gaps, x, t = _linear(Y, A, position)
+    gaps, x, t = tool_and_place(Y, A, position)
     for _ in range(_ROUNDS):
-        turns = _turns(Y, a, X, R)
+        turns = turns_left(Y, a, X, R)
         gaps = position - (se3.apply(A, x) @ Y.T + t)
         # rows: turn of the base, turn of the tool, tool point, base's place
         G = np.zeros((2, len(A), 3, 12))
@@ -289,65 +296,4 @@ def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Sc
         Y, X, x, t = Y @ so3.exp(step[:3]), X @ so3.exp(step[3:6]), x + step[6:9], t + step[9:]
         if size < 1e-6:
             break
-    return _turns(Y, a, X, R), _linear(Y, A, position)[0]
-
-
-def _hand_eye(A: Array, R: Array) -> tuple[Array, Array]:
-    """(Y, X) with ``R ≈ Y A X`` for rotations A, R (…, N, 3, 3): by SVD (Shah 2013)."""
-    # sum of kron(Rᵀ, Aᵀ), which takes y to z
-    flat = (np.swapaxes(x.reshape(*x.shape[:-2], 9), -1, -2) for x in (R, A))
-    left, right = flat
-    products = (left @ np.swapaxes(right, -1, -2)).reshape(*A.shape[:-3], 3, 3, 3, 3)  # R_ji A_lk at j i l k
-    U, _, Vt = np.linalg.svd(np.moveaxis(products, (-4, -3, -2, -1), (-2, -4, -1, -3)).reshape(*A.shape[:-3], 9, 9))
-    z, y = U[..., 0].reshape(*U.shape[:-2], 3, 3), Vt[..., 0, :].reshape(*U.shape[:-2], 3, 3)
-    sign = np.where(np.linalg.det(y) < 0.0, -1.0, 1.0)[..., None, None]
-    return so3.nearest_rotation(sign * y), np.swapaxes(so3.nearest_rotation(sign * z), -1, -2)
-
-
-def _turns(Y: Array, A: Array, X: Array, R: Array) -> Array:
-    """Rotation vectors (…, N, 3) from the predicted to the read orientation, in the tool."""
-    return so3.log(np.swapaxes(Y[..., None, :, :] @ A @ X[..., None, :, :], -1, -2) @ R)
-
-
-def _by_positions(A: Array, position: Array) -> Array:
-    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn."""
-    x, Y = np.zeros((len(A), 3)), np.empty((len(A), 3, 3))
-    still = np.arange(len(A))  # those that still change
-    for _ in range(_ALTERNATIONS):
-        seen, known = position[still], _points(A[still], x[still])
-        seen, known = (z - z.mean(axis=1, keepdims=True) for z in (seen, known))
-        Y[still] = so3.nearest_rotation(np.swapaxes(seen, 1, 2) @ known)
-        _, new, _ = _linear(Y[still], A[still], position[still])
-        step = np.linalg.norm(new - x[still], axis=1)
-        x[still] = new
-        still = still[step >= 1e-5]
-        if not len(still):
-            break
-    return Y
-
-
-def _points(A: Array, x: Array) -> Array:
-    """Points x (…, 3) moved by poses A (…, N, 4, 4), (…, N, 3)."""
-    return np.asarray((A[..., :3, :3] @ x[..., None, :, None])[..., 0] + A[..., :3, 3])
-
-
-def _linear(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
-    """(residuals (…, N, 3), tool point x (…, 3), base's place t (…, 3)) of ``p ≈ Y (A x) + t``, robust."""
-    few, N = A.shape[:-3], A.shape[-3]
-    flat = np.empty((*few, N, 3, 6))
-    flat[..., :3] = Y[..., None, :, :] @ A[..., :3, :3]
-    flat[..., 3:] = np.eye(3)
-    flat = flat.reshape(*few, 3 * N, 6)
-    h = position - A[..., :3, 3] @ np.swapaxes(Y, -1, -2)
-    column = h.reshape(*few, 3 * N, 1)
-    weight = np.ones((*few, N))
-    for _ in range(3):
-        weighted = np.swapaxes(np.repeat(weight, 3, axis=-1)[..., None] * flat, -1, -2)
-        H, g = weighted @ flat, weighted @ column
-        held = 1e-9 * np.trace(H, axis1=-2, axis2=-1)[..., None, None] * np.eye(6)
-        solution = np.linalg.solve(H + held, g)
-        gap = h - (flat @ solution).reshape(*few, N, 3)
-        square = np.sum(gap**2, axis=-1)
-        weight = 1.0 / (square + np.maximum(np.median(square, axis=-1), 1e-18)[..., None])  # Cauchy
-        weight = weight / weight.max(axis=-1, keepdims=True)
-    return gap, solution[..., :3, 0], solution[..., 3:, 0]
+    return turns_left(Y, a, X, R), tool_and_place(Y, A, position)[0]

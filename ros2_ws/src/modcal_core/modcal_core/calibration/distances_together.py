@@ -11,21 +11,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.known_distances import CONTRADICTED
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-_ROUNDING = 1e-9
-
 
 def contradicted_together(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -> tuple[str, ...]:
-    """A sentence where one factor common to all known distances is contradicted by readings and arm."""
+    """A sentence where one factor common to all known distances is contradicted by readings and arm.
+
+    The fit is made once more without any of them: what they pull the readings away from would else be taken for the
+    noise of these, and make room for themselves.
+    """
     if len(distances) < 2:
         return ()
-    known = uncertainty(fit.model, samples, fit.parameters, fit, distances)
-    factor, std = common_factor(fit, known, distances)
+    try:
+        free = without_distances(fit, samples)
+    except NotEnoughData:  # nothing but the distances tells these parameters
+        return ()
+    factor, std = common_factor(free, uncertainty(free.model, samples, free.parameters, free), distances)
     if abs(factor) <= CONTRADICTED * std:
         return ()
     return (
@@ -34,23 +40,23 @@ def contradicted_together(fit: Fit, samples: Samples, distances: Sequence[AnyDis
     )
 
 
-def common_factor(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[float, float]:
+def without_distances(fit: Fit, samples: Samples) -> Fit:
+    """The fit of the same parameters and effects to these samples alone. Raises NotEnoughData where they are few."""
+    start = fit.start.with_effects(fit.model.effects)
+    return identify(start, samples, fit.parameters, begin=fit.values)
+
+
+def common_factor(free: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[float, float]:
     """By which share all stated distances are too long, and its deviation.
 
-    known: the uncertainty of the fit's model, the distances included in it. With residuals r, rows J and stated
-    variances S, the leverage is H = J C Jᵀ S⁻¹; without all distances the residuals were (I − H)⁻¹ r, and the modelled
-    distances had the covariance (I − H)⁻¹ J C Jᵀ. What the model leaves unexplained of either end comes on top.
+    free: a fit that has not seen them. known: the uncertainty of its model. Modelled distances have the covariance
+    J C Jᵀ, stated ones their variances; what the model leaves unexplained of either end comes on top.
     """
-    values = np.concatenate([np.zeros(len(known.parameters)), *(e.values for e in fit.model.effects)])
-    rows = distance_rows(fit.model, known.parameters, values, distances)
+    values = np.concatenate([np.zeros(len(known.parameters)), *(e.values for e in free.model.effects)])
+    rows = distance_rows(free.model, known.parameters, values, distances)
     stated: Array = np.array([d.distance for d in distances])
-    S = np.array([d.std**2 for d in distances])
-    V = rows.J.T @ known.covariance @ rows.J
-    free = np.eye(len(S)) - V / S
-    free += _ROUNDING * np.eye(len(S))
-    off = np.linalg.solve(free, rows.residual)
-    spread = np.linalg.solve(free, V)
-    total = 0.5 * (spread + spread.T) + np.diag(S + 2.0 * fit.spread.position**2)
+    modelled = rows.J.T @ known.covariance @ rows.J
+    total = modelled + np.diag([d.std**2 + 2.0 * free.spread.position**2 for d in distances])
     weighed = np.linalg.solve(total, stated)
     precision = float(stated @ weighed)
-    return float(weighed @ off) / precision, precision**-0.5
+    return float(weighed @ rows.residual) / precision, precision**-0.5

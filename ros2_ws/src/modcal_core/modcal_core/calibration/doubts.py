@@ -14,13 +14,29 @@ import numpy as np
 from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.mistakes import Mistake, inverse_pose, left_handed, of_joints, of_pairing, of_units
+from modcal_core.calibration.mistakes import (
+    Mistake,
+    inverse_pose,
+    left_handed,
+    mirror_image,
+    of_joints,
+    of_pairing,
+    of_several_joints,
+    of_units,
+)
 from modcal_core.calibration.score import errors
+from modcal_core.calibration.screening import most_likely
 from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
+_AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
+_PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
+_SCREENED = 4  # mistakes of several joints that are fitted
 _MOST = 300  # samples are enough to tell
 
 
@@ -36,15 +52,14 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
     usual = _miss(nominal, few)
     best: tuple[float, str, str] = (usual / _BETTER, "", "")
     for mistake in _mistakes(few.names, bool(few.is_pose.all())):
-        undone = mistake.undone(few)
-        try:
-            miss = _miss(fit_cell(chain, undone, Cell()), undone)
-        except ModcalError:
-            continue
-        if miss < best[0]:
-            best = (miss, mistake.offender, mistake.remedy)
+        best = _weighed(mistake, few, chain, best)
+    if isinstance(chain, Chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
+        several = (_PLAINLY * best[0], "", "")
+        for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
+            several = _weighed(mistake, few, chain, several)
+        best = several if several[1] else best
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
-    if best[1]:
+    if best[1] and best[0] <= _AN_ARM * chain.reach():
         raise BadRecording(best[1], f"{said}; undone, it misses by {1e3 * best[0]:.1f} mm", best[2])
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.position, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
@@ -56,11 +71,30 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
     found = disagreement(few, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+    if beside := moving_beside(samples):
+        raise BadRecording(
+            "joint states and readings",
+            f"{said}; {' and '.join(beside)} moved as well and {'is' if len(beside) == 1 else 'are'} not between base "
+            "and tip",
+            "give --tip (or --base) of the link that carries the target (or the arm)",
+        )
     raise BadRecording(
         "joint states and readings",
         said,
         "check that the URDF, --base and --tip are those of this robot, and that joint and tracker clocks agree",
     )
+
+
+def _weighed(
+    mistake: Mistake, samples: Samples, chain: Mechanism, best: tuple[float, str, str]
+) -> tuple[float, str, str]:
+    """The better of the best so far and this mistake: by how much the arm misses with it undone, and what to say."""
+    undone = mistake.undone(samples)
+    try:
+        miss = _miss(fit_cell(chain, undone, Cell()), undone)
+    except ModcalError:
+        return best
+    return (miss, mistake.offender, mistake.remedy) if miss < best[0] else best
 
 
 def _miss(fit: Fit, samples: Samples) -> float:
@@ -75,3 +109,4 @@ def _mistakes(names: tuple[str, ...], poses: bool) -> Iterator[Mistake]:
     yield left_handed()
     if poses:
         yield inverse_pose()
+        yield mirror_image()

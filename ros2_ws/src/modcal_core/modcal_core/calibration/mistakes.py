@@ -7,7 +7,7 @@ A mistake says how the samples would look had it not been made. Whether that fit
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -83,6 +83,35 @@ def of_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
     )
 
 
+def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
+    """Two joints or more that turn the other way, three that stand under each other's names, all in reverse order."""
+    n = len(names)
+    for count in range(2, n):
+        for some in combinations(range(n), count):
+            sign = np.ones(n)
+            sign[list(some)] = -1.0
+            yield Mistake(
+                f"joints {_listed([names[i] for i in some])} look reversed",
+                "correct their signs, or the axes in the URDF",
+                lambda s, sign=sign: replace(s, q=s.q * sign),  # type: ignore[misc]
+                "joints",
+            )
+    orders = [(i, j, k) for a, b, c in combinations(range(n), 3) for i, j, k in ((a, b, c), (a, c, b))]
+    for i, j, k in orders:
+        order = list(range(n))
+        order[i], order[j], order[k] = j, k, i
+        yield _reordered(f"joints {_listed([names[x] for x in sorted((i, j, k))])} look interchanged", order)
+    yield _reordered("joints look written in reverse order", list(range(n))[::-1])
+
+
+def _reordered(offender: str, order: list[int]) -> Mistake:
+    return Mistake(offender, "correct the names in joint_states", lambda s: replace(s, q=s.q[:, order]), "joints")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def of_units() -> Iterator[Mistake]:
     """Positions in millimetres where metres are meant, and the reverse."""
     for scale, said, remedy in (
@@ -126,6 +155,18 @@ def left_handed() -> Mistake:
         "positions look mirrored (a left-handed frame: two columns swapped, or one of the other sign)",
         "correct the order or the signs of the columns",
         lambda s: replace(s, position=s.position * [1.0, 1.0, -1.0]),
+        "reading",
+    )
+
+
+def mirror_image() -> Mistake:
+    """Poses of an arm that is the mirror image of its URDF: a right arm with the description of a left one."""
+    mirror = np.diag([1.0, 1.0, -1.0])
+    return Mistake(
+        "the arm looks like the mirror image of its URDF (a left arm's description for a right one, or a left-handed "
+        "frame)",
+        "give the URDF of this arm",
+        lambda s: replace(s, position=s.position @ mirror, R=mirror @ s.R @ mirror),
         "reading",
     )
 

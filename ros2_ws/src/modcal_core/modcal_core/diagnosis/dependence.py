@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
-from modcal_core.diagnosis.memory import last_moves, play
+from modcal_core.diagnosis.memory import last_moves, moments_on_base, play, slipped
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -199,17 +199,20 @@ class _Builder:
         return [*kinds, *(["effort"] if np.isfinite(self.samples.effort).all() else [])]
 
     def _single_waves(self, who: str, j: int, axis: list[tuple[int, int]]) -> Iterator[_Pair]:
-        """The wave of the joint's own position that stands out most, if any does."""
+        """The wave of the joint's own position that stands out most, alone and as large as the joint's load."""
         unit = self._unit(*axis[0])
-        own = np.sum(unit * self._residual(), axis=0)
-        square = np.sum(unit**2, axis=0)
-        angle = np.arange(6, _CYCLES + 1)[:, None] * self.samples.q[:, j]
-        found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own) / np.sqrt(max(float(square.sum()), 1e-300))
-        k = 6 + int(np.argmax(found))
-        wave = np.stack([np.sin(k * self.samples.q[:, j]), np.cos(k * self.samples.q[:, j])])
-        yield self._pair(
-            who, f"the position of {self.chain.names[j]} itself, {k} times a turn (a gear)", axis, np.r_[wave]
-        )
+        name, q = self.chain.names[j], self.samples.q[:, j]
+        numbers = [("", np.ones(self.N))]
+        if self.at.arm.weighed:
+            load = self.at.driver(f"load:{name}")
+            numbers.append((", as large as its load", load / max(float(np.abs(load).max()), 1e-12)))
+        angle = np.arange(6, _CYCLES + 1)[:, None] * q
+        for how, number in numbers:
+            own = np.sum(unit * self._residual(), axis=0) * number
+            found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own)
+            k = 6 + int(np.argmax(found))
+            wave = np.stack([np.sin(k * q), np.cos(k * q)]) * number
+            yield self._pair(who, f"the position of {name} itself, {k} times a turn (a gear){how}", axis, wave)
 
     def _residual(self) -> Array:
         out = np.zeros((6, self.N))
@@ -231,10 +234,10 @@ class _Builder:
         yield self._pair("the tool", "how it is turned against gravity", tool, gravity)
         yield self._pair("the tool", "how it is turned against gravity", tool, np.sign(gravity))
         yield self._pair("the tool", "the side from which the tracker looks at it", tool, _curves(sight))
-        loads = [self.at.payload[0, d] for d in (3, 4)]
-        if self.at.arm.weighed:
-            loads += [self.at.gravity[0, d] for d in (3, 4)]
-        yield self._pair("the base", "the moment of the arm's weight on it", base, np.stack(loads))
+        moments = moments_on_base(self.at)
+        yield self._pair("the base", "the moment of the arm's weight on it", base, moments)
+        slip = slipped(self.samples, moments)
+        yield self._pair("the base", "what the moment of the arm's weight on it was before (it slips)", base, slip)
 
     def of_instrument(self) -> Iterator[_Pair]:
         """Readings that depend on where the target is, from the instrument's origin."""

@@ -26,7 +26,7 @@ from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
-from modcal_core.diagnosis.pruning import LEAST_GAIN, needless
+from modcal_core.diagnosis.pruning import LEAST_GAIN, joint_size, needless
 from modcal_core.diagnosis.vocabulary import vocabulary
 from modcal_core.measurements.samples import Samples
 
@@ -211,6 +211,7 @@ class _Search:
                 for e in map(_linear, self.fit.model.effects)
             ]
             size[: len(self.known)] = [np.inf] * len(self.known)
+            size = self._together(size)
             weakest = int(np.argmin(size))
             if size[weakest] >= _NEEDLESS or len(size) < 2 + len(self.known):
                 return
@@ -218,6 +219,16 @@ class _Search:
             effects = self.fit.model.effects
             self.fit = self._refit(self.fit, effects[:weakest] + effects[weakest + 1 :])
             self._stale = True
+
+    def _together(self, size: list[float]) -> list[float]:
+        """Sizes of the effects, of those that seem nothing the size of all their amplitudes together."""
+        effects = self.fit.model.effects
+        small = [i for i, x in enumerate(size) if x < _NEEDLESS and len(effects[i].amplitudes) > 1]
+        if small:
+            known = uncertainty(self.fit.model, self.train, self.fit.parameters, self.fit, self.distances)
+            for i in small:
+                size[i] = max(size[i], joint_size(effects, i, known))
+        return size
 
     def _without_payload(self) -> bool:
         """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 WIDTHS = (0.05, 0.15, 0.4, 0.9, 1.8)  # rad or m; half the slack
+LOADS = (0.3, 0.7, 1.3)  # of a load's spread; the same of what holds by friction
 
 
 def last_moves(samples: Samples) -> Array:
@@ -24,12 +26,34 @@ def last_moves(samples: Samples) -> Array:
 
 def play(samples: Samples, widths: tuple[float, ...] = WIDTHS) -> Array:
     """How far each joint is ahead of a follower with play, (n, widths, N) [rad, m], at most the width."""
+    return ahead(samples, samples.q.T, widths)
+
+
+def ahead(samples: Samples, numbers: Array, widths: tuple[float, ...]) -> Array:
+    """The same of any numbers (k, N) of the samples, (k, widths, N), taken to go straight from station to station."""
     order = np.argsort(samples.stamps, kind="stable")
-    q = samples.q[order].T[:, None]  # (n, 1, N)
+    x = numbers[:, None, order]
     width = np.array(widths)[None]
-    out = np.empty((q.shape[0], len(widths), len(samples)))
-    held = np.repeat(q[..., 0], len(widths), axis=1)
+    out = np.empty((len(numbers), len(widths), len(samples)))
+    held = np.repeat(x[..., 0], len(widths), axis=1)
     for k in range(len(samples)):
-        held = np.clip(held, q[..., k] - width, q[..., k] + width)
-        out[..., order[k]] = q[..., k] - held
+        held = np.clip(held, x[..., k] - width, x[..., k] + width)
+        out[..., order[k]] = x[..., k] - held
     return out
+
+
+def slipped(samples: Samples, loads: Array) -> Array:
+    """How far loads (k, N) are ahead of followers with play of several widths, (k × widths, N), in their spreads.
+
+    What holds by friction and slips where its load grows too large (bolts, a clamp) keeps the rest.
+    """
+    size = np.maximum(loads.std(axis=1, keepdims=True), 1e-12)
+    return ahead(samples, loads / size, LOADS).reshape(-1, len(samples))
+
+
+def moments_on_base(at: Circumstances) -> Array:
+    """Moments about the base's x and y, of a weight at the tip and, where it is known, of the arm, (2 or 4, N)."""
+    loads = [at.payload[0, d] for d in (3, 4)]
+    if at.arm.weighed:
+        loads += [at.gravity[0, d] for d in (3, 4)]
+    return np.stack(loads)

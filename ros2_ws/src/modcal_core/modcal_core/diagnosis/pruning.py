@@ -1,7 +1,7 @@
 """Effects that the final model does not need are taken out of it: judged on *explain*, as when they were let in.
 
 An effect that was worth having when it was found may cost nothing to do without once others stand beside it. One whose
-amplitudes are within two standard deviations of nothing says nothing, whatever it gains.
+amplitudes are within two standard deviations of nothing, each and together, says nothing, whatever it gains.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modcal_core.calibration.chances import as_normal
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import FITTED, Fit, identify
@@ -17,7 +18,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
-from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -41,7 +42,7 @@ def needless(
         costs = []
         for i in range(keep, len(left)):
             lost = _missed(without(fit.model, known, [i]), explain, spread, limit) / have - 1.0
-            costs.append(-np.inf if is_nothing(fit.model.effects[i]) else lost)
+            costs.append(-np.inf if is_nothing(fit.model.effects, i, known) else lost)
         weakest = int(np.argmin(costs))
         if costs[weakest] >= LEAST_GAIN:
             break
@@ -52,10 +53,30 @@ def needless(
     return fit, tuple(gone)
 
 
-def is_nothing(effect: Effect) -> bool:
-    """Whether each of the effect's amplitudes is within two standard deviations of nothing."""
-    count = len(effect.amplitudes)
-    return bool((np.abs(effect.amplitudes) <= NOTHING * effect.std[:count]).all())
+def is_nothing(effects: Sequence[Effect], number: int, known: Uncertainty) -> bool:
+    """Whether each amplitude of one of the effects is within two standard deviations of nothing, and all together are.
+
+    known: covariance of the fit's parameters and of its effects.
+    """
+    effect = effects[number]
+    if (np.abs(effect.amplitudes) > NOTHING * effect.std[: len(effect.amplitudes)]).any():
+        return False
+    return joint_size(effects, number, known) <= NOTHING
+
+
+def joint_size(effects: Sequence[Effect], number: int, known: Uncertainty) -> float:
+    """How large an effect's amplitudes are together, as a number of standard deviations of one.
+
+    Each may be as uncertain as the geometry that it can trade with, while a sum of them is known well: of an axis that
+    wobbles once a turn one half is a tilt that turns with it, which is no fault, and the other half is.
+    """
+    amplitudes = effects[number].amplitudes
+    first = len(known.parameters) + sum(len(effect.values) for effect in effects[:number])
+    own = np.arange(first, first + len(amplitudes))
+    C = known.covariance[np.ix_(own, own)]
+    std = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    unit = amplitudes / std
+    return as_normal(float(unit @ np.linalg.lstsq(C / np.outer(std, std), unit, rcond=1e-9)[0]), len(own))
 
 
 def _limited(model: Model, samples: Samples, spread: Spread) -> tuple[float, float]:

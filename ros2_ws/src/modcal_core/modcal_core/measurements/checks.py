@@ -13,6 +13,10 @@ from modcal_core.robots.mechanism import Mechanism
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
 MOST_TURNS_ENDLESS = 50.0
+_LEAST_MESSAGES = 50
+_JUMP, _FASTEST = 0.05, 3.0  # rad, rad/s; a joint that goes so far so fast does not come back within
+_AT_ONCE, _BACK = 0.3, 0.2  # s, to within this share of the way
+_OFTEN = 0.05  # share of the messages; single ones are an encoder's glitches
 _SHOWN = 12  # topics in a refusal
 POSITIONS = "tracker/pose or tracker/point"
 
@@ -44,6 +48,7 @@ def _require_joints(recording: Recording, chain: Mechanism) -> None:
         for j, name in enumerate(track.names):
             if name in chain.names:
                 _require_joint(track, j, name, chain)
+        _require_one_source(track, chain)
 
 
 def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> None:
@@ -58,6 +63,25 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> No
             raise BadRecording(f"joint {name}", said, "record radians")
     elif largest > FARTHEST:
         raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
+
+
+def _require_one_source(track: JointTrack, chain: Mechanism) -> None:
+    """Raises BadRecording where positions jump to and fro between messages: two nodes publish them under one name."""
+    mine = [j for j, name in enumerate(track.names) if name in chain.names and chain.revolute[chain.names.index(name)]]
+    if len(track.stamps) < _LEAST_MESSAGES or not mine:
+        return
+    order = np.argsort(track.stamps, kind="stable")
+    step = np.diff(track.position[order][:, mine], axis=0)
+    seconds = np.maximum(np.diff(track.stamps[order]), 1e-6)[:, None]
+    away = (np.abs(step[:-1]) > _JUMP) & (np.abs(step[:-1]) > _FASTEST * seconds[:-1])
+    back = (np.abs(step[:-1] + step[1:]) < _BACK * np.abs(step[:-1])) & (seconds[:-1] + seconds[1:] < _AT_ONCE)
+    share = (away & back).mean(axis=0)
+    if share.max() > _OFTEN:
+        raise BadRecording(
+            f"{track.topic}: the position of {track.names[mine[int(np.argmax(share))]]}",
+            f"jumps to and fro at {share.max():.0%} of the messages: two nodes publish joint states",
+            "stop the other one (a joint_state_publisher?), or record the driver's topic under a name of its own",
+        )
 
 
 def _require_readings(recording: Recording, chain: Mechanism) -> None:

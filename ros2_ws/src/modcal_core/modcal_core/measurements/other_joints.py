@@ -39,6 +39,11 @@ def others_at(samples: Samples) -> Array:
     return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
 
 
+def moving_beside(samples: Samples) -> tuple[str, ...]:
+    """Names of the joints that were recorded moving and are none of the arm's."""
+    return tuple(spoken_name(track.name) for track in samples.signals if _MARK in track.name)
+
+
 def spoken_name(signal: str) -> str:
     """A recorded signal as a person calls it: its topic, or the joint."""
     return signal.rpartition(_MARK)[2].removeprefix("signal:").replace("temperature:", "the temperature of ")

@@ -17,7 +17,7 @@ from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.shapes import periodic
-from modcal_core.diagnosis.memory import play
+from modcal_core.diagnosis.memory import moments_on_base, play, slipped
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
@@ -28,6 +28,7 @@ _NEAR = 40  # the same of neighbours in posture
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
 _MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
+_LOADED_WAVES = 60  # the same of errors that grow with the joint's load
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
 _MOST_NAMED = 6  # signals that a sentence names
 _MOST_SIGNALS = 40
@@ -79,13 +80,13 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
         yield builder.neighbours()
     yield builder.order(0, _SLOW)
     yield builder.order(_SLOW, _FAST)
-    for group in (builder.history(), builder.load(), builder.signals()):
+    for group in (builder.history(), builder.slip(), builder.load(), builder.signals()):
         if group is not None:
             yield group
 
 
 def single_waves(model: Model, samples: Samples, weight: Array) -> tuple[str, Waves]:
-    """Every joint's axis with each wave of its own position, and axes, base and tool with waves of two joints.
+    """Every joint's axis with each wave of its own position, alone and times its load; all with waves of two joints.
 
     With what they are called, for a person. weight: of the samples' six components, (6, N).
     """
@@ -172,6 +173,14 @@ class _Builder:
             parts += [self._times([axis], _standard(ahead)) for axis, ahead in zip(axes, play(s), strict=True)]
         return self._group("the way that the joints arrived and moved", parts)
 
+    def slip(self) -> Group | None:
+        """The base with what its load leaves behind where it slips."""
+        if self.samples.moving.any():
+            return None
+        moments = _standard(slipped(self.samples, moments_on_base(self.at)))
+        base = [(0, d) for d in range(6)]
+        return self._group("what the load on the base was before", [self._times(base, moments)])
+
     def load(self) -> Group | None:
         """Every joint's directions with its torques: of a weight at the tip, of the arm, and as the actuators say."""
         parts = []
@@ -214,6 +223,12 @@ class _Builder:
         axes = list(zip(self.places, self.axis, strict=True))
         motions = [self._motions([axis]) for axis in axes]
         numbers = [self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
+        if self.at.arm.weighed:  # teeth and pins bend under load
+            for j, (name, axis) in enumerate(zip(self.chain.names, axes, strict=True)):
+                load = _standard(self.at.driver(f"load:{name}")[None])
+                if load.any():
+                    motions.append(self._motions([axis]) * load)
+                    numbers.append(self._waves(j, _LOADED_WAVES))
         turns = [self._waves(j, 1) for j in range(self.chain.n)]
         both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
         if both:

@@ -39,6 +39,7 @@ def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, ch
     return (
         *made,
         *(coarse(errors["final"], scored) if not made else ()),
+        *(coarse_joints(errors["final"], scored, samples, chain) if not made else ()),
         *repeated(samples),
         *turned(errors["final"], scored, chain),
     )
@@ -106,6 +107,29 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     return (
         f"Positions are rounded to {1e3 * step:g} mm, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
         "that are left: that is the export and not the instrument. Write more digits.",
+    )
+
+
+def coarse_joints(left: Errors, scored: Samples, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
+    """Whether most of what is left is made by the last digit of joint positions, each moving the tool by its lever.
+
+    samples: all of the recording, which tell better than the scored ones what is rounded.
+    """
+    if len(scored) < _LEAST or not is_direct(samples.kinds) or not isinstance(chain, Chain):
+        return ()
+    steps = np.array([_step_of_joints(q) if np.ptp(q) > _MOVED else 0.0 for q in samples.q.T])
+    if not steps.any():
+        return ()
+    tip = forward(chain, scored.q)[:, :3, 3]
+    moved = np.stack([forward(chain, scored.q + row)[:, :3, 3] - tip for row in np.diag(steps)])
+    made, of = float(np.sqrt(np.mean(np.sum(moved**2, axis=(0, 2))) / 12.0)), _rms(left.position_norm)
+    if not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
+        return ()
+    names = [name for name, step in zip(samples.names, steps, strict=True) if step]
+    who = "Joint positions are" if len(names) == chain.n else f"The positions of {' and '.join(names)} are"
+    return (
+        f"{who} rounded to {steps.max():.2g} rad, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm that "
+        "are left: that is the recording and not the arm. Record or write more digits.",
     )
 
 

@@ -16,6 +16,7 @@ from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
+from modcal_core.verdict.two_groups import two_groups
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
 MOST_REJECTED = 0.05  # share of the stations
@@ -52,6 +53,7 @@ def judge(
         *_reasons("not_applied", _not_applied(case, grounds)),
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
         *_reasons("contradiction", _loose(case, known, stated)),
+        *_reasons("contradiction", _two_groups(case)),
         *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
         *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
         *_reasons("predictable", _predictable(seen)),
@@ -138,6 +140,12 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
             f"less than {most:.2g}{unit}. See that base, tool and target are fixed and that no readings are mixed up; "
             "if the arm is like that, state its repeatability."
         )
+
+
+def _two_groups(case: Case) -> Iterator[str]:
+    found = two_groups(case)
+    if found is not None:
+        yield found.sentence
 
 
 def _below_stated(case: Case, floor: Floor | None, angle: bool) -> Iterator[str]:

@@ -1,0 +1,169 @@
+"""What is left of stations that fall into two groups: a joint, a tool, a base or an instrument with two positions.
+
+A bit that an encoder lost, a tracker that looks with either face, a target that sits in one of two places: each puts a
+station in one of two groups, and neither posture nor time need tell in which. It looks like scatter, and returns take
+it for such. But scatter is not two values. For each candidate motion the residual r is written as U (c ± θ), with the
+sign of each station and θ found in turn (clusterwise regression; Späth 1979). Two groups must take away half of the
+squares, and along the motion they must be separate: within normal scatter the best two explain 2/π of it, of a
+uniform distribution 3/4, of a wave 8/π², and beyond these only what is two-valued.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.effects import place_index
+from modcal_core.calibration.linearise import View
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.robots.chain import Chain
+from modcal_core.verdict.case import Case, weights
+
+_MOST = 300  # samples; more are thinned evenly
+_LEAST = 30  # samples
+_LEAST_OF_THEM = 0.1  # share of the samples in the smaller group
+_EXPLAINED = 0.5  # share of the squares
+_SEPARATE = 0.85  # share of the squares along the motion; a wave, of all that is not two-valued the most, has 0.81
+_ROUNDS = 12
+_PLAINER = 0.9  # of the best share; a joint's axis is plainer than six directions
+_BIT = 0.03  # of its size, to which a step is taken for a bit of an encoder
+
+
+@dataclass(frozen=True)
+class TwoGroups:
+    """who: what seems to have two positions. apart: the size between them, for a person. few: samples of the smaller
+    group, of how many. share: of the squared error that the two groups explain.
+    """
+
+    who: str
+    apart: str
+    few: int
+    of: int
+    share: float
+
+    @property
+    def sentence(self) -> str:
+        """For a person."""
+        return (
+            f"What is left falls into two groups of {self.few} and {self.of - self.few} stations, {self.apart} apart, "
+            f"as if {self.who} had two positions ({self.share:.0%} of the squared error): that is no scatter."
+        )
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A candidate: columns (d, C, N) in units of the noise; components: which of the six they are about; unit: a
+    thousandth of that of a joint's position, nothing of others.
+    """
+
+    who: str
+    columns: Array
+    components: slice
+    unit: str = ""  # of a joint
+
+
+def two_groups(case: Case) -> TwoGroups | None:
+    """Two groups that most of what a case leaves falls into, None where there are none."""
+    rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
+    chain = case.model.chain
+    if len(rows) < _LEAST or not isinstance(chain, Chain) or not is_direct(case.samples.kinds):
+        return None
+    samples = case.samples.select(rows)
+    view = View.of(case.model, samples, case.model.circumstances(samples))
+    weight = weights(case.spread, samples)
+    residual = np.zeros((6, len(samples)))
+    residual[:3], residual[3:, view.pose] = view.position, view.rotation
+    residual = residual * weight
+    found: list[tuple[float, TwoGroups, bool]] = []
+    for motion in _motions(chain, view, weight):
+        split = _split(motion.columns, residual[motion.components])
+        if split is not None:
+            share, sign, theta = split
+            apart = _apart(motion, theta, weight)
+            few = int(min((sign > 0.0).sum(), (sign < 0.0).sum()))
+            found.append((share, TwoGroups(motion.who, apart, few, len(sign), share), bool(motion.unit)))
+    best = max((share for share, *_ in found), default=0.0)
+    found.sort(key=lambda f: (not f[2], -f[0]))
+    return next((said for share, said, _ in found if share >= _PLAINER * best), None)
+
+
+def _motions(chain: Chain, view: View, weight: Array) -> Iterator[_Motion]:
+    N = weight.shape[1]
+
+    def unit(place: int, direction: int) -> Array:
+        row = view.unit_column(place, direction)
+        out = np.zeros((6, N))
+        out[:3] = row[: 3 * N].reshape(3, N)
+        out[3:, view.pose] = row[3 * N :].reshape(3, -1)
+        return out * weight
+
+    every = slice(0, 6)
+    for j, name in enumerate(chain.names):
+        axis = unit(place_index(name, chain), 5 if chain.revolute[j] else 2)
+        yield _Motion(f"joint {name}", axis[None], every, "mrad" if chain.revolute[j] else "mm")
+    for who, place in (("the tool (or the target on it)", chain.tool_place), ("the base (or the tracker)", 0)):
+        columns = np.stack([unit(place, d) for d in range(6)])
+        yield _Motion(who, columns, every)
+        if len(view.pose) and place == 0:  # readings of positions alone, as a tracker that looks with either face
+            yield _Motion("the tracker, in its positions,", columns[:, :3], slice(0, 3))
+
+
+def _split(columns: Array, residual: Array) -> tuple[float, Array, Array] | None:
+    """(share of the squares explained, signs (N,), θ (d,)) of the best two groups, None where they are no two."""
+    d = len(columns)
+    size = np.sqrt(np.sum(columns**2, axis=(1, 2)))
+    if not (size > 0.0).all():
+        return None
+    U = columns / size[:, None, None]
+    flat, r = U.reshape(d, -1), residual.ravel()
+    gram = flat @ flat.T + 1e-9 * np.eye(d)
+    level = residual - np.tensordot(np.linalg.solve(gram, flat @ r), U, axes=1)
+    total = float(np.sum(level**2))
+    if total <= 0.0:
+        return None
+    best: tuple[float, Array, Array, float] | None = None
+    for start in range(d):
+        sign = np.where(np.sum(U[start] * level, axis=0) > 0.0, 1.0, -1.0)
+        for _ in range(_ROUNDS):
+            signed = (U * sign).reshape(d, -1)
+            cross = flat @ signed.T
+            H = np.block([[gram, cross], [cross.T, gram]])
+            both = np.linalg.solve(H + 1e-9 * np.eye(2 * d), np.r_[flat @ r, signed @ r])
+            off = residual - np.tensordot(both[:d], U, axes=1)
+            along = np.tensordot(both[d:], U, axes=1)
+            new = np.where(np.sum(along * off, axis=0) > 0.0, 1.0, -1.0)
+            if (new == sign).all():
+                break
+            sign = new
+        share = 1.0 - float(np.sum((off - sign * along) ** 2)) / total
+        if best is None or share > best[0]:
+            best = share, sign, both[d:] / size, _separate(off, along, sign)
+    assert best is not None
+    share, sign, theta, separate = best
+    few = min(float(np.mean(sign > 0.0)), float(np.mean(sign < 0.0)))
+    return (share, sign, theta) if share >= _EXPLAINED and separate >= _SEPARATE and few >= _LEAST_OF_THEM else None
+
+
+def _separate(off: Array, along: Array, sign: Array) -> float:
+    """Share of the squares along the motion (C, N) that the two groups explain."""
+    weight = np.maximum(np.sum(along**2, axis=0), 1e-300)
+    place = np.sum(along * off, axis=0) / weight
+    mean = float(np.average(place, weights=weight))
+    return 1.0 - float(np.average((place - sign) ** 2, weights=weight)) / max(
+        float(np.average((place - mean) ** 2, weights=weight)), 1e-300
+    )
+
+
+def _apart(motion: _Motion, theta: Array, weight: Array) -> str:
+    if motion.unit:
+        step = 2.0 * abs(float(theta[0]))
+        bits = np.log2(2.0 * np.pi / step)
+        whole = motion.unit == "mrad" and 6 <= round(bits) <= 24 and abs(2.0 ** (round(bits) - bits) - 1.0) < _BIT
+        bit = f", 1/{2 ** round(bits)} of a turn, as an encoder's bit is," if whole else ""
+        return f"{1e3 * step:.3g} {motion.unit}{bit}"
+    moved = np.tensordot(theta, motion.columns, axes=1)[:3] / weight[:3]
+    return f"{2e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=0)))):.3g} mm"

@@ -1,0 +1,83 @@
+"""What is left that has two values is named with what has them; scatter, waves and outliers are not two values."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+
+CHAIN = ur10()
+BIT = 2.0 * np.pi / 4096.0
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(31, 120)
+
+
+def said(samples: Samples) -> str:
+    report = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False).report
+    return " ".join(s for s in report.judged.open_because if "two groups" in s)
+
+
+def bent(made: Recorded, q: Array, tool: Array | None = None) -> Samples:
+    """What is read of an arm that stands at q and reports other positions, its tool moved by twists (N, 6)."""
+    T = made.world.tool_in_tracker(q)
+    T = T if tool is None else T @ se3.exp(tool)
+    noise = made.samples.position - made.exact.position
+    seen = samples_of(CHAIN, made.samples.q, T)
+    return replace(seen, position=seen.position + noise)
+
+
+def test_a_bit_that_an_encoder_lost(made: Recorded) -> None:
+    """The reported position lacks the bit; the arm stands where it stands."""
+    samples = made.samples
+    q = samples.q.copy()
+    q[:, 2] -= BIT * (np.floor(q[:, 2] / BIT) % 2.0)
+    text = said(replace(samples, q=q))
+    assert "joint elbow_joint had two positions" in text
+    assert "1/4096 of a turn" in text
+
+
+def test_a_tracker_that_looks_with_either_face(made: Recorded) -> None:
+    face = np.random.default_rng(1).choice([-1.0, 1.0], 120)[:, None]
+    shifted = made.samples.position + 3e-4 * face * [0.6, -0.8, 0.0]
+    text = said(replace(made.samples, position=shifted))
+    assert "the tracker, in its positions, had two positions" in text
+    apart = re.search(r"([0-9.]+) mm apart", text)
+    assert apart is not None
+    assert float(apart[1]) == pytest.approx(0.6, rel=0.1)  # the geometry takes up a part
+
+
+def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
+    seat = np.random.default_rng(2).random(120) < 0.4
+    step = np.where(seat[:, None], [4e-4, 0.0, 3e-4, 8e-4, 0.0, 0.0], 0.0)
+    assert "the tool (or the target on it) had two positions" in said(bent(made, made.samples.q, step))
+
+
+@pytest.mark.parametrize("off", ["normal", "uniform", "wave", "outliers"])
+def test_what_has_more_values_than_two_is_not_split(made: Recorded, off: str) -> None:
+    rng, q = np.random.default_rng(3), made.samples.q.copy()
+    if off == "normal":
+        q[:, 2] += 5e-4 * rng.normal(size=120)
+    elif off == "uniform":
+        q[:, 2] += 1e-3 * rng.uniform(-1.0, 1.0, 120)
+    elif off == "wave":
+        q[:, 2] += 8e-4 * np.sin(37.0 * q[:, 2])
+    else:
+        q[:, 2] += 5e-4 * rng.standard_t(2.0, 120)
+    assert said(bent(made, q)) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_nothing_is_split_on_clean_arms(seed: int, kind: str) -> None:
+    assert said(record(40 + seed, 40, kind).samples) == ""
