@@ -48,6 +48,7 @@ from modcal_nodes.simulation.plant import Plant  # noqa: E402
 
 JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3
 UNWRITTEN = 1.0  # s of messages that a kill may take with it
+UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them
 MOST_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
 CALM_DOWN = 0.25  # share of the time at the end in which the calibrator and the recorder are not killed any more
 TOPICS = ("/joint_states", "/tracker/pose")
@@ -189,6 +190,8 @@ def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str
         heard_from.append(first)
     injected = [line.split() for line in (folder / "injected.txt").read_text().splitlines()]
     faults = [float(t) for t, name, *place in injected if name == "recorder" and any("/" in p for p in place)]
+    # a publisher takes along what it has not sent yet, and the next one is not matched at once
+    anew = [float(line) for line in (folder / "restarts.txt").read_text().split()]
     lost, why = 0, Counter[str]()
     for when, topic, key in published:
         if left[topic, key] > 0:
@@ -200,6 +203,8 @@ def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str
         ]
         if any(down) or when < heard_from[0].get(topic, np.inf):
             why["while the recorder was down or unmatched, or in its last second"] += 1
+        elif any(-UNSENT <= when - moment < UNMATCHED for moment in anew):
+            why["next to a restart of the publishers"] += 1
         elif any(0.0 <= fault - when < 0.5 or 0.0 <= when - fault < 0.5 for fault in faults):
             why["near an exception in one of the recorder's callbacks"] += 1
         else:

@@ -56,6 +56,7 @@ class Relay:
         self.begun = time.monotonic()
         self.restarted, self.gap_until = 0.0, 0.0
         self.log, self.totals = log.open("wb"), log.with_suffix(".txt")
+        self.restarts = log.with_name("restarts.txt")
         self.publishers: dict[str, Any] = {}
         self.description = self.node.create_publisher(String, "robot_description", LATCHED)
         self.node.create_subscription(String, "raw/robot_description", self.description.publish, LATCHED)
@@ -120,6 +121,8 @@ class Relay:
             self._publish(topic, cdr)
         if now - self.begun - self.restarted > RESTART_EVERY:
             self.restarted = now - self.begun
+            with self.restarts.open("a") as stream:
+                stream.write(f"{now}\n")
             self._open()
             self.done["restarts of the publishers"] += 1
         if self.rng.random() < 0.01 / GAP_EVERY:
