@@ -117,6 +117,15 @@ def test_time_goes_on_for_a_session_and_stands_still_days_later() -> None:
     assert np.abs(np.diff(held.time(fine))).max() < 0.11, "a command never jumps"
     assert held.value("temperature:arm", t).tolist() == t.tolist()
     assert Held(ranges={"x": (1.0, 2.0)}).value("x", np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
+    warm = Held(ranges={"temperature:arm": (20.0, 30.0)})
+    # for as far again as was seen
+    assert warm.value("temperature:arm", np.array([5.0, 15.0, 25.0, 39.0, 60.0])).tolist() == [
+        10.0,
+        15.0,
+        25.0,
+        39.0,
+        40.0,
+    ]
 
 
 @pytest.mark.parametrize("effect", [BY_TIME, BY_HEAT])
@@ -131,7 +140,7 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
     size = report.size_mm("final")
     assert size is not None
     assert size.max < 2.0
-    assert any("held at the ends" in note for note in report.notes)
+    assert any("held beyond what was recorded" in note for note in report.notes)
 
 
 @pytest.mark.slow

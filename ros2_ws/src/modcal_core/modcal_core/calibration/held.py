@@ -1,8 +1,9 @@
 """Where drivers stop: what was recorded of them, beyond which a frozen effect is not continued.
 
 Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
-recording's end, so that days later nothing is extrapolated. Temperatures and signals stop at the ends of what was
-seen. An effect whose driver a recording lacks altogether is replaced by what it was on average.
+recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
+arms go on warming, and stop there; signals, of which nothing is known, stop at the ends of what was seen. An effect
+whose driver a recording lacks altogether is replaced by what it was on average.
 """
 
 from __future__ import annotations
@@ -45,8 +46,12 @@ class Held:
         return np.where(later <= length, np.maximum(stamps, first), last + np.maximum(2.0 * length - later, 0.0))
 
     def value(self, name: str, x: Array) -> Array:
-        """Values of a temperature or signal, no further than they were seen."""
-        return np.clip(x, *self.ranges[name]) if name in self.ranges else x
+        """Values of a temperature or signal, no further than they may be continued."""
+        if name not in self.ranges:
+            return x
+        low, high = self.ranges[name]
+        beyond = high - low if name.startswith("temperature:") else 0.0
+        return np.clip(x, low - beyond, high + beyond)
 
 
 @dataclass(frozen=True)

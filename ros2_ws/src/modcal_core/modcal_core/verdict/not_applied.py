@@ -97,18 +97,25 @@ def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
 
 
 def _held_note(model: Model, calibration: Calibration, samples: Samples) -> tuple[str, ...]:
-    """A sentence where time, temperatures or signals go beyond what was recorded."""
+    """Sentences where time, temperatures or signals go beyond what was recorded."""
     parts = {part for e in model.effects for part in outside_drivers(e)}
-    beyond = []
+    beyond: list[str] = []
+    continued: list[str] = []
     held = calibration.held
     if "time" in parts and calibration.watched and (held.time(samples.stamps) != samples.stamps).any():
         first, last = calibration.watched
         hours = max(float(samples.stamps.max()) - last, first - float(samples.stamps.min())) / 3600.0
         beyond.append(f"time ({hours:.1f} h away)")
     for track in samples.signals:
-        if track.name in parts and (held.value(track.name, track.values[:, 0]) != track.values[:, 0]).any():
-            low, high = held.ranges[track.name]
-            beyond.append(f"{track.name.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g})")
-    if not beyond:
-        return ()
-    return (f"Effects are held at the ends of what was recorded: {', '.join(beyond)}.",)
+        if track.name not in parts or track.name not in held.ranges:
+            continue
+        x, (low, high) = track.values[:, 0], held.ranges[track.name]
+        said = f"{track.name.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g}, here {x.min():.3g} … {x.max():.3g})"
+        if (held.value(track.name, x) != x).any():
+            beyond.append(said)
+        elif x.min() < low or x.max() > high:
+            continued.append(said)
+    return (
+        *([f"Effects are held beyond what was recorded: {', '.join(beyond)}."] if beyond else ()),
+        *([f"Effects are continued beyond what was recorded: {', '.join(continued)}."] if continued else ()),
+    )
