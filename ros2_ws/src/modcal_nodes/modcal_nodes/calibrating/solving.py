@@ -123,7 +123,8 @@ class Workshop:
         except Exception as error:  # a fault of ours must not leave the caller waiting
             if isinstance(error, RuntimeError) and not rclpy.ok():
                 raise  # the node is told to stop, and nobody waits any more (see running.py)
-            self._say(f"{work.name} failed: {error!r}")
+            where = f"\n{error.__cause__}" if error.__cause__ is not None else ""  # the other process's traceback
+            self._say(f"{work.name} failed: {error!r}{where}")
             work.fail(f"internal error: {error!r}")
             if isinstance(error, BrokenProcessPool):
                 self._start()
