@@ -140,6 +140,8 @@ def _lag(seen: Array, moved: Array, centre: int, reach: int) -> tuple[float, flo
 
 def _correlation(seen: Array, moved: Array, lag: int) -> float:
     """Correlation of seen(t + lag) with moved(t) where both are known; NaN where too little is."""
+    if 2 * abs(lag) > len(seen):  # of a piece that is so short, what overlaps agrees by chance
+        return float("nan")
     a = seen[max(lag, 0) : len(seen) + min(lag, 0)]
     b = moved[max(-lag, 0) : len(moved) - max(lag, 0)]
     known = np.isfinite(a) & np.isfinite(b)
