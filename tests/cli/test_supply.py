@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -21,44 +18,13 @@ from modcal_nodes.wishes import Wishes
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def lock() -> ModuleType:
-    found = importlib.util.spec_from_file_location("lock", ROOT / "scripts" / "lock.py")
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    sys.modules["lock"] = module  # where its dataclass looks for its annotations
-    found.loader.exec_module(module)
-    return module
-
-
-def entry(name: str, version: str, digest: str | None) -> dict[str, Any]:
-    info = {
-        "url": f"https://example.invalid/{name}.whl",
-        "archive_info": {"hashes": {"sha256": digest} if digest else {}},
-    }
-    return {"metadata": {"name": name, "version": version}, "download_info": info}
-
-
-def test_a_lock_has_the_hashes_of_both_interpreters_and_no_address(lock: ModuleType) -> None:
-    older = lock.read_report({"install": [entry("Foo.Bar", "1.0", "aa"), entry("pure", "2", "bb")]})
-    newer = lock.read_report(
-        {"install": [entry("foo-bar", "1.0", "cc"), entry("pure", "2", "bb"), entry("more", "3", "dd")]}
-    )
-    lines = "\n".join(lock.pins(lock.together(older, newer)))
-    assert lines == (
-        "foo-bar==1.0 \\\n    --hash=sha256:aa \\\n    --hash=sha256:cc\n"
-        "more==3 \\\n    --hash=sha256:dd\n"
-        "pure==2 \\\n    --hash=sha256:bb"
-    )
-    assert "example" not in lines
-
-
-def test_a_lock_without_a_hash_is_none(lock: ModuleType) -> None:
-    with pytest.raises(SystemExit, match="bare: pip reports no SHA-256"):
-        lock.pins(lock.read_report({"install": [entry("bare", "1.0", None)]}))
-    with pytest.raises(SystemExit, match=r"foo: 1 on 3\.11, 2 on 3\.12"):
-        lock.together({"foo": lock.Pin("1")}, {"foo": lock.Pin("2")})
+@pytest.mark.parametrize("name", ["requirements.txt", "requirements-test.txt"])
+def test_every_requirement_has_hashes_and_no_address(name: str) -> None:
+    text = (ROOT / name).read_text()
+    parts = re.split(r"^(?=[a-z0-9-]+==)", text, flags=re.MULTILINE)[1:]
+    assert len(parts) > 20
+    assert all(re.search(r"--hash=sha256:[0-9a-f]{64}", part) for part in parts)
+    assert "://" not in text
 
 
 @pytest.mark.parametrize(
