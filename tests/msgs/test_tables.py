@@ -98,7 +98,7 @@ def test_other_conventions(folder: Path) -> None:
         ({"files": "*.txt"}, "matches no file"),
         ({"time": {"column": "time", "format": "%d.%m.%Y"}}, "line 2, column time: '20240101120000' is not"),
         ({"colour": "red"}, "unknown key colour"),
-        ({"decimal": "."}, "line 2, column j1: '90,0' is no number"),
+        ({"decimal": "."}, "line 2, column j1: '90,0' is not a number"),
     ],
 )
 def test_what_is_missing_or_wrong_is_named(changes: dict[str, Any], said: str, folder: Path) -> None:

@@ -60,7 +60,7 @@ class _Table:
                 out[i] = float(row[index].strip().replace(self.decimal, "."))
             except (ValueError, IndexError):
                 cell = row[index] if index < len(row) else "nothing"
-                raise self.bad_cell(i, key, f"'{shown(cell)[1:-1]}' is no number") from None
+                raise self.bad_cell(i, key, f"'{shown(cell)[1:-1]}' is not a number") from None
             if not abs(out[i]) < _LARGEST:
                 raise self.bad_cell(i, key, f"{out[i]} is no finite number")
         return out

@@ -134,7 +134,7 @@ SIMULATED_CELL = {
     "gear_cycles": Parameter(101.0, "How often that error repeats in a turn of the joint.", 0.0, 1000.0),
     "gear_amplitude_rad": Parameter(2e-4, "How large it is [rad].", 0.0, 0.01),
     "joint_compliance_rad_per_nm": Parameter(
-        [0.0], "How far joints give way under load [rad/(N m); m/N]: one number for all, or one a joint."
+        [0.0], "Compliance of the joints [rad/(N m); m/N]: one number for all, or one a joint."
     ),
     "measurement": Parameter("pose", "What the tracker shows: pose or point."),
     "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),

@@ -73,7 +73,7 @@ def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, 
         if isinstance(value, Mapping):
             out[key] = _filled_in(factory[key], value, f"{where}: {key}")
         elif isinstance(factory[key], bool) or not isinstance(factory[key], int | float):
-            raise BadTable(f"{where}: {key}", "is no number", _AS_MADE)
+            raise BadTable(f"{where}: {key}", "is not a number", _AS_MADE)
         else:
             out[key] = value
     return out
