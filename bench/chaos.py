@@ -42,8 +42,8 @@ from modcal_core.correction.conditions import Conditions  # noqa: E402
 from modcal_core.correction.correction import Correction  # noqa: E402
 from modcal_core.errors import BadRecording  # noqa: E402
 from modcal_msgs_py.mcap_walk import McapFile  # noqa: E402
-from modcal_nodes.inputs import read_calibration  # noqa: E402
-from modcal_nodes.parameters import SIMULATED_CELL  # noqa: E402
+from modcal_nodes.io.inputs import read_calibration  # noqa: E402
+from modcal_nodes.ros.parameters import SIMULATED_CELL  # noqa: E402
 from modcal_nodes.simulation.plant import Plant  # noqa: E402
 
 JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3

@@ -68,7 +68,7 @@ class Relay:
         self.node.create_timer(0.01, self._look)
 
     def _hearer(self, topic: str) -> Callable[[bytes], None]:
-        from modcal_nodes.waiting import waiting
+        from modcal_nodes.ros.pending import waiting
 
         def hear(cdr: bytes) -> None:
             self._take(topic, cdr)
@@ -205,7 +205,7 @@ class Injected(Exception):
 
 def node(name: str, log: str, seed: str) -> None:
     """Run a node; some of its callbacks raise, in place of what they do. Each is a line of LOG."""
-    from modcal_nodes.guarding import Guarded
+    from modcal_nodes.ros.guarded import Guarded
 
     rng, plain = np.random.default_rng(int(seed)), Guarded.__call__
     state = {"next": np.inf}
@@ -226,7 +226,7 @@ def node(name: str, log: str, seed: str) -> None:
 
     Guarded.__call__ = called  # type: ignore[method-assign]
     sys.argv = [name, *sys.argv[5:]]
-    import_module(f"modcal_nodes.{name}").main()
+    import_module(f"modcal_nodes.nodes.{name}").main()
 
 
 def _boom(*_: Any) -> Any:

@@ -16,8 +16,8 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from modcal_core.report.report import Report  # noqa: E402
-from modcal_nodes.recorded import calibrate_bag  # noqa: E402
-from modcal_nodes.wishes import Wishes  # noqa: E402
+from modcal_nodes.io.options import Options  # noqa: E402
+from modcal_nodes.io.recorded import calibrate_bag  # noqa: E402
 
 STAGES = (
     ("nominal", "as drawn", "#b3261e"),
@@ -53,7 +53,7 @@ def picture(report: Report) -> Figure:
 
 def main() -> None:
     """Calibrate and draw."""
-    done = calibrate_bag(ROOT / "bags" / "ur10_cell", Wishes())
+    done = calibrate_bag(ROOT / "bags" / "ur10_cell", Options())
     with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
         picture(done.report).savefig(ROOT / "docs" / "before_after.svg", metadata={"Date": None})
 

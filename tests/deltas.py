@@ -13,7 +13,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.mechanism import random_postures
-from modcal_nodes.inputs import read_delta
+from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.delta_world import DeltaWorld, displaced
 
 FILE = Path(__file__).resolve().parents[1] / "examples" / "robots" / "delta.yaml"

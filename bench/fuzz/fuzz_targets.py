@@ -48,8 +48,8 @@ from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.types import message_class
 from modcal_nodes.calibrating.standing import standing_of_json
-from modcal_nodes.files import parse_yaml, to_yaml
-from modcal_nodes.inputs import read_cell, read_topics
+from modcal_nodes.io.files import parse_yaml, to_yaml
+from modcal_nodes.io.inputs import read_cell, read_topics
 
 ROOT = Path(__file__).resolve().parents[2]
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -19,7 +19,7 @@ PAGES: dict[str, Callable[[], str]] = {"cli.md": verbs.page, "parameters.md": se
 HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
 SOURCES = {
     "cli.md": "modcal_nodes/cli",
-    "parameters.md": "modcal_nodes/parameters.py",
+    "parameters.md": "modcal_nodes/ros/parameters.py",
     "topics.md": "the running nodes",
 }
 

@@ -75,7 +75,7 @@ class Opened:
 
 def executables() -> list[str]:
     """Names of the package's nodes, in the order of its setup.py: each is the main of a module of its name."""
-    return re.findall(r"(\w+) = \{PACKAGE\}\.\1:main", (PACKAGE / "setup.py").read_text(encoding="utf-8"))
+    return re.findall(r"(\w+) = \{PACKAGE\}\.nodes\.\1:main", (PACKAGE / "setup.py").read_text(encoding="utf-8"))
 
 
 def page() -> str:
@@ -131,7 +131,7 @@ def _opened(name: str, parameters: dict[str, str]) -> list[Opened]:
 def _started(name: str, parameters: dict[str, str]) -> Iterator[Node]:
     """The node of an executable, in a folder of its own, heard by nobody."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
-    module = import_module(f"modcal_nodes.{name}")
+    module = import_module(f"modcal_nodes.nodes.{name}")
     kinds = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Node)]
     (kind,) = [k for k in kinds if k.__module__ == module.__name__]
     settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]

@@ -7,8 +7,8 @@ from typing import Any
 from cells import code, prose, table
 from graph import executables
 
-from modcal_nodes import parameters
-from modcal_nodes.parameters import Parameter
+from modcal_nodes.ros import parameters
+from modcal_nodes.ros.parameters import Parameter
 
 INTRODUCTION = """# Parameters of the nodes
 

@@ -21,7 +21,7 @@ from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.tables import import_tables
-from modcal_nodes.files import read_yaml
+from modcal_nodes.io.files import read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = ur10()

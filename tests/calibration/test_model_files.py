@@ -12,7 +12,7 @@ from modcal_core.calibration.store import Calibration, fingerprint, from_data, t
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.loop import calibrate
 from modcal_core.robots.chain import Chain
-from modcal_nodes.files import to_yaml
+from modcal_nodes.io.files import to_yaml
 
 
 @pytest.mark.slow

@@ -23,8 +23,8 @@ from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.main import run
+from modcal_nodes.io.assemblies import read_assembly
 from modcal_nodes.simulation.world import World
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from modcal_core.errors import BadTable
-from modcal_nodes.inputs import read_cell
+from modcal_nodes.io.inputs import read_cell
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from modcal_core.calibration.moves import Move
 from modcal_core.errors import BadTable
-from modcal_nodes.inputs import read_cell
+from modcal_nodes.io.inputs import read_cell
 
 
 def test_moves_are_read_in_order_of_time(tmp_path: Path) -> None:

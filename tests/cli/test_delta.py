@@ -13,7 +13,7 @@ from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recordi
 from modcal_core.robots.delta_kinematics import tool_pose
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-from modcal_nodes.inputs import read_delta
+from modcal_nodes.io.inputs import read_delta
 
 
 def write(cell: RecordedDelta, bag: Path) -> None:

@@ -17,7 +17,7 @@ from modcal_core.measurements.schema import require
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables_schema import SCHEMA
 from modcal_nodes.cli.main import run
-from modcal_nodes.files import parse_yaml
+from modcal_nodes.io.files import parse_yaml
 
 ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))
 MAPPING: dict[str, Any] = {

@@ -14,7 +14,7 @@ import pytest
 from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_msgs_py.bag_files import appearing
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.files import write_folder
+from modcal_nodes.io.files import write_folder
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.main import run
-from modcal_nodes.inputs import read_delta
+from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.plant import make_world
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"

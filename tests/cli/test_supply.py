@@ -13,7 +13,7 @@ from modcal_core.errors import BadCommand
 from modcal_nodes.cli.main import run
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.task import DONE, Outcome, Task
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -79,7 +79,7 @@ def test_a_cluster_that_wants_certificates_gets_them(tmp_path: Path) -> None:
         for what, path in (("cert", cert), ("key", key))
     }
     security = Security(require_encryption=True, tls_ca_file=str(cert), **files)
-    task = Task("a", tmp_path / "a", Wishes())
+    task = Task("a", tmp_path / "a", Options())
     with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1",
                       protocol="tls://", security=security) as cluster:  # fmt: skip
         address = cluster.scheduler_address

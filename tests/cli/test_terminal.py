@@ -10,8 +10,8 @@ from msgs import bag_forms as forms
 from rich.table import Table
 
 from modcal_core.errors import BadRecording, plain
+from modcal_nodes.cli.console import Terminal
 from modcal_nodes.cli.main import run
-from modcal_nodes.cli.saying import Terminal
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e[/red][bold]\r\x00"
 CONTROLS = set("\x1b\x07\x9b\u202e\r\x00\x7f")

@@ -12,7 +12,7 @@ from cli.recordings import stations
 
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-from modcal_nodes.tracing import digest
+from modcal_nodes.io.trace import digest
 
 
 @pytest.fixture(scope="module")

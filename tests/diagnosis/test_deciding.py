@@ -20,7 +20,7 @@ from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
-from modcal_nodes.files import to_yaml
+from modcal_nodes.io.files import to_yaml
 
 pytestmark = pytest.mark.slow
 

@@ -26,7 +26,7 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.parameters import SIMULATED_CELL
+from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded as simulated
 from modcal_nodes.simulation.world import World

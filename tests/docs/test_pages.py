@@ -19,9 +19,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes import parameters
 from modcal_nodes.cli.main import VERBS
-from modcal_nodes.launching import LAUNCHES
+from modcal_nodes.ros import parameters
+from modcal_nodes.ros.launch_files import LAUNCHES
 from modcal_nodes.simulation.world import World
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,7 +19,7 @@ FOLDER = ROOT / "docs" / "reference"
 NODES = ROOT / "ros2_ws" / "src" / "modcal_nodes"
 # a call that opens something: which of its arguments is the name
 OPENING = {
-    "create_publisher": 1, "create_lifecycle_publisher": 1, "create_subscription": 1, "create_service": 1, "Ear": 2,
+    "create_publisher": 1, "create_lifecycle_publisher": 1, "create_subscription": 1, "create_service": 1, "MonitoredSubscription": 2,
 }  # fmt: skip
 
 

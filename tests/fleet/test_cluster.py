@@ -17,7 +17,7 @@ from modcal_nodes.fleet.cluster import run_on_cluster
 from modcal_nodes.fleet.run import plan
 from modcal_nodes.fleet.task import DONE, REFUSED, Task
 from modcal_nodes.fleet.work import do
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 pytestmark = pytest.mark.slow
 
@@ -43,14 +43,14 @@ def test_a_cluster_gives_what_this_machine_does(address: str, recordings: Path, 
     assert run(command) == 2
     table = {row["name"]: row for row in pq.read_table(tmp_path / "out" / "fleet.parquet").to_pylist()}
     assert {name: row["state"] for name, row in table.items()} == {"robot_5/week_0": DONE, "robot_5/week_1": REFUSED}
-    (task,) = plan([f"{recordings}/robot_5/week_0"], tmp_path / "other", Wishes(geometry_only=True)).tasks
+    (task,) = plan([f"{recordings}/robot_5/week_0"], tmp_path / "other", Options(geometry_only=True)).tasks
     for name, content in do(task).files.items():
         assert (tmp_path / "out" / "robot_5" / "week_0" / name).read_bytes() == content, name
 
 
 def test_a_worker_that_is_killed_loses_nothing(address: str, tmp_path: Path) -> None:
     """Its process is killed in the middle of a task, which the scheduler then gives to the next one."""
-    tasks = [Task(name, tmp_path / name, Wishes()) for name in ("a", "once", "b")]
+    tasks = [Task(name, tmp_path / name, Options()) for name in ("a", "once", "b")]
     states = {outcome.name: outcome.state for outcome in run_on_cluster(tasks, address, quick)}
     assert states == dict.fromkeys(("a", "once", "b"), DONE)
     assert (tmp_path / "once.tried").exists()

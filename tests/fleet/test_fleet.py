@@ -24,7 +24,7 @@ from modcal_nodes.cli.main import run
 from modcal_nodes.fleet.pool import run_here
 from modcal_nodes.fleet.run import plan
 from modcal_nodes.fleet.run import run as run_fleet
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 pytestmark = pytest.mark.slow
 
@@ -129,15 +129,15 @@ def test_a_second_call_does_only_what_is_missing_or_changed(recordings: Path, re
     assert run(again) == 2
     changed = {name for name, at in times(out).items() if at != before.get(name)}
     assert changed == {"robot_1/week_3", "robot_2/week_5"}
-    assert len(plan([str(bags)], out, Wishes(geometry_only=True)).missing) == 0
-    assert len(plan([str(bags)], out, Wishes(geometry_only=True), again=True).missing) == 6
-    assert len(plan([str(bags)], out, Wishes(geometry_only=True, seed=1)).missing) == 6
+    assert len(plan([str(bags)], out, Options(geometry_only=True)).missing) == 0
+    assert len(plan([str(bags)], out, Options(geometry_only=True), again=True).missing) == 6
+    assert len(plan([str(bags)], out, Options(geometry_only=True, seed=1)).missing) == 6
 
 
 def test_a_calibration_that_is_killed_is_done_again(recordings: Path, results: Path, tmp_path: Path) -> None:
     bag = tmp_path / "robot_1" / "week_1"
     shutil.copytree(recordings / "robot_1" / "week_1", bag)
-    planned = plan([str(bag)], tmp_path / "out", Wishes(geometry_only=True))
+    planned = plan([str(bag)], tmp_path / "out", Options(geometry_only=True))
     run_fleet(planned, partial(run_here, jobs=1, work=killed_once), "folder")
     assert Path(f"{bag}.tried").exists()
     assert rows(tmp_path / "out" / "fleet.parquet")["robot_1/week_1"]["state"] == "done"
@@ -162,7 +162,7 @@ def test_ctrl_c_keeps_what_is_finished(recordings: Path, tmp_path: Path) -> None
     assert finished < GOOD | {"robot_2/week_5"}, "it was interrupted too late for this test"
     assert (process.returncode, error.strip()) == (130, b"")  # click ends the line that shows ^C
     assert set(rows(out / "fleet.parquet")) == finished
-    left = plan([str(recordings)], out, Wishes(geometry_only=True)).missing
+    left = plan([str(recordings)], out, Options(geometry_only=True)).missing
     assert {task.name for task in left} == (GOOD | {"robot_2/week_5"}) - finished
     assert not list(out.glob("*/.*"))
 

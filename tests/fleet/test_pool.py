@@ -10,11 +10,11 @@ from fleet.killing import quick
 from modcal_nodes.fleet.pool import run_here
 from modcal_nodes.fleet.room import Room, room
 from modcal_nodes.fleet.task import DONE, FAILED, Task
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 
 def tasks(folder: Path, *names: str) -> list[Task]:
-    return [Task(name, folder / name, Wishes()) for name in names]
+    return [Task(name, folder / name, Options()) for name in names]
 
 
 def test_a_killed_process_loses_nothing(tmp_path: Path) -> None:

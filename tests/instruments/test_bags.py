@@ -18,7 +18,7 @@ from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recordi
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-from modcal_nodes.inputs import read_calibration, read_cell
+from modcal_nodes.io.inputs import read_calibration, read_cell
 
 
 def recording(devices: list[Device], count: int = 100, seed: int = 1) -> Recording:

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_nodes.inputs import read_cell
+from modcal_nodes.io.inputs import read_cell
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "instruments.md").read_text()
 

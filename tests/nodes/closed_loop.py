@@ -34,7 +34,7 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.cli.main import run
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.plant import make_world
 from modcal_nodes.simulation.world import World
 

@@ -29,7 +29,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.files import to_yaml
+from modcal_nodes.io.files import to_yaml
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 CHAIN = read_chain(URDF)

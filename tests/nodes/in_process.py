@@ -12,7 +12,7 @@ from nodes.processes import MUTUAL, SLOWER, fresh_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from modcal_nodes.running import spin_once
+from modcal_nodes.ros.running import spin_once
 
 
 class Pair:

@@ -14,7 +14,7 @@ from modcal_core.compliance.operation import Operation
 from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import Load
 from modcal_core.robots.kinematics import forward
-from modcal_nodes.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
+from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm import Arm, limits, task
 from modcal_nodes.simulation.pulling import Pulling
 

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from modcal_core.geometry import se3
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.io.inputs import read_calibration
 
 pytestmark = pytest.mark.dds
 

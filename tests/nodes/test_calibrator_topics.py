@@ -13,7 +13,7 @@ from nodes.cell import BEST_EFFORT, PlayedCell, Said, call
 from nodes.processes import Process, fresh_domain, listener, running
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from modcal_nodes.inputs import parse_calibration
+from modcal_nodes.io.inputs import parse_calibration
 
 pytestmark = pytest.mark.dds
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modcal_nodes.parameters import (
+from modcal_nodes.ros.parameters import (
     ACCELERATION_LIMITS,
     ARTICULATION_ESTIMATOR,
     CALIBRATOR,

@@ -19,14 +19,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from modcal_nodes.calibrator import Calibrator
-from modcal_nodes.corrector import Corrector
-from modcal_nodes.helping import answered
-from modcal_nodes.parameters import NODES
-from modcal_nodes.recorder import Recorder
-from modcal_nodes.running import SENSOR
+from modcal_nodes.nodes.calibrator import Calibrator
+from modcal_nodes.nodes.corrector import Corrector
+from modcal_nodes.nodes.recorder import Recorder
+from modcal_nodes.nodes.viewer import Viewer
+from modcal_nodes.ros.parameters import NODES
+from modcal_nodes.ros.running import SENSOR
+from modcal_nodes.ros.usage import answered
 from modcal_nodes.simulation.switches import SWITCHES
-from modcal_nodes.viewer import Viewer
 
 EVERY = sorted(MADE)
 

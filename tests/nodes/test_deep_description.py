@@ -14,13 +14,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.acceleration_limits import AccelerationLimits
-from modcal_nodes.articulation_estimator import ArticulationEstimator
-from modcal_nodes.calibrator import Calibrator
 from modcal_nodes.cli.main import run
-from modcal_nodes.guarding import GuardedNode
-from modcal_nodes.impedance_setpoint import ImpedanceSetpoint
-from modcal_nodes.viewer import Viewer
+from modcal_nodes.nodes.acceleration_limits import AccelerationLimits
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
+from modcal_nodes.nodes.calibrator import Calibrator
+from modcal_nodes.nodes.impedance_setpoint import ImpedanceSetpoint
+from modcal_nodes.nodes.viewer import Viewer
+from modcal_nodes.ros.guarded import GuardedNode
 
 READERS = [AccelerationLimits, ArticulationEstimator, Calibrator, ImpedanceSetpoint, Viewer]
 LARGE = row(3) + " " * 6_000_000

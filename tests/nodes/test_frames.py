@@ -18,10 +18,10 @@ from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.online.supervisor import Policy, Supervisor
 from modcal_core.robots.kinematics import forward
-from modcal_nodes.broadcasting import filled
-from modcal_nodes.calibrating.telling import collected
-from modcal_nodes.calibrator import Calibrator
-from modcal_nodes.frames import CALIBRATED, CORRECTED, TOOL, Frame, Parents, corrected_frame, static_frames
+from modcal_nodes.calibrating.diagnostics import collected
+from modcal_nodes.nodes.calibrator import Calibrator
+from modcal_nodes.ros.tf_broadcaster import filled
+from modcal_nodes.ros.tf_frames import CALIBRATED, CORRECTED, TOOL, Frame, Parents, corrected_frame, static_frames
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 

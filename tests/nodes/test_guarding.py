@@ -15,18 +15,18 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy
 from std_srvs.srv import Trigger
 
-from modcal_nodes.acceleration_limits import AccelerationLimits
-from modcal_nodes.articulation_estimator import ArticulationEstimator
-from modcal_nodes.calibrator import Calibrator
-from modcal_nodes.corrector import Corrector
-from modcal_nodes.door_demo import DoorDemo
-from modcal_nodes.guarding import Guarded, GuardedNode
-from modcal_nodes.impedance_setpoint import ImpedanceSetpoint
-from modcal_nodes.recorder import Recorder
-from modcal_nodes.simulated_cell import SimulatedCell
-from modcal_nodes.simulated_furniture import SimulatedFurniture
-from modcal_nodes.trajectory_sender import TrajectorySender
-from modcal_nodes.viewer import Viewer
+from modcal_nodes.nodes.acceleration_limits import AccelerationLimits
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
+from modcal_nodes.nodes.calibrator import Calibrator
+from modcal_nodes.nodes.corrector import Corrector
+from modcal_nodes.nodes.door_demo import DoorDemo
+from modcal_nodes.nodes.impedance_setpoint import ImpedanceSetpoint
+from modcal_nodes.nodes.recorder import Recorder
+from modcal_nodes.nodes.simulated_cell import SimulatedCell
+from modcal_nodes.nodes.simulated_furniture import SimulatedFurniture
+from modcal_nodes.nodes.trajectory_sender import TrajectorySender
+from modcal_nodes.nodes.viewer import Viewer
+from modcal_nodes.ros.guarded import Guarded, GuardedNode
 
 pytestmark = pytest.mark.dds
 

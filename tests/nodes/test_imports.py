@@ -20,6 +20,6 @@ COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
     ],
 )
 def test_a_node_imports_what_it_needs(node: str, unwanted: set[str]) -> None:
-    code = f"import sys, modcal_nodes.{node}; print(*sorted(set(sys.modules) & {unwanted!r}))"
+    code = f"import sys, modcal_nodes.nodes.{node}; print(*sorted(set(sys.modules) & {unwanted!r}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

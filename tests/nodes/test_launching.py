@@ -12,9 +12,9 @@ import yaml
 from nodes.processes import fresh_domain
 
 from modcal_core.errors import BadTable
-from modcal_nodes.corrector import Corrector
-from modcal_nodes.launching import LAUNCHES, arguments, nodes
-from modcal_nodes.parameters import NODES
+from modcal_nodes.nodes.corrector import Corrector
+from modcal_nodes.ros.launch_files import LAUNCHES, arguments, nodes
+from modcal_nodes.ros.parameters import NODES
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "robots"

@@ -15,12 +15,12 @@ from cli.recordings import URDF
 from nodes.processes import fresh_domain
 from rclpy.node import Node
 
-from modcal_nodes.articulation_estimator import ArticulationEstimator
-from modcal_nodes.calibrating.announcing import Announcer
-from modcal_nodes.corrector import Corrector
-from modcal_nodes.health import Health
-from modcal_nodes.simulated_cell import SimulatedCell
-from modcal_nodes.viewer import Viewer
+from modcal_nodes.calibrating.publishers import Publishers
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
+from modcal_nodes.nodes.corrector import Corrector
+from modcal_nodes.nodes.simulated_cell import SimulatedCell
+from modcal_nodes.nodes.viewer import Viewer
+from modcal_nodes.ros.health import Health
 from modcal_nodes.viewing import drawing
 
 CONFIG = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes" / "config"
@@ -45,7 +45,7 @@ def published() -> Iterator[dict[str, str]]:
     """Types of all topics that our nodes publish, by name."""
     rclpy.init(args=["--ros-args", "-p", f"urdf:={URDF}"], domain_id=fresh_domain())
     calibrator = Node("calibrator")
-    Announcer(calibrator)
+    Publishers(calibrator)
     Health(calibrator, lambda: [])
     nodes = [calibrator, ArticulationEstimator(), Corrector(), SimulatedCell(), Viewer()]
     yield {

@@ -22,7 +22,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.main import run
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.plant import make_world
 from modcal_nodes.simulation.world import World
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.calibrating.memory import Memory
+from modcal_nodes.calibrating.buffer import Buffer
 
 JOINTS, POSE = ("/joint_states", "sensor_msgs/msg/JointState"), ("/tracker/pose", "geometry_msgs/msg/PoseStamped")
 
@@ -46,7 +46,7 @@ ORDERS = {
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_readings_stay_with_the_joint_states_of_their_time(order: str) -> None:
-    memory = Memory(1e4)
+    memory = Buffer(1e4)
     for k, ((topic, kind), message) in enumerate(ORDERS[order]):
         memory.add(topic, kind, message, 1e4 + k)
     pieces = memory.heard().recordings
@@ -56,7 +56,7 @@ def test_readings_stay_with_the_joint_states_of_their_time(order: str) -> None:
 
 def test_a_trackers_own_clock_makes_no_pieces() -> None:
     """Its readings stay where they are, for what came of it is found out when clocks are aligned."""
-    memory = Memory(1e4)
+    memory = Buffer(1e4)
     t = 5000.0 + 0.1 * np.arange(1500)
     both = zip(joint_states(t), poses(np.r_[t[:500], t[500:] - 2000.0]), strict=True)
     for (topic, kind), message in chain.from_iterable(both):
@@ -66,7 +66,7 @@ def test_a_trackers_own_clock_makes_no_pieces() -> None:
 
 
 def test_two_trackers_with_clocks_of_their_own_make_no_pieces() -> None:
-    memory = Memory(1e4)
+    memory = Buffer(1e4)
     t = 5000.0 + np.arange(100.0)
     for messages in zip(joint_states(t), poses(t, "one"), poses(t - 500.0, "two"), strict=True):
         for (topic, kind), message in messages:
@@ -76,7 +76,7 @@ def test_two_trackers_with_clocks_of_their_own_make_no_pieces() -> None:
 
 
 def test_pieces_end_when_they_are_long() -> None:
-    memory = Memory(20.0)
+    memory = Buffer(20.0)
     for (topic, kind), message in joint_states(5000.0 + np.arange(50.0)):
         memory.add(topic, kind, message, 1e4)
     assert memory.pieces == 1  # the second may have readings to come
@@ -87,7 +87,7 @@ def test_pieces_end_when_they_are_long() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, -2000.0, 2000.0], ids=["one clock", "tracker behind", "tracker ahead"])
 def test_readings_that_come_late_are_not_lost_where_a_long_piece_ends(offset: float) -> None:
-    memory = Memory(20.0)
+    memory = Buffer(20.0)
     t = 5000.0 + 0.2 * np.arange(300)
     bursts = zip(np.split(t, 6), np.split(t + offset, 6), strict=True)
     for (topic, kind), message in chain.from_iterable((*joint_states(a), *poses(b)) for a, b in bursts):

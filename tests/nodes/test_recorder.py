@@ -37,8 +37,8 @@ from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.types import jazzy
 from modcal_nodes.cli.main import run
-from modcal_nodes.guarding import GuardedNode
-from modcal_nodes.taping import Taken, Tape
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.topic_recorder import Taken, TopicRecorder
 
 pytestmark = pytest.mark.dds
 BAG, TOPICS = "/recorder: bag", "/recorder: topics"
@@ -338,7 +338,7 @@ def test_what_overflows_is_counted_as_lost(tmp_path: Path) -> None:
     domain = fresh_domain()
     with listener(domain) as (speaker, _), listener(domain, GuardedNode) as (node, wait):
         taken: list[Taken] = []
-        tape = Tape(node, "/joint_states", taken.append, True, 60.0)
+        tape = TopicRecorder(node, "/joint_states", taken.append, True, 60.0)
         publisher = speaker.create_publisher(JointState, "joint_states", RELIABLE)
         wait(tape.look, 30.0)
         wait(lambda: publisher.get_subscription_count() == 1, 30.0)

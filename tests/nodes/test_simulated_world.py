@@ -15,7 +15,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.parameters import SIMULATED_CELL
+from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.commands import legs
 from modcal_nodes.simulation.pace import Grid
 from modcal_nodes.simulation.plant import make_world

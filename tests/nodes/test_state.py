@@ -14,7 +14,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_nodes.calibrating.state import State, read_state, write_state
-from modcal_nodes.results import calibration_files
+from modcal_nodes.io.results import calibration_files
 
 
 def test_state_comes_back(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from nodes.in_process import spun
 
 from modcal_core.errors import BadTable
 from modcal_nodes.calibrating.state import StateLock, read_state
-from modcal_nodes.calibrator import Calibrator
+from modcal_nodes.nodes.calibrator import Calibrator
 
 HOLD = """
 import sys, time

@@ -11,7 +11,7 @@ from nodes.in_process import spun
 from nodes.talking import RELIABLE, numbered
 from sensor_msgs.msg import JointState, Temperature
 
-from modcal_nodes.recorder import Recorder
+from modcal_nodes.nodes.recorder import Recorder
 
 pytestmark = pytest.mark.dds
 

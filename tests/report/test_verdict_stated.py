@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
-from modcal_nodes.inputs import read_cell, stated_from
+from modcal_nodes.io.inputs import read_cell, stated_from
 
 
 def test_repeatability_of_a_data_sheet_as_rms() -> None:

@@ -15,8 +15,8 @@ from modcal_core.errors import BadTable
 from modcal_core.robots.delta import OFFSET
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
 from modcal_core.robots.delta_kinematics import tool_pose
-from modcal_nodes.files import to_yaml
-from modcal_nodes.inputs import read_delta
+from modcal_nodes.io.files import to_yaml
+from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.delta_world import displaced
 
 STATED: dict[str, Any] = yaml.safe_load(FILE.read_text())

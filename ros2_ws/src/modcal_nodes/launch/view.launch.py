@@ -5,9 +5,9 @@ Then ``rviz2 -d $(ros2 pkg prefix --share modcal_nodes)/config/modcal.rviz``, or
 
 from typing import Any
 
-from modcal_nodes.launching import described
+from modcal_nodes.ros.launch_files import described
 
 
 def generate_launch_description() -> Any:
-    """Nodes and arguments as modcal_nodes/launching.py lists them; ``--show-args`` tells of each."""
+    """Nodes and arguments as modcal_nodes/ros/launch_files.py lists them; ``--show-args`` tells of each."""
     return described("view")

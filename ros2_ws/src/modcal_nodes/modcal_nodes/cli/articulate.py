@@ -23,10 +23,10 @@ from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import list_topics, read_bag
 from modcal_msgs_py.topics import accepted, role_of
+from modcal_nodes.cli.console import Output, say, speaking
 from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.cli.saying import Voice, say, speaking
-from modcal_nodes.files import to_json, write_folder
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.io.files import to_json, write_folder
+from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _URDF = "object.urdf"
@@ -79,7 +79,7 @@ def articulate_command(
     points: bool,
     seed: int,
     out: Path | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Say how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
 
@@ -97,7 +97,7 @@ def articulate_command(
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))
     values = read.values[rows]
     track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
-    with voice.working() as watch:
+    with output.working() as watch:
         watch("weighing the kinds of joint")
         choice = choose(track, np.random.default_rng(seed))
     found = Articulation(bag.name, read.frame, track, choice)
@@ -116,7 +116,7 @@ def articulate_command(
     write_folder(out, files)
     if _URDF not in files:  # one of an earlier call would tell of another joint
         (out / _URDF).unlink(missing_ok=True)
-    voice.result(data, partial(say, said), f"Report: {out / 'report.html'}")
+    output.result(data, partial(say, said), f"Report: {out / 'report.html'}")
 
 
 def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:

@@ -25,11 +25,11 @@ from modcal_core.modules.urdf import urdf_of
 from modcal_core.prepare import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.assemblies import read_assembly
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.topics import topic_options
-from modcal_nodes.files import read_yaml, to_yaml, write_folder
+from modcal_nodes.io.assemblies import read_assembly
+from modcal_nodes.io.files import read_yaml, to_yaml, write_folder
 
 _LIBRARY = click.option(
     "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
@@ -47,7 +47,9 @@ _UNLIKELY = 1e-4
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 @speaking
-def assemble_command(spec: Path, library_file: Path | None, store: Path | None, out: Path | None, voice: Voice) -> None:
+def assemble_command(
+    spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output
+) -> None:
     """Make a robot of SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
@@ -79,7 +81,7 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         if strangers:
             console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
 
-    voice.result(data, show, f"Robot: {out / 'robot.urdf'}")
+    output.result(data, show, f"Robot: {out / 'robot.urdf'}")
 
 
 @click.group("modules")
@@ -105,14 +107,14 @@ def learn_command(
     topic: tuple[str, ...],
     ignore: tuple[str, ...],
     tf: str | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Learn from BAG, a recording of the assembly SPEC, what its modules (by serial number) are off by."""
     assembly, library = read_assembly(spec, library_file)
     if not any(m.serial for m in assembly.modules):
         raise BadTable(str(spec), "no module has a serial number", "write serial: behind the modules to be known again")
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
-    with voice.working() as watch:
+    with output.working() as watch:
         watch(f"reading {bag.name}")
         prepared = prepare(read_bag(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
         watch("fitting the modules")
@@ -131,7 +133,7 @@ def learn_command(
         "notes": list(prepared.notes),
         "parts": [_part(serial, part, error) for (serial, part), error in known.parts.items()],
     }
-    voice.result(found, partial(_show_learned, found), f"Modules: {store}")
+    output.result(found, partial(_show_learned, found), f"Modules: {store}")
 
 
 def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:

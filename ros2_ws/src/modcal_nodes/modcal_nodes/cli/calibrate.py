@@ -22,15 +22,15 @@ from modcal_core.robots.delta import Delta
 from modcal_core.robots.urdf import read_chain
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
-from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.files import write_folder
-from modcal_nodes.inputs import read_calibration, read_cell, read_topics, stated_from
-from modcal_nodes.recorded import begun, calibrate_bag, named, tolerance_asked, too_little
-from modcal_nodes.results import report_files
-from modcal_nodes.tracing import trace_of
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.files import write_folder
+from modcal_nodes.io.inputs import read_calibration, read_cell, read_topics, stated_from
+from modcal_nodes.io.options import Options
+from modcal_nodes.io.recorded import begun, calibrate_bag, named, tolerance_asked, too_little
+from modcal_nodes.io.results import report_files
+from modcal_nodes.io.trace import trace_of
 
 EXISTING = click.Path(exists=True, path_type=Path)
 SEED = click.IntRange(min=0)  # what NumPy takes
@@ -117,7 +117,7 @@ def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
 
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with the options of a calibration, one for each field of :class:`Wishes`."""
+    """The command with the options of a calibration, one for each field of :class:`Options`."""
     return _with((*_ROBOT, _CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK))(command)
 
 
@@ -138,13 +138,13 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @_with(_TOLERANCE)
 @_OUT
 @speaking
-def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, voice: Voice, **wishes: Any) -> int:
+def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, output: Output, **options: Any) -> int:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
-    with voice.working() as watch:
-        done = calibrate_bag(bag, Wishes(**wishes), more, watch)
+    with output.working() as watch:
+        done = calibrate_bag(bag, Options(**options), more, watch)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, done.files)
-    return _say(done.report, out, voice)
+    return _say(done.report, out, output)
 
 
 @click.command("evaluate")
@@ -169,14 +169,14 @@ def evaluate_command(
     tolerance_mm: float | None,
     tolerance_of: str,
     out: Path | None,
-    voice: Voice,
+    output: Output,
     **stated: float | None,
 ) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     frozen = read_calibration(calibration)
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     cell = read_cell(cell_file, stated=stated_from(stated))
-    with voice.working() as watch:
+    with output.working() as watch:
         recording, pieces = begun(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
         prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
         cell = replace(cell, stated=cell.stated.over(prepared.stated))
@@ -191,12 +191,12 @@ def evaluate_command(
         report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)), trace=trace)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, report_files(report))
-    return _say(report, out, voice)
+    return _say(report, out, output)
 
 
-def _say(report: Report, out: Path, voice: Voice) -> int:
+def _say(report: Report, out: Path, output: Output) -> int:
     """Show the report; returns the exit code."""
-    voice.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
+    output.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
     return 0 if report.tolerance is None or report.tolerance.result == "PASS" else UNMET
 
 

@@ -12,9 +12,9 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.planning.ground import allowed
 from modcal_core.planning.site import Site
-from modcal_nodes.cli.saying import console
-from modcal_nodes.files import to_yaml, write_folder
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.cli.console import console
+from modcal_nodes.io.files import to_yaml, write_folder
+from modcal_nodes.io.inputs import read_calibration
 
 _BY_POSTURE = ("position", "load", "direction")
 

@@ -20,9 +20,9 @@ from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_elements import chain_urdf
-from modcal_nodes.cli.saying import Voice, speaking, tell
-from modcal_nodes.files import read_yaml, to_yaml, write_file
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.io.files import read_yaml, to_yaml, write_file
+from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MODELS = ("calibrated", "geometric", "nominal")
@@ -57,7 +57,7 @@ def export_command(
     tip: str | None,
     largest_offset: float,
     out: Path | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Write the kinematics of SOURCE as a table, or as a URDF without bodies.
 
@@ -82,7 +82,7 @@ def export_command(
             again = yaml.safe_load(text)
         off = float(loss(arm.chain, again))
     write_file(out, text)
-    voice.result(*told(out, arm.chain, off, arm.left_out))
+    output.result(*told(out, arm.chain, off, arm.left_out))
 
 
 def told(

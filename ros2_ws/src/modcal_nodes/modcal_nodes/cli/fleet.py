@@ -15,9 +15,8 @@ from rich.text import Text
 from modcal_core.errors import plain
 from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import EXISTING, calibration_options
-from modcal_nodes.cli.saying import console
+from modcal_nodes.cli.console import console
 from modcal_nodes.cli.show import STYLES
-from modcal_nodes.files import to_json
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
 from modcal_nodes.fleet.pool import run_here
@@ -25,7 +24,8 @@ from modcal_nodes.fleet.room import room
 from modcal_nodes.fleet.run import Plan, plan, run
 from modcal_nodes.fleet.task import DONE, Outcome, Task
 from modcal_nodes.fleet.work import do
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.files import to_json
+from modcal_nodes.io.options import Options
 
 
 @click.command("fleet")
@@ -76,7 +76,7 @@ def fleet_command(
     refit_tool: bool,
     again: bool,
     as_json: bool,
-    **wishes: Any,
+    **options: Any,
 ) -> int:
     """Calibrate every recording in BAGS (bags, folders that hold some, patterns) and hold each robot's together.
 
@@ -84,7 +84,7 @@ def fleet_command(
     missing or has changed. Exit 2 when some could not be calibrated; all others are then written nevertheless.
     """
     certificates = Certificates.of(dask_ca, dask_cert, dask_key)
-    planned = plan(bags, out, Wishes(**wishes), again)
+    planned = plan(bags, out, Options(**options), again)
     page = console()
     quiet = as_json or not page.is_terminal
     here = room()

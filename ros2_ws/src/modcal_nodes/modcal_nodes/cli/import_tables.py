@@ -16,10 +16,10 @@ from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
+from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.cli.saying import Voice, speaking, tell
-from modcal_nodes.files import read_yaml, write_file
+from modcal_nodes.io.files import read_yaml, write_file
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -32,7 +32,7 @@ _EXISTING = click.Path(exists=True, path_type=Path)
     "--out", type=click.Path(path_type=Path), default=None, help="The bag, or the URDF. Default: MAPPING's name."
 )
 @speaking
-def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, voice: Voice) -> None:
+def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, output: Output) -> None:
     """Turn CSV tables into a bag, as MAPPING (a YAML file) says.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
@@ -43,11 +43,11 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
         chain = from_table(table)
         out = out or Path(f"{mapping.stem}.urdf")
         write_file(out, chain_urdf(chain))
-        voice.result(*told(out, chain))
+        output.result(*told(out, chain))
         return
     stated = read_yaml(mapping)
     folder, out = data or mapping.parent, out or Path(mapping.stem)
-    with voice.working() as watch:
+    with output.working() as watch:
         recording = import_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
@@ -58,7 +58,7 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
     frames = list(recording.frames)
     found = {"bag": str(out), "stations": sum(len(r.stamps) for r in recording.readings), "frames": frames}
     line = f"{out}: {found['stations']} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
-    voice.result(found, partial(tell, [line]))
+    output.result(found, partial(tell, [line]))
 
 
 def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:

@@ -15,8 +15,8 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.robot import delta_of
-from modcal_nodes.cli.saying import Voice, speaking
 from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -39,7 +39,7 @@ def info_command(
     topic: tuple[str, ...],
     ignore: tuple[str, ...],
     tf: str | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Say what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
@@ -60,7 +60,7 @@ def info_command(
         "uses": list(seen.uses),
         "findings": [*findings, *seen.findings],
     }
-    voice.result(data, partial(_show, data))
+    output.result(data, partial(_show, data))
 
 
 def _show(data: dict[str, Any], console: Console) -> None:

@@ -21,11 +21,11 @@ from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.by_joint import numbers_by_joint
+from modcal_nodes.cli.by_joint import numbers_by_joint
+from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.cli.saying import Voice, speaking, tell
 from modcal_nodes.cli.topics import topic_options
-from modcal_nodes.files import to_json, to_yaml, write_folder
+from modcal_nodes.io.files import to_json, to_yaml, write_folder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
@@ -85,7 +85,7 @@ def limits_command(
     ignore: tuple[str, ...],
     tf: str | None,
     out: Path | None,
-    voice: Voice,
+    output: Output,
     **by_joint: tuple[str, ...],
 ) -> None:
     """Say how hard each joint may be accelerated, without any drive giving more than it can.
@@ -109,13 +109,13 @@ def limits_command(
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
     q, v, notes = _motion(arm.chain, recording, at, velocity, workspace, seed)
     found = LimitsFound(arm, q, v, source.name)
-    with voice.working() as watch:
+    with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         data = {**to_json_data(found), "notes": list(notes)}
     if out is not None:
         write_folder(out, {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))})
     where = "" if out is None else f"Limits: {out / 'limits.json'}"
-    voice.result(data, partial(_show, data, len(q), notes), where)
+    output.result(data, partial(_show, data, len(q), notes), where)
 
 
 def _show(data: dict[str, object], postures: int, notes: tuple[str, ...], console: Console) -> None:

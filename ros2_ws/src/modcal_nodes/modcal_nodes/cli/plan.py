@@ -17,11 +17,11 @@ from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.console import Output, say, speaking
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, read_robot
-from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.cli.stations import read_stations
-from modcal_nodes.files import read_yaml, to_yaml, write_folder
+from modcal_nodes.io.files import read_yaml, to_yaml, write_folder
 
 _DECIDING = 16  # stations, where none are asked for
 
@@ -86,7 +86,7 @@ def plan_command(
     returns: int,
     seed: int,
     out: Path | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Choose the stations from which ROBOT (a URDF, or a YAML table) is best calibrated, or that decide a doubt."""
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
@@ -105,13 +105,13 @@ def plan_command(
         stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
         candidates, known, returns,
     )  # fmt: skip
-    with voice.working() as watch:
+    with output.working() as watch:
         watch("choosing stations")
         found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
         out = out or Path(f"{robot.stem}_plan")
         watch("writing the plan")
         write_folder(out, _files(found, speed, dwell, robot.stem))
-    voice.result(to_plan_data(found), partial(say, sentences(found)), f"Stations: {out / 'plan.yaml'}")
+    output.result(to_plan_data(found), partial(say, sentences(found)), f"Stations: {out / 'plan.yaml'}")
 
 
 def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:

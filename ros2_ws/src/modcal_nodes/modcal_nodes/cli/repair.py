@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_msgs_py.mcap_repair import Repair, repair_bag
-from modcal_nodes.cli.saying import Voice, speaking
+from modcal_nodes.cli.console import Output, speaking
 
 
 @click.command("repair")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="The new bag. Default: BAG_repaired.")
 @speaking
-def repair_command(bag: Path, out: Path | None, voice: Voice) -> None:
+def repair_command(bag: Path, out: Path | None, output: Output) -> None:
     """Make a whole bag of BAG, which was cut: killed recorder, full disk, lost power.
 
     Every whole message is kept as it is. BAG itself is not touched; if nothing is wrong with it, nothing is written.
@@ -25,7 +25,7 @@ def repair_command(bag: Path, out: Path | None, voice: Voice) -> None:
     if out is None:
         place = bag.resolve()
         out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
-    with voice.working() as watch:
+    with output.working() as watch:
         done = repair_bag(bag, out, watch)
     data = {
         "bag": str(bag),
@@ -33,7 +33,7 @@ def repair_command(bag: Path, out: Path | None, voice: Voice) -> None:
         "reasons": list(done.reasons),
         "messages": dict(done.saved),
     }
-    voice.result(data, partial(_show, bag, done))
+    output.result(data, partial(_show, bag, done))
 
 
 def _show(bag: Path, done: Repair, console: Console) -> None:

@@ -11,7 +11,7 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.files import read_yaml
+from modcal_nodes.io.files import read_yaml
 
 Robot = tuple[Mechanism, str | None]
 
@@ -40,7 +40,7 @@ def delta_of(recording: Recording, delta: Path | None, urdf: Path | None, base: 
         return robot_of(recording, urdf, base, tip)
     if urdf is not None or base is not None or tip is not None:
         raise BadRobot(f"--delta {delta}", "goes with none of --urdf, --base and --tip", "leave them out")
-    from modcal_nodes.inputs import read_delta  # brings SciPy along, which `modcal info` does without
+    from modcal_nodes.io.inputs import read_delta  # brings SciPy along, which `modcal info` does without
 
     return read_delta(delta), None
 

@@ -19,10 +19,10 @@ from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_h
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.console import Output, say, speaking
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
-from modcal_nodes.cli.saying import Voice, say, speaking
 from modcal_nodes.cli.stations import read_stations
-from modcal_nodes.files import read_yaml, to_json, write_folder
+from modcal_nodes.io.files import read_yaml, to_json, write_folder
 
 _SHOWN = 12  # parameters in the terminal
 
@@ -77,7 +77,7 @@ def sensitivity_command(
     noise_mrad: float,
     seed: int,
     out: Path | None,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Say which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     chain = read_robot(robot, base, tip)
@@ -89,7 +89,7 @@ def sensitivity_command(
     measured = Measured(read_stations(stations, chain) if stations else q, reading, 1e-3 * noise_mm, 1e-3 * noise_mrad)
     factor = base_factor or next(f.name for f in closed.factors if f.is_length)
     out = out or Path(f"{robot.stem}_sensitivity")
-    with voice.working() as watch:
+    with output.working() as watch:
         watch("moving each parameter")
         result = study(closed, q, kind, sizes, factor, measured, rng, bins)
         watch("writing the report")
@@ -102,7 +102,7 @@ def sensitivity_command(
             "report.html": to_html(result, robot.stem),
         }
         write_folder(out, files)
-    voice.result(data, lambda console: _show(result, console), f"Table: {out / 'sensitivity.md'}")
+    output.result(data, lambda console: _show(result, console), f"Table: {out / 'sensitivity.md'}")
 
 
 def _show(result: Study, console: Console) -> None:

@@ -13,8 +13,8 @@ import yaml
 from modcal_core.errors import BadTable
 from modcal_core.planning.returns import RETURNS
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.cli.saying import Voice, speaking, tell
-from modcal_nodes.parameters import SIMULATED_CELL, Parameter
+from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.ros.parameters import SIMULATED_CELL, Parameter
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded
 
@@ -42,7 +42,7 @@ def simulate_command(
     given: tuple[str, ...],
     later: tuple[tuple[float, str], ...],
     returns: int,
-    voice: Voice,
+    output: Output,
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
 
@@ -59,7 +59,7 @@ def simulate_command(
         name, value = _parameter(text)
         chosen[name] = value
     changes = sorted(((when, *_parameter(text)) for when, text in later), key=lambda change: change[0])
-    with voice.working() as watch:
+    with output.working() as watch:
         watch("building the cell")
         plant = Plant(chosen)
         recording = recorded(plant, chosen, changes, watch)
@@ -72,7 +72,7 @@ def simulate_command(
         "readings": len(recording.readings[0].stamps),
     }
     counts = f"{data['joint_states']} joint states, {data['readings']} readings"
-    voice.result(data, partial(tell, [f"{out}: {plant.stops} stations in {plant.end:.0f} s, {counts}"]))
+    output.result(data, partial(tell, [f"{out}: {plant.stops} stations in {plant.end:.0f} s, {counts}"]))
 
 
 def _parameter(text: str) -> tuple[str, Any]:

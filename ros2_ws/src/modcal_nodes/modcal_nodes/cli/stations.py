@@ -8,7 +8,7 @@ from pathlib import Path
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.stations import stations_from_data, stations_from_rows
 from modcal_core.robots.chain import Chain
-from modcal_nodes.files import read_yaml
+from modcal_nodes.io.files import read_yaml
 
 
 def read_stations(path: Path, chain: Chain) -> Array:

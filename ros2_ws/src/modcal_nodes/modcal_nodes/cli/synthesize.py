@@ -18,10 +18,10 @@ from modcal_core.modules.ranking import described, sentence, to_data, to_markdow
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.synthesis import Synthesis, Task, Watch, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
-from modcal_nodes.assemblies import read_library
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.saying import console
-from modcal_nodes.files import read_yaml, to_json, to_yaml, write_folder
+from modcal_nodes.cli.console import console
+from modcal_nodes.io.assemblies import read_library
+from modcal_nodes.io.files import read_yaml, to_json, to_yaml, write_folder
 
 _PICTURES = 5  # of the ranking; the best gets one at each target
 

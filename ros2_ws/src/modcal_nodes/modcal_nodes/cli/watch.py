@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.live import Live
 
 from modcal_core.errors import BadRecording, plain
-from modcal_nodes.cli.saying import Terminal
-from modcal_nodes.watching.heard import Heard
+from modcal_nodes.cli.console import Terminal
 from modcal_nodes.watching.listener import Listener
+from modcal_nodes.watching.snapshot import Heard
 from modcal_nodes.watching.table import Changes, table
 
 _PATIENCE = 8.0  # s without a word after which it says what to check

@@ -16,7 +16,7 @@ from modcal_core.evaluate import evaluate
 from modcal_core.online.drift import WEEK, Change, Drift, change_since, drift
 from modcal_nodes.fleet.task import DONE
 from modcal_nodes.fleet.work import SAMPLES, iso, read_samples
-from modcal_nodes.inputs import read_calibration
+from modcal_nodes.io.inputs import read_calibration
 
 Row = dict[str, Any]
 

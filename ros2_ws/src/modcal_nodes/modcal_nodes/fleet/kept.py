@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import modcal_core
-from modcal_nodes.files import replace_folder, to_json
 from modcal_nodes.fleet.task import FAILED, Outcome, Task
+from modcal_nodes.io.files import replace_folder, to_json
 
 MARK = "fleet.json"
 
@@ -31,9 +31,9 @@ def made_from(task: Task) -> dict[str, Any]:
 
 
 def _digest(task: Task) -> str:
-    said = {name: value for name, value in asdict(task.wishes).items() if not isinstance(value, Path)}
+    said = {name: value for name, value in asdict(task.options).items() if not isinstance(value, Path)}
     digits = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
-    for name, value in sorted(asdict(task.wishes).items()):
+    for name, value in sorted(asdict(task.options).items()):
         if isinstance(value, Path):  # what a file says counts, not what it is called
             digits.update(name.encode() + value.read_bytes())
     return digits.hexdigest()[:16]

@@ -13,8 +13,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 
-from modcal_nodes.child import settle_in
 from modcal_nodes.fleet.task import FAILED, Outcome, Task
+from modcal_nodes.ros.child_process import settle_in
 
 _TRIES = 2
 # each process does one thing at a time; more threads would only stand in each other's way

@@ -14,7 +14,7 @@ from modcal_nodes.fleet.compare import Compared, Row, compare
 from modcal_nodes.fleet.kept import MARK, keep, kept_row, made_from
 from modcal_nodes.fleet.table import DRIFT, FLEET, write_table
 from modcal_nodes.fleet.task import Outcome, Task
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 Runner = Callable[[Sequence[Task]], Generator[Outcome, None, None]]
 
@@ -34,15 +34,15 @@ class Plan:
         return [task for task in self.tasks if task.name not in self.kept]
 
 
-def plan(given: Sequence[str], out: Path, wishes: Wishes, again: bool = False) -> Plan:
+def plan(given: Sequence[str], out: Path, options: Options, again: bool = False) -> Plan:
     """The bags that are meant, and which of them are done already. again: none is.
 
     Raises BadRecording where there is no bag, BadTable where something else stands where a result would.
     """
-    files = {name: path.resolve() for name in ("urdf", "delta", "cell_file") if (path := getattr(wishes, name))}
-    wishes = replace(wishes, **files)
+    files = {name: path.resolve() for name in ("urdf", "delta", "cell_file") if (path := getattr(options, name))}
+    options = replace(options, **files)
     names = names_of(find_bags(given, out))
-    tasks = tuple(Task(name, bag, wishes) for bag, name in names.items())
+    tasks = tuple(Task(name, bag, options) for bag, name in names.items())
     for task in tasks:
         folder = out / task.name
         if folder.exists() and not (folder / MARK).is_file():

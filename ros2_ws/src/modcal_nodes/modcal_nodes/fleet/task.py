@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from modcal_nodes.wishes import Wishes
+from modcal_nodes.io.options import Options
 
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 
@@ -17,7 +17,7 @@ class Task:
 
     name: str
     bag: Path
-    wishes: Wishes
+    options: Options
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
 from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
-from modcal_nodes.recorded import Calibrated, calibrate_bag
+from modcal_nodes.io.recorded import Calibrated, calibrate_bag
 
 SAMPLES = "samples.npz"
 _MOST_KEPT = 5000  # samples, evenly chosen: a change of the arm is known far better than it matters
@@ -27,7 +27,7 @@ def do(task: Task) -> Outcome:
     """Calibrate a bag. Never raises: what cannot be used is refused, and a fault of ours is a failure of this bag."""
     began = time.perf_counter()
     try:
-        done = calibrate_bag(task.bag, task.wishes)
+        done = calibrate_bag(task.bag, task.options)
         files = {name: text.encode() for name, text in done.files.items()}
         files[SAMPLES] = _kept(done.samples)
         return Outcome(task.name, DONE, "", _row(done), files, time.perf_counter() - began)

@@ -18,7 +18,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
-from modcal_nodes.inputs import read_delta
+from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.delta_world import make_delta_world, require_drivable
 from modcal_nodes.simulation.machine import Machine, tracker_and_tool
 from modcal_nodes.simulation.program import Program, tour

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from modcal_nodes.health import OK, WARN, Status
+from modcal_nodes.ros.health import OK, WARN, Status
 from modcal_nodes.simulation.pace import Grid
 
 LATE = 0.1  # s of wall time that the cell may lag behind its own clock

@@ -1,0 +1,139 @@
+"""What the calibrator remembers of what it heard: recent messages as they came, older ones as samples."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.samples import Samples
+from modcal_core.resolve import Heard
+from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.topics import JOINT_STATES
+
+_JUMP = 1.0  # s
+_OVERTAKEN = 500  # messages by which one topic may be ahead of another
+
+
+class _Piece:
+    """Messages of one stretch of time. joints_from, joints_to: stamps of joint states [s]. last: of every source."""
+
+    def __init__(self) -> None:
+        self.joints_from = self.joints_to = math.nan
+        self.last: dict[tuple[str, str], float] = {}
+        self.count = 0
+        self._builder = RecordingBuilder("live")
+
+    def add(self, source: tuple[str, str], stamp: float, message: tuple[str, str, Any, float]) -> None:
+        """Take a message."""
+        self._builder.add(*message)
+        self.last[source] = stamp
+        self.count += 1
+
+    def awaits(self, source: tuple[str, str], stamp: float, newer: _Piece) -> bool:
+        """Whether a reading that comes when a newer piece has begun is of this piece's time."""
+        if newer.joints_from > self.joints_from:
+            return self.joints_from <= stamp < newer.joints_from
+        return source not in newer.last and stamp >= self.last.get(source, self.joints_from) - _JUMP
+
+    def recording(self) -> Recording:
+        """What was taken so far."""
+        return self._builder.recording()
+
+
+class Buffer:
+    """Messages in pieces: a new piece begins when the clock is set back, or the last one has grown long."""
+
+    def __init__(self, longest: float) -> None:
+        """longest: seconds of messages that one piece holds."""
+        self._longest = longest
+        self.samples: Samples | None = None
+        self.forgotten = -1  # how often everything was forgotten, beginning with nothing
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.forgotten += 1
+        self._pieces: list[Recording] = []
+        self._before: _Piece | None = None
+        self._now = _Piece()
+        self._early: list[tuple[tuple[str, str], float, tuple[str, str, Any, float]]] = []
+        self.samples = None
+        self._names: frozenset[str] = frozenset()
+
+    def add(self, topic: str, type_name: str, message: Any, received: float) -> None:
+        """Take one message. Raises BadRecording for one that contradicts itself."""
+        stamp = seconds(message.header.stamp) or received
+        source = (topic, str(message.header.frame_id))
+        if topic.endswith(JOINT_STATES):
+            self._follow_clock(stamp)
+            if not self._names.issuperset(message.name):
+                self._names |= set(message.name)
+        elif self._before is not None and self._before.awaits(source, stamp, self._now):
+            self._before.add(source, stamp, (topic, type_name, message, received))
+            return
+        elif stamp < self._now.last.get(source, stamp) - _JUMP:
+            self._early.append((source, stamp, (topic, type_name, message, received)))
+            if len(self._early) > _OVERTAKEN:  # the clock of the joint states was not set back
+                self._take_early()
+            return
+        self._now.add(source, stamp, (topic, type_name, message, received))
+        if self._before is not None and self._now.count > _OVERTAKEN:
+            self._finish(self._before)
+            self._before = None
+
+    def _follow_clock(self, stamp: float) -> None:
+        """Begin a new piece where a joint state's stamp asks for one."""
+        set_back = stamp < self._now.joints_to - _JUMP
+        if set_back or stamp - self._now.joints_from > self._longest:
+            if self._before is not None:
+                self._finish(self._before)
+            # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. So
+            # readings of the piece that ends may come yet; where the clock was set back, some since may have come.
+            self._before, self._now = self._now, _Piece()
+            if set_back:
+                self._take_early()
+        self._now.joints_from = stamp if math.isnan(self._now.joints_from) else self._now.joints_from
+        self._now.joints_to = stamp
+
+    def _take_early(self) -> None:
+        for early in self._early:
+            self._now.add(*early)
+        self._early.clear()
+
+    def _finish(self, piece: _Piece) -> None:
+        self._pieces.append(piece.recording())
+
+    @property
+    def full(self) -> bool:
+        """Whether there are finished pieces that could be made into samples."""
+        return bool(self._pieces)
+
+    def heard(self) -> Heard:
+        """Everything remembered."""
+        self._take_early()
+        open_pieces = [piece.recording() for piece in (self._before, self._now) if piece is not None]
+        return Heard((*self._pieces, *(piece for piece in open_pieces if piece.joints)), self.samples)
+
+    def finished(self) -> Heard:
+        """Everything but the present piece."""
+        return Heard(tuple(self._pieces), self.samples)
+
+    def condensed(self, pieces: int, samples: Samples | None) -> None:
+        """From now on these samples stand for what was remembered before and for so many of the oldest pieces."""
+        self.samples = samples
+        del self._pieces[:pieces]
+
+    def keep(self, pieces: int) -> None:
+        """Forget all but so many of the newest finished pieces."""
+        del self._pieces[: max(len(self._pieces) - pieces, 0)]
+
+    @property
+    def pieces(self) -> int:
+        """How many finished pieces there are."""
+        return len(self._pieces)
+
+    def joint_names(self) -> frozenset[str]:
+        """Names of all joints heard."""
+        return self._names

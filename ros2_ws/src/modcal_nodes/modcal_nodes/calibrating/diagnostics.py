@@ -1,0 +1,96 @@
+"""The calibrator's health: what it hears, which model stands, and how it keeps up."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modcal_core.online.stream import Stream
+from modcal_core.online.supervisor import SUSPECTED, Supervisor
+from modcal_core.resolve import Comparison
+from modcal_nodes.calibrating.standing import Standing
+from modcal_nodes.ros.health import ERROR, OK, WARN, Status
+
+_ADVISED = 40  # stations before a first solve that nobody has set: some twice as many numbers as an arm has
+_TIMED = 20_000  # updates whose times are remembered
+
+
+@dataclass
+class Times:
+    """Seconds of a processor that updates took, and by which readings were old when they had been taken in."""
+
+    took: deque[float] = field(default_factory=lambda: deque(maxlen=_TIMED))
+    late: deque[float] = field(default_factory=lambda: deque(maxlen=_TIMED))
+
+    def values(self) -> dict[str, object]:
+        """The figures for a status."""
+        out: dict[str, object] = {}
+        if self.took:
+            out["compute of an update, median [ms]"] = f"{1e3 * np.median(self.took):.3f}"
+            out["compute of an update, p99 [ms]"] = f"{1e3 * np.percentile(self.took, 99):.3f}"
+        if self.late:
+            out["from stamp to update, median [ms]"] = f"{1e3 * np.median(self.late):.2f}"
+            out["from stamp to update, p99 [ms]"] = f"{1e3 * np.percentile(self.late, 99):.2f}"
+        return out
+
+
+def model_status(
+    supervisor: Supervisor,
+    verdict: str,
+    standing: Standing | None,
+    trouble: str,
+    solving: bool,
+    candidate: Comparison | None,
+) -> Status:
+    """Which model is trusted, whether it still holds, and what may be said of it: OK only at the floor.
+
+    verdict: what the last solve, or what went wrong with it, said. standing: of the trusted model, None where there is
+    none or nothing is known of it.
+    """
+    facts: dict[str, object] = {"state": supervisor.state, "solving": solving, "last result": verdict}
+    if standing is not None:
+        facts["status"] = standing.status
+        facts["because"] = " ".join(standing.because)
+    if supervisor.live is not None:
+        facts["largest sign of change"] = f"{supervisor.live.watch.largest:.1f}"
+        facts["samples rejected"] = supervisor.live.estimator.rejected
+    if candidate is not None:
+        facts["candidate, error before [mm]"] = f"{1e3 * candidate.before:.4f}"
+        facts["candidate, error after [mm]"] = f"{1e3 * candidate.after:.4f}"
+    if trouble:
+        return Status("model", ERROR, trouble, facts)
+    if supervisor.state == SUSPECTED and supervisor.suspicion is not None:
+        text = f"{supervisor.suspicion.sentence}; the last trusted model is still published"
+        return Status("model", WARN, text, facts)
+    if standing is None:
+        return Status("model", WARN, verdict, facts)
+    text = verdict if standing.line in verdict else f"{verdict.rstrip('. ')}. {standing.line}"
+    return Status("model", OK if standing.at_floor else WARN, text, facts)
+
+
+def collected(supervisor: Supervisor) -> str:
+    """How far collecting is."""
+    policy = supervisor.policy
+    if supervisor.live is not None:
+        if supervisor.suspicion is not None and policy.after_change:
+            return f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved anew"
+        return f"{supervisor.stations} stations"
+    wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")
+    if supervisor.stations >= wanted:
+        return f"{supervisor.stations} stations of {wanted} are collected: {then}"
+    return f"{supervisor.stations} of {wanted} stations, then {then}"
+
+
+def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:
+    """How many stations there are, what was left out, and how long updates take."""
+    facts: dict[str, object] = {"messages refused": refused}
+    if stream is not None:
+        facts["clock set back"] = stream.counts.jumps
+        facts["messages out of order"] = stream.counts.late
+        facts["readings without joint states"] = stream.counts.unpaired
+    if supervisor.live is not None:
+        facts["readings in unknown frames"] = supervisor.live.strange
+    message = collected(supervisor) + (f", {refused} messages refused" if refused else "")
+    return Status("samples", WARN if refused else OK, message, {**facts, **times.values()})

@@ -1,0 +1,136 @@
+"""How verbs speak: results on stdout, or as JSON with ``--json``; what they are doing on stderr.
+
+Progress is shown where stderr is a terminal, and wiped when it is over; ``-v`` writes a line for each stage instead,
+with the seconds that it took.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
+
+from modcal_core.errors import plain
+from modcal_nodes.io.progress import Watch, silent
+
+_WIDE = 160
+
+
+class Terminal(Console):
+    """A console on which nothing that came out of a file can steer the terminal, or is taken for markup."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A text to be laid out, which is as wide as what will be printed."""
+        return super().render_str(plain(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The segments of something printed, control characters in its text written out."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(plain(segment.text), segment.style)
+
+
+def say(lines: Iterable[str], console: Console) -> None:
+    """Print these lines."""
+    for line in lines:
+        console.print(line, highlight=False)
+
+
+def console(stderr: bool = False) -> Console:
+    """A console as wide as the terminal; where there is none, wide enough for every table (COLUMNS, if set)."""
+    made = Terminal(stderr=stderr, emoji=False, markup=False)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = _WIDE
+    return made
+
+
+def tell(lines: Iterable[str], console: Console) -> None:
+    """Print these lines as they are, paths whole, however narrow the console is."""
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+class Output:
+    """How one call of a verb speaks."""
+
+    def __init__(self, as_json: bool = False, verbose: bool = False) -> None:
+        self._as_json, self._verbose = as_json, verbose
+        self._out = console()
+
+    def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
+        """Say the result: as JSON data, or by showing it, and then where it is."""
+        if self._as_json:
+            from modcal_nodes.io.files import to_json
+
+            click.echo(to_json(data), nl=False)
+            return
+        show(self._out)
+        if where:
+            click.echo(plain(where))
+
+    @contextmanager
+    def working(self) -> Iterator[Watch]:
+        """A watch to hand to long work. An interruption goes through."""
+        error = console(stderr=True)
+        if self._verbose:
+            yield from _lines()
+        elif error.is_terminal and not self._as_json:
+            yield from _bar(error)
+        else:
+            yield silent
+
+
+def _lines() -> Iterator[Watch]:
+    """A line for each stage, when it ends."""
+    now, since = "", time.monotonic()
+
+    def end() -> None:
+        if now:
+            click.echo(f"{plain(now)}: {time.monotonic() - since:.1f} s", err=True)
+
+    def watch(stage: str, share: float | None = None) -> None:
+        nonlocal now, since
+        if stage != now:
+            end()
+            now, since = stage, time.monotonic()
+
+    yield watch
+    end()
+
+
+def _bar(console: Console) -> Iterator[Watch]:
+    """One line that changes: what is being done, how much of it, and how long that will take."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console, transient=True) as progress:
+        bar, now = progress.add_task("", total=None), ""
+
+        def watch(stage: str, share: float | None = None) -> None:
+            nonlocal now
+            if stage != now:
+                progress.reset(bar, description=stage, total=None if share is None else 1.0)
+                now = stage
+            if share is not None:
+                progress.update(bar, total=1.0, completed=share)
+
+        yield watch
+
+
+def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with ``--json`` and ``-v``; it is handed the output that they ask for."""
+
+    @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+    @click.option("-v", "--verbose", is_flag=True, help="Say on stderr what was done, and how long it took.")
+    @functools.wraps(command)
+    def spoken(*arguments: Any, as_json: bool, verbose: bool, **options: Any) -> Any:
+        return command(*arguments, output=Output(as_json, verbose), **options)
+
+    return spoken

@@ -1,0 +1,163 @@
+"""What a user gives as a file: a calibration, a cell, a Delta."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.moves import WHATS, Move, What
+from modcal_core.calibration.placing import Known
+from modcal_core.calibration.stated import Stated
+from modcal_core.calibration.store import Calibration, from_data
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.measurements.kinds.kind import frame_on_plane
+from modcal_core.measurements.schema import require, shown, told
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_file import delta_from_data
+from modcal_msgs_py.choosing import Topics
+from modcal_nodes.io.cell_schema import SCHEMA
+from modcal_nodes.io.files import parse_yaml, read_yaml
+
+T = TypeVar("T")
+# Names of the options of the command line, and what they state
+STATEMENTS = {
+    "repeatability_mm": "repeatability_mm",
+    "repeatability_deg": "repeatability_deg",
+    "repeatability_iso": "repeatability_iso_mm",
+    "instrument_mm": "instrument_mm",
+    "instrument_deg": "instrument_deg",
+}
+_MOST_TEXT = 5_000_000  # characters of a calibration that is published
+_REMEDY = "see docs/calibration.md and docs/instruments.md"
+_AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
+_AS_STATED = "a number, e.g. repeatability_mm: 0.02"
+_AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
+_AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration in a file, or in the folder that ``modcal calibrate`` wrote."""
+    file = path / "calibration.yaml" if path.is_dir() else path
+    if not file.is_file():
+        raise BadTable(str(file), "does not exist", "give the folder or calibration.yaml that modcal calibrate wrote")
+    return from_data(read_yaml(file), str(file))
+
+
+def parse_calibration(text: str, source: str) -> Calibration:
+    """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
+    if len(text) > _MOST_TEXT:  # it is read in a callback
+        raise BadTable(source, f"has {len(text)} characters, {_MOST_TEXT} is the limit", "publish a calibration.yaml")
+    return from_data(parse_yaml(text, source), source)
+
+
+def read_delta(path: Path) -> Delta:
+    """The Delta that a YAML file describes; raises BadTable or BadRobot."""
+    return delta_from_data(read_yaml(path), str(path))
+
+
+def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | None = None) -> Cell:
+    """What a cell file says, with these parameters held fixed besides. No path: an empty cell.
+
+    stated: of arm and instrument, in place of what the file states of the same.
+    """
+    stated = stated or Stated()
+    if path is None:
+        return Cell(fixed=fixed, stated=stated)
+    data = _read_cell(path)
+    distances = tuple(_part(path, _distance, "distances", d, _AS_DISTANCE) for d in data.get("distances") or ())
+    for distance in distances:
+        if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
+            ends = distance.between if isinstance(distance, Distance) else map(str, distance.stamps)
+            raise BadTable(
+                f"{path}: distance {' to '.join(ends)}",
+                f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
+                "give metres",
+            )
+    own = data.get("own_in_recordings")
+    return Cell(
+        distances,
+        (*(str(f) for f in data.get("fixed") or ()), *fixed),
+        tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
+        tuple(str(f) for f in data.get("own_target") or ()),
+        stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
+        tuple(str(f) for f in data.get("sockets") or ()),
+        tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
+        None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
+    )
+
+
+def read_topics(path: Path | None, said: Topics) -> Topics:
+    """What is said of topics, and what a cell file says of roles that this says nothing of. Raises BadTable."""
+    if path is None:
+        return said
+    data = _read_cell(path)
+    pairs = [
+        f"{role}={name}"
+        for role, names in (data.get("topics") or {}).items()
+        for name in (names if isinstance(names, list) else [names])
+    ]
+    return said.over(Topics.of(pairs, data.get("ignore") or (), data.get("tf")))
+
+
+def _read_cell(path: Path) -> Mapping[str, Any]:
+    """What a cell file says, checked; nothing of an empty one."""
+    data = read_yaml(path)
+    data = {} if data is None else data
+    require(data, SCHEMA, str(path), _REMEDY)
+    return data
+
+
+def stated_from(data: Mapping[str, Any]) -> Stated:
+    """What these options, or keys of a cell file, state of arm and instrument. Raises BadTable for what cannot be."""
+    values = {field: data.get(name) for name, field in STATEMENTS.items()}
+    return Stated(**{field: None if value is None else float(value) for field, value in values.items()})
+
+
+def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
+    try:
+        return read(data)
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {told(error)}", _REMEDY) from error
+
+
+def _move(data: Mapping[str, Any]) -> Move:
+    return Move(float(data["stamp"]), _what(data["what"]))
+
+
+def _what(said: Any) -> What:
+    for what in WHATS:
+        if said == what:
+            return what
+    raise ValueError(f"{said!r} is none of {', '.join(WHATS)}")
+
+
+def _distance(data: Mapping[str, Any]) -> AnyDistance:
+    distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
+    if "stamps" in data:
+        first, second = (float(t) for t in data["stamps"])
+        return StationDistance((first, second), distance, std)
+    return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
+
+
+def _known(data: Mapping[str, Any]) -> Known:
+    """A frame in another: its plane, its pose, or, for the same plane, nothing."""
+    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion"}
+    if extra:
+        raise ValueError(f"unknown {', '.join(sorted(extra))}")
+    frame, to = str(data["frame"]), str(data["in"])
+    if "plane" in data:
+        normal = np.array([float(x) for x in data["plane"]["normal"]])
+        if normal.shape != (3,) or not 0.99 < float(np.linalg.norm(normal)) < 1.01:
+            raise ValueError("a normal has three numbers and length one")
+        return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
+    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
+    values = np.array([float(x) for x in pose])
+    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
+        raise ValueError("a position has three numbers, a quaternion four and length one")
+    return Known(frame, to, se3.inverse(se3.from_pose(values)))

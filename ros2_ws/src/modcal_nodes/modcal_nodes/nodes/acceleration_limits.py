@@ -1,0 +1,163 @@
+"""``acceleration_limits``: how hard each joint may be accelerated, here and now, with what the arm carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.errors import ModcalError
+from modcal_core.robots.inertia import Payload
+from modcal_core.robots.loaded_arm import LoadedArm, require_method
+from modcal_msgs_py.commands import JointsHeard, fill_accelerations
+from modcal_nodes.cli.by_joint import numbers_by_joint
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, declare, follow, values
+from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.running import FRESH, LATCHED, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+
+_DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
+_NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
+
+
+class AccelerationLimits(GuardedNode):
+    """Publishes upper and lower bounds of every joint's acceleration from joint states and a payload."""
+
+    def __init__(self) -> None:
+        super().__init__("acceleration_limits")
+        declare(self, ACCELERATION_LIMITS)
+        self._chosen = values(self, ACCELERATION_LIMITS)
+        require_method(self._chosen["method"])
+        _payload(self._chosen)
+        follow(self, ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
+        self._described: LoadedArm | None = None
+        self._arm: LoadedArm | None = None
+        self._joints: JointsHeard | None = None
+        self._names: frozenset[str] = frozenset()
+        self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
+        self._last, self._count = -np.inf, 0  # stamp of the last bounds, and how many there were
+        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+
+        self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)
+        self._lower = self.create_publisher(JointTrajectory, "~/lower", 10)
+        heard = self._refusals.guarded("joint_states", self._take_joints)
+        self._inputs = [
+            MonitoredSubscription(self, JointState, "joint_states", heard, FRESH, needed=True, single=True),
+            MonitoredSubscription(
+                self, String, "robot_description", self._take_description, LATCHED, needed=not self._urdf
+            ),
+        ]
+        self._health = Health(self, self._report)
+        if self._urdf and self._chosen["tip"]:
+            self._recognise()
+        # apart from the hearing: a machine that is too busy for this rate must not work through what is old already
+        tick = self._refusals.guarded("limits", self._tick)
+        self.create_timer(
+            1.0 / self._chosen["rate_hz"], lambda: tick(None), clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    # robot and load
+
+    def _take_description(self, message: String) -> None:
+        if not self._chosen["robot_description"] and message.data != self._urdf:
+            self._urdf, self._described, self._arm = message.data, None, None
+            self._refusal = "joint_states: not heard yet"
+            if self._chosen["tip"] or self._names:
+                self._recognise()
+
+    def _recognise(self) -> None:
+        """Read the arm off its description, and take what it carries."""
+        chosen = self._chosen
+        self._described = self._arm = None
+        try:
+            arm = LoadedArm.read(self._urdf, chosen["base"] or None, chosen["tip"] or None, self._names or None)
+            if self._joints is None or self._joints.names != arm.chain.names:
+                self._joints = JointsHeard(arm.chain.names, arm.chain.lower, arm.chain.upper)
+            self._described = arm
+            self._arm, self._refusal = _with(arm, chosen), ""
+        except ModcalError as error:
+            self._refusal = str(error)
+            self.get_logger().error(f"refused: {error}")
+        self._health.publish_if_changed()
+
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises BadRobot, BadTable for a payload, share or method that cannot be."""
+        require_method(new["method"])
+        _payload(new)
+        if self._described is not None:
+            _with(self._described, new)
+
+    def _take_parameters(self) -> None:
+        if self._described is not None:
+            self._arm, self._refusal = _with(self._described, self._chosen), ""
+
+    # what it hears
+
+    def _take_joints(self, message: JointState) -> None:
+        new = frozenset(message.name)
+        if self._described is None and self._urdf and not new <= self._names:
+            self._names |= new
+            self._recognise()
+        if self._joints is not None:
+            self._joints.hear(message, self._now(), self._chosen["stale_s"])
+
+    def _tick(self, _: object = None) -> None:
+        """Publish bounds of where the arm stands now, if it has been heard since the last ones."""
+        arm, joints = self._arm, self._joints
+        if arm is None or joints is None or joints.missing() or (stamp := float(joints.stamps.min())) == self._last:
+            return
+        joints.require_fresh(self._now(), self._chosen["stale_s"])
+        lower, upper = arm.bounds(joints.position, joints.velocity, self._chosen["method"])
+        for publisher, bound in ((self._lower, lower[0]), (self._upper, upper[0])):
+            message = JointTrajectory(points=[JointTrajectoryPoint()])
+            fill_accelerations(message, joints.names, bound, stamp)
+            publisher.publish(message)
+        self._last = stamp
+        self._count += 1
+
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    # what it says of itself
+
+    def _report(self) -> list[Status]:
+        return [subscription_status(self._inputs), self._limits_status()]
+
+    def _limits_status(self) -> Status:
+        arm, joints = self._arm, self._joints
+        facts: dict[str, object] = {"published": self._count, "refused": self._refusals.counts.total()}
+        if arm is None or joints is None:
+            return Status("limits", ERROR, self._refusal, facts)
+        facts |= {"payload": f"{arm.payload.mass:g} kg", "method": self._chosen["method"]}
+        try:
+            joints.require_fresh(self._now(), self._chosen["stale_s"])
+            left = arm.window(joints.position, joints.velocity)
+            left.require_held()
+        except ModcalError as error:
+            return Status("limits", ERROR, str(error), facts)
+        said = self._refusals.recent()
+        return Status("limits", WARN if said else OK, said or "limits are published", facts)
+
+
+def _payload(chosen: dict[str, Any]) -> Payload:
+    """The payload of these parameters; raises BadRobot."""
+    return Payload.checked(chosen["payload_kg"], chosen["payload_centre_m"], chosen["payload_inertia"])
+
+
+def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
+    """The arm with the payload and the drives of these parameters; raises BadRobot, BadTable."""
+    drives = {core: numbers_by_joint(chosen[name], f"parameter {name}") for name, core in _DRIVES.items()}
+    loaded = arm.carrying(_payload(chosen)).using(chosen["torque_share"], chosen["gravity"]).with_drives(**drives)
+    loaded.drives.require_torque()
+    return loaded
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(AccelerationLimits)

@@ -1,0 +1,273 @@
+"""``articulation_estimator``: how the object in the hand moves, learned while it is moved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.online import Settings, State, Tracker
+from modcal_core.articulation.urdf import describe
+from modcal_core.compliance.wrench import Load
+from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.commands import JointsHeard
+from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
+from modcal_msgs_py.setpoints import wrench_numbers
+from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, declare, follow, values
+from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.running import FRESH, LATCHED, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+
+_POSES: dict[str, type] = {
+    "tool_pose": PoseWithCovarianceStamped,
+    "tracker/pose": PoseStamped,
+    "tracker/point": PointStamped,
+}
+_JOINTS = "joint_states"
+_HANDLE = "object_handle"
+_BACK = 1.0  # s that time must jump back for it to be another time, and not a message that came late
+_RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
+
+
+class ArticulationEstimator(GuardedNode):
+    """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
+
+    def __init__(self) -> None:
+        super().__init__("articulation_estimator")
+        declare(self, ARTICULATION_ESTIMATOR)
+        self._chosen = chosen = values(self, ARTICULATION_ESTIMATOR)
+        if chosen["input"] not in (_JOINTS, *_POSES):
+            raise BadCommand(
+                f"parameter input {chosen['input']!r}", "is no input", f"use {_JOINTS}, {', '.join(_POSES)}"
+            )
+        follow(self, ARTICULATION_ESTIMATOR, chosen)
+        self._tracker = Tracker(Settings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
+        self._chain: Chain | None = None
+        self._joints: JointsHeard | None = None
+        self._names: frozenset[str] = frozenset()
+        self._urdf, self._refusal = chosen["robot_description"], ""
+        self._forget()
+        self._refusals = Refusals(self)
+        self._rest: list[Array] = []
+        self._offset = np.zeros(3)
+        self._load = Load(chosen["tool_mass"])
+        self._force = 0.0
+
+        self._description = self.create_publisher(String, "~/object_description", LATCHED)
+        self._object = self.create_publisher(JointState, "~/object_state", 10)
+        self._status = self.create_publisher(DiagnosticArray, "~/object_status", 10)
+        self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
+        self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
+        topic = chosen["input"]
+        take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
+        self._inputs = [
+            MonitoredSubscription(
+                self, JointState if topic == _JOINTS else _POSES[topic], topic, take, FRESH, needed=True, single=True
+            ),
+            MonitoredSubscription(
+                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), FRESH
+            ),
+        ]
+        if topic == _JOINTS:
+            needed = not chosen["robot_description"]
+            heard = self._refusals.guarded("robot_description", self._take_description)
+            self._inputs.append(MonitoredSubscription(self, String, "robot_description", heard, LATCHED, needed=needed))
+        self._health = Health(self, self._report)
+        self.create_service(Trigger, "~/reset", self._reset)
+
+    def _forget(self) -> None:
+        self._tracker.reset()
+        self._state: State | None = None
+        self._told: JointModel | None = None
+        self._told_at = self._last = -np.inf
+        self._frame = ""
+        self._turned: Array | None = None  # the gripper, when it was seen last
+        self._ends = (0.0, 0.0)
+        self._before = 0.0
+        self._way = 1.0
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget the object: another one will be gripped."""
+        self._forget()
+        self._rest.clear()
+        self._description.publish(String(data=""))
+        self._health.publish()
+        response.success, response.message = True, "forgotten"
+        return response
+
+    # what it hears
+
+    def _take_description(self, message: String) -> None:
+        if not self._chosen["robot_description"] and message.data != self._urdf:
+            self._urdf, self._chain, self._refusal = message.data, None, ""
+            self._forget()
+
+    def _recognise(self, names: frozenset[str]) -> None:
+        """Read the arm off its description, once there is one, or when other joints are heard of."""
+        if not self._urdf or (names <= self._names and (self._chain or self._refusal)):
+            return
+        self._names |= names
+        try:
+            self._chain = read_chain(self._urdf, self._chosen["base"] or None, self._chosen["tip"] or None, self._names)
+            self._refusal = ""
+        except ModcalError as error:
+            self._chain, self._refusal = None, str(error)
+            return
+        self._joints = JointsHeard(self._chain.names, self._chain.lower, self._chain.upper)
+
+    def _take_joints(self, message: JointState) -> None:
+        if self._chain is None:
+            self._recognise(frozenset(message.name))
+        if self._chain is None or self._joints is None:
+            return
+        now = self._now()
+        self._joints.hear(message, now, self._chosen["stale_s"])
+        if self._joints.missing():
+            return
+        self._joints.require_fresh(now, self._chosen["stale_s"])
+        stamp = float(self._joints.stamps.min())
+        if self._due(stamp):
+            T = forward(self._chain, self._joints.position)
+            self._follow(T[:3, 3], T[:3, :3], stamp, self._chain.base)
+
+    def _take_pose(self, message: Any) -> None:
+        p, R, stamp = seen(message, self._chosen["input"])
+        if self._due(stamp):
+            self._follow(p, R, stamp, message.header.frame_id)
+
+    def _take_wrench(self, message: WrenchStamped) -> None:
+        """How hard somebody pulls: the force beyond what the sensor showed in the beginning, and the tool's weight."""
+        w = wrench_numbers(message)
+        if not np.isfinite(w).all():
+            raise BadCommand("wrench", "is not finite", "see to the sensor")
+        R = self._turned
+        if R is None:  # the weight turns with the gripper, so where that points must be known, if there is a weight
+            if self._load.mass > 0.0:
+                return
+            R = np.eye(3)
+        left = (w - self._load.wrench(R))[:3]
+        if len(self._rest) < _RESTING:
+            self._rest.append(left)
+            self._offset = np.median(self._rest, axis=0)
+            return
+        self._force = float(np.linalg.norm(left - self._offset))
+
+    def _due(self, stamp: float) -> bool:
+        """Whether a pose of this time is wanted: not more of them than rate_hz; time that jumps back begins anew."""
+        if stamp < self._last - _BACK:
+            self.get_logger().warning("time has jumped back: begins anew")
+            self._forget()
+        return stamp - self._last >= 0.999 / self._chosen["rate_hz"]
+
+    def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
+        """Take one pose, and say what is believed after it."""
+        self._turned = R
+        if self._frame and frame != self._frame:
+            raise BadCommand(
+                self._chosen["input"], f"is in frame {frame!r}, was in {self._frame!r}", "reset, or keep one"
+            )
+        state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
+        self._state, self._frame, self._last = state, frame, stamp
+        if state.event is not None:
+            self._health.publish_if_changed()
+        self._publish_status(state, stamp)
+        if state.model is None:
+            return
+        T = se3.transform(R if state.follows else None, p)
+        self._tell_model(state, stamp)
+        assert self._told is not None
+        a = float(self._told.configuration(T if R is not None and state.follows else p))
+        self._ends = (min(self._ends[0], a), max(self._ends[1], a))
+        self._publish_state(self._told, a, stamp)
+
+    # what it says
+
+    def _tell_model(self, state: State, stamp: float) -> None:
+        """Publish the model, when it says something else than the last one that was published."""
+        assert state.model is not None
+        soon = stamp - self._told_at < 1.0 / self._chosen["model_hz"]
+        if self._told is not None and (soon or _alike(self._told, state.model)):
+            return
+        if self._told is None or self._told.kind != state.model.kind:
+            self._ends = (0.0, 0.0)
+        self._told, self._told_at = state.model, stamp
+        text = describe(state.model, self._frame or "world", _HANDLE)
+        self._description.publish(String(data=text))
+
+    def _publish_state(self, model: JointModel, a: float, stamp: float) -> None:
+        self._object.publish(fill_object_state(JointState(), self._frame, stamp, a))
+        length = max(model.length_per_unit, 1e-3)
+        if abs(a - self._before) * length > 1e-3:  # which way the handle goes
+            self._way, self._before = float(np.sign(a - self._before)), a
+        ahead = self._chosen["ahead_m"] / length
+        T = model.pose(a + self._way * ahead) if model.kind != "rigid" else model.start
+        self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
+        assert self._state is not None
+        reach = (self._ends[0] - ahead, self._ends[1] + ahead)
+        if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
+            marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
+            self._axis.publish(marks)
+
+    def _publish_status(self, state: State, stamp: float) -> None:
+        told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
+        status = DiagnosticStatus(
+            level=WARN if state.event else OK,
+            name=f"{self.get_fully_qualified_name()}: object",
+            hardware_id="modcal",
+            message=state.event or (f"{state.kind}, trusted" if state.trusted else "not trusted yet"),
+            values=told,
+        )
+        message = DiagnosticArray(status=[status])
+        set_seconds(message.header.stamp, stamp)
+        self._status.publish(message)
+
+    def _report(self) -> list[Status]:
+        refused = self._refusals.recent()
+        lines = [
+            subscription_status(self._inputs),
+            Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
+        ]
+        if self._chosen["input"] == _JOINTS and self._chain is None:
+            waits = "robot_description: not heard yet: publish it (latched), or set the parameter"
+            lines.append(
+                Status("object", ERROR, self._refusal or (waits if not self._urdf else "waits for joint_states"))
+            )
+        elif self._state is None:
+            lines.append(Status("object", WARN, "waits for poses"))
+        else:
+            said = self._state.event or (f"{self._state.kind}, trusted" if self._state.trusted else "not trusted yet")
+            lines.append(Status("object", WARN if self._state.event else OK, said, status_values(self._state)))
+        return lines
+
+    def _now(self) -> float:
+        return seconds(self.get_clock().now().to_msg())
+
+
+def _alike(one: JointModel, other: JointModel) -> bool:
+    """Whether two models say the same of the next decimetre, to a fifth of a millimetre and a tenth of a degree."""
+    if one.kind != other.kind or one.oriented != other.oriented:
+        return False
+    a = np.array([-0.1, 0.0, 0.1]) / max(one.length_per_unit, 1e-3)
+    T, S = one.pose(a), other.pose(a)
+    shifted = float(np.abs(T[:, :3, 3] - S[:, :3, 3]).max())
+    return shifted < 2e-4 and float(np.abs(T[:, :3, :3] - S[:, :3, :3]).max()) < 1.7e-3
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(ArticulationEstimator)

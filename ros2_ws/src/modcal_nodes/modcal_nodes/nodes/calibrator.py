@@ -1,0 +1,412 @@
+"""``calibrator``: hears the cell, calibrates the arm, watches whether the result still holds, and says so."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.task import Future
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from modcal_core.errors import BadRobot, BadTable, ModcalError
+from modcal_core.measurements.recording import POINT, POSE
+from modcal_core.online.estimator import Wander
+from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
+from modcal_core.online.suspicion import Suspicion
+from modcal_core.resolve import Job
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.topics import TYPES
+from modcal_nodes.calibrating.arm import KnownArm
+from modcal_nodes.calibrating.buffer import Buffer
+from modcal_nodes.calibrating.diagnostics import Times, collected, model_status, sample_status
+from modcal_nodes.calibrating.publishers import Publishers
+from modcal_nodes.calibrating.standing import Standing, standing_of_json
+from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
+from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
+from modcal_nodes.io.files import write_folder
+from modcal_nodes.io.inputs import read_cell
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, Health, Status
+from modcal_nodes.ros.parameters import CALIBRATOR, declare, follow, values
+from modcal_nodes.ros.running import LATCHED, SENSOR, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status
+from modcal_nodes.ros.tf_broadcaster import Broadcaster
+from modcal_nodes.ros.tf_frames import static_frames
+
+_POLL = 0.1  # s
+_REST = 0.003  # s
+_SOLVE = "solve"
+_STEP = 10  # stations between two lines in the log
+_NOTHING = "nothing solved yet"
+_NO_DESCRIPTION = "robot_description: not heard yet: publish it (latched), or set the parameter"
+_NO_JOINTS = "joint_states: not heard yet: start the robot's driver, or remap the topic"
+_NO_TRACKER = "tracker/pose, tracker/point: not heard yet: start the tracker, or remap its topic"
+
+
+class Calibrator(GuardedNode):
+    """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets."""
+
+    def __init__(self) -> None:
+        super().__init__("calibrator")
+        declare(self, CALIBRATOR)
+        self._chosen = chosen = values(self, CALIBRATOR)
+        _check(chosen)
+        follow(self, CALIBRATOR, chosen, _check, self._take_parameters)
+        self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
+        self._folder = Path(chosen["state"]) if chosen["state"] else None
+        self._lock = StateLock(self._folder) if self._folder else None
+        if self._lock is not None and self._lock.warning:
+            self.get_logger().warning(self._lock.warning)
+        state = read_state(self._folder) if self._folder else State()
+        self._buffer = Buffer(chosen["memory_s"])
+        self._buffer.samples = state.samples
+        self._restored = state if state.calibration else None
+        self._files = dict(state.files or {})
+        self._candidate: Solved | None = None
+        creeping = tuple(place for place in chosen["wandering"] if place)
+        wander = Wander(creeping, chosen["wander_m"], chosen["wander_rad"]) if creeping else None
+        self._supervisor = Supervisor(_policy(chosen), wander)
+        self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
+        self._trouble = ""  # why the saved model is not used
+        self._verdict = _NOTHING
+        self._standing: Standing | None = None  # of the trusted model
+        self._refused = 0
+        self._said: Suspicion | None = None
+        self._times = Times()
+
+        self._outputs = Publishers(self)
+        self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
+        self._lacked, self._steps = "", 0
+        self._inputs = self._listen(chosen["silent_s"])
+        self._health = Health(self, self._statuses)
+        self._worker = SolveWorker(self.get_logger().error)
+        self._waiting: Future | None = None
+        self._solve_next = False
+        # a group of its own: while a solve is awaited, its group takes no other callback
+        self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
+        self.create_service(Trigger, "~/accept", self._on_accept)
+        self.create_service(Trigger, "~/save", self._on_save)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_POLL, self._poll, clock=steady)
+        self.create_timer(1.0, self._tell, clock=steady)
+
+    def _take_parameters(self) -> None:
+        self._supervisor.follow(_policy(self._chosen))
+        for ear in self._inputs:
+            ear.patience = self._chosen["silent_s"]
+
+    # hearing
+
+    def _listen(self, patience: float) -> list[MonitoredSubscription]:
+        hear = partial(MonitoredSubscription, self, patience=patience, single=True)
+        readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
+        inputs = [hear(JointState, "joint_states", self._joint_state, SENSOR, needed=True)]
+        for topic, (message, kind) in readings.items():
+            inputs.append(hear(message, topic, partial(self._reading, topic, kind), SENSOR, single=False))
+        inputs.append(hear(Temperature, "temperature", partial(self._remember, "temperature"), SENSOR, single=False))
+        description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
+        return [*inputs, description]
+
+    def _describe(self, message: String) -> None:
+        self._arm.describe(message.data)
+        self._recognise()
+
+    def _recognise(self) -> None:
+        """Go on with the model that was saved, once it is known that this is its arm."""
+        if not self._arm.recognise(self._buffer.joint_names()) or self._arm.chain is None:
+            return
+        restored, self._restored = self._restored, None
+        if restored is None or restored.calibration is None:
+            return
+        try:
+            restored.calibration.require_robot(self._arm.chain)
+        except BadRobot as error:
+            # neither used nor overwritten
+            self._trouble, self._folder, self._buffer.samples = f"{self._folder}: {error}", None, None
+            self.get_logger().error(self._trouble)
+            return
+        if restored.calibration.uncertainty is None:
+            self._trouble = f"{self._folder}: written by an older version, without its uncertainty: solve again"
+            return
+        self._supervisor.trust(restored.calibration)
+        self._expect_frames()
+        corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
+        self._outputs.model({**self._files, "calibrated.urdf": corrected})
+        self._broadcast()
+        self._verdict = "going on with the model that was saved"
+        self._standing = standing_of_json(self._files.get("report.json"))
+
+    def _broadcast(self) -> None:
+        """Where trackers and tool are by the trusted model, for /tf_static."""
+        if self._tf is not None and self._supervisor.trusted is not None:
+            self._tf.publish(static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
+
+    def _lacks(self) -> str:
+        """What must come before stations can be cut; empty: nothing."""
+        if self._arm.chain is None:
+            if not self._arm.description:
+                return _NO_DESCRIPTION
+            return self._arm.trouble or _NO_JOINTS
+        if not any(ear.count for ear in self._inputs if "tracker/" in ear.topic):
+            return _NO_TRACKER
+        return ""
+
+    def _expect_frames(self) -> None:
+        """Number the frames of readings as the trusted model does."""
+        if self._arm.stream is not None and self._supervisor.trusted is not None:
+            self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
+
+    def _joint_state(self, message: JointState) -> None:
+        began = time.thread_time()
+        if self._remember("joint_states", message):
+            if self._arm.chain is None:
+                self._recognise()
+            self._feed(partial(self._arm.joint_state, message))
+        self._times.took.append(time.thread_time() - began)
+
+    def _reading(self, topic: str, kind: str, message: Any) -> None:
+        began = time.thread_time()
+        if self._remember(topic, message):
+            self._feed(partial(self._arm.reading, kind, message))
+        self._times.took.append(time.thread_time() - began)
+        self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
+
+    def _remember(self, topic: str, message: Any) -> bool:
+        received = 1e-9 * self.get_clock().now().nanoseconds
+        try:
+            self._buffer.add(f"/{topic}", TYPES[topic], message, received)
+        except ModcalError as error:
+            self._refuse(error)
+            return False
+        return True
+
+    def _feed(self, take: Callable[[], None]) -> None:
+        try:
+            take()
+        except ModcalError as error:
+            self._refuse(error)
+        for sample in self._arm.stream.take() if self._arm.stream else ():
+            self._supervisor.add(sample)
+
+    def _refuse(self, error: ModcalError) -> None:
+        self._refused += 1
+        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    # solving
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._buffer.clear()
+        self._supervisor.forget()
+        self._candidate = None
+        self._outputs.no_change()
+        response.success, response.message = True, "recording and candidate forgotten; the trusted model stays"
+        return response
+
+    async def _on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Solve beside the callbacks, which go on; answer when done."""
+        refusal = self._begin_solve()
+        if refusal:
+            response.success, response.message = False, refusal
+            return response
+        self._waiting = Future(executor=self.executor)
+        response.success, response.message = await self._waiting
+        return response
+
+    def _begin_solve(self) -> str:
+        """Have a solve done by the worker; returns why not, or nothing."""
+        if self._solve_next or self._worker.doing == _SOLVE:
+            return "a solve is running already"
+        self._recognise()
+        if self._arm.chain is None:
+            return self._lacks()
+        if self._worker.doing:  # something else is in the worker, which takes a moment
+            self._solve_next = True
+            return ""
+        job = Job(
+            self._buffer.heard(),
+            self._arm.chain,
+            read_inertias(self._arm.description, self._arm.chain),
+            self._cell,
+            self._chosen["seed"],
+            self._chosen["clock_limit_s"],
+            self._supervisor.changed,
+            self._supervisor.trusted,
+            self._chosen["effects"],
+        )
+        done, fail = partial(self._solved, self._buffer.forgotten), partial(self._answer, False)
+        page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
+        self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
+        return ""
+
+    def _poll(self) -> None:
+        """Take what the worker has finished, and give it what is due."""
+        if self._worker.poll():
+            return
+        if self._solve_next:
+            self._solve_next = False
+            if refusal := self._begin_solve():
+                self._answer(False, refusal)
+        elif self._arm.chain is None:
+            self._buffer.keep(1)  # nobody can say what these are good for; they must not grow without end
+        elif self._buffer.full:
+            pieces, most = self._buffer.pieces, self._chosen["most_stations"]
+            work = self._buffer.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
+            now = self._buffer.forgotten
+            done, fail = partial(self._condensed, pieces, now), partial(self._left_out, pieces, now)
+            self._worker.give("condensing", condense, *work, finish=done, fail=fail)
+        elif self._supervisor.wants_solve() and (refusal := self._begin_solve()):
+            self._verdict = refusal
+
+    def _left_out(self, pieces: int, then: int, why: str) -> None:
+        """Forget messages that hold no station."""
+        self.get_logger().warning(f"some minutes of messages are left out: {why}")
+        if then == self._buffer.forgotten:
+            self._buffer.condensed(pieces, self._buffer.samples)
+
+    def _condensed(self, pieces: int, then: int, samples: Any) -> None:
+        if then == self._buffer.forgotten:  # else they are no longer wanted
+            self._buffer.condensed(pieces, samples)
+            self._save_samples()
+
+    def _solved(self, then: int, solved: Solved) -> None:
+        """Publish what a solve has found; trust it, if the policy says so."""
+        if then != self._buffer.forgotten:
+            self._answer(False, "what it was solved from has been forgotten meanwhile")
+            return
+        if self._chosen["out"]:
+            write_folder(Path(self._chosen["out"]), solved.files)
+        self._outputs.result(solved.rms, solved.comparison)
+        self._candidate = solved
+        suspected = self._supervisor.suspicion
+        if self._supervisor.solved(solved.calibration, solved.comparison.better):
+            self._trusted(solved)
+        self._verdict = solved.verdict
+        if suspected is not None:
+            found = "; ".join(sentence.rstrip(".") for sentence in solved.story) or "nothing that explains it"
+            self._verdict = f"Since something changed: {found}. {solved.verdict}"
+        self.get_logger().info(self._verdict)
+        self._answer(True, self._verdict)
+
+    def _answer(self, success: bool, message: str) -> None:
+        if not success:
+            self._verdict = message
+            self._supervisor.failed()
+        if self._waiting is not None:
+            waiting, self._waiting = self._waiting, None
+            waiting.set_result((success, message))
+        self._health.publish()
+
+    # trusting
+
+    def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._candidate is not None and self._supervisor.accept()
+        response.message = "nothing to accept: the last result is trusted already, or there is none"
+        if response.success and self._candidate is not None:
+            self._trusted(self._candidate)
+            response.message = "accepted"
+        return response
+
+    def _trusted(self, solved: Solved) -> None:
+        """Publish and keep a result that is trusted from now on."""
+        self._files, self._candidate, self._standing = solved.files, None, solved.standing
+        self._said = None
+        self._expect_frames()
+        self._outputs.model(solved.files)
+        self._broadcast()
+        self._outputs.no_change()
+        if self._folder:
+            write_state(self._folder, State(solved.calibration, solved.files))
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "no folder: set the parameter state"
+        if self._folder:
+            trusted = self._supervisor.trusted
+            try:
+                write_state(self._folder, State(trusted, self._files if trusted else None, self._buffer.samples))
+                response.success, response.message = True, f"saved in {self._folder}"
+            except OSError as error:
+                response.message = f"{self._folder}: {error.strerror}: make room, or check its permissions"
+        return response
+
+    def _save_samples(self) -> None:
+        if self._folder and self._buffer.samples is not None:
+            try:
+                write_state(self._folder, State(samples=self._buffer.samples))
+            except OSError as error:
+                self.get_logger().error(f"{self._folder}: {error.strerror}: stations are not saved")
+
+    def close(self) -> None:
+        """Keep the stations heard so far, and end the worker."""
+        self._worker.close()
+        if self._folder and self._arm.chain is not None:
+            try:
+                heard = self._buffer.heard()
+                if heard.recordings:
+                    most, limit = self._chosen["most_stations"], self._chosen["clock_limit_s"]
+                    self._buffer.samples = condense(heard, self._arm.chain, limit, most)
+            except ModcalError as error:
+                self.get_logger().warning(f"the last messages are not kept: {error}")
+            self._save_samples()
+        if self._lock is not None:
+            self._lock.release()
+
+    # telling
+
+    def _tell(self) -> None:
+        """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
+        if (lacks := self._lacks()) != self._lacked:
+            self._lacked = lacks
+            self.get_logger().warning(f"waiting: {lacks}") if lacks else self.get_logger().info("all inputs are heard")
+            self._health.publish()
+        if self._supervisor.stations // _STEP != self._steps:
+            self._steps = self._supervisor.stations // _STEP
+            self.get_logger().info(collected(self._supervisor))
+        live = self._supervisor.live
+        if live is None:
+            return
+        self._outputs.estimate(live.estimator)
+        if live.suspicion is not None and live.suspicion is not self._said:
+            self._outputs.change(live.suspicion)
+            if self._said is None or self._said.label != live.suspicion.label:
+                self.get_logger().warning(f"{live.suspicion.sentence}; the last trusted model is still published")
+            self._said = live.suspicion
+            self._health.publish()
+
+    def _statuses(self) -> Iterable[Status]:
+        yield tracker_status(subscription_status(self._inputs), self._inputs)
+        candidate = self._candidate.comparison if self._candidate else None
+        trouble = self._trouble or self._arm.trouble
+        solving = self._worker.doing == _SOLVE
+        lacks = self._lacks() if self._standing is None and self._candidate is None else ""
+        verdict = f"waiting: {lacks}" if lacks and self._verdict == _NOTHING else self._verdict
+        yield model_status(self._supervisor, verdict, self._standing, trouble, solving, candidate)
+        if self._tf is not None:
+            trouble = self._tf.trouble
+            yield Status("tf", ERROR if trouble else OK, trouble or "frames of the trusted model are published")
+        yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
+
+
+def _check(chosen: dict[str, Any]) -> None:
+    """Raises BadTable for a policy that there is none of."""
+    if chosen["accept"] not in (ASKED, BETTER):
+        raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+
+
+def _policy(chosen: dict[str, Any]) -> Policy:
+    return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(Calibrator, rest=_REST)

@@ -1,0 +1,312 @@
+"""``corrector``: where the arm truly is, and what to command so that it truly comes to be where it is wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.correction.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
+from modcal_core.correction.conditions import Conditions
+from modcal_core.errors import BadCommand, BadTable, ModcalError
+from modcal_core.measurements.approach import Approach
+from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
+from modcal_msgs_py.signals import SignalsHeard
+from modcal_msgs_py.stamps import set_seconds
+from modcal_nodes.io.inputs import parse_calibration, read_calibration
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import CORRECTOR, declare, follow, values
+from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.running import FRESH, LATCHED, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.ros.tf_broadcaster import Broadcaster
+from modcal_nodes.ros.tf_frames import corrected_frame
+
+# The newest is all that counts: a queue would only make it old.
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+_NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
+_NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
+
+
+class Corrector(GuardedNode):
+    """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
+
+    def __init__(self) -> None:
+        super().__init__("corrector")
+        declare(self, CORRECTOR)
+        self._chosen = values(self, CORRECTOR)
+        self._commander = Commander(_settings(self._chosen))
+        follow(self, CORRECTOR, self._chosen, _settings, self._take_parameters)
+        self._calibration: Calibration | None = None
+        self._text = ""
+        self._refusal = _NOTHING_YET
+        self._urdf = self._chosen["robot_description"]
+        self._joints: JointsHeard | None = None
+        self._approach, self._signals = Approach(), SignalsHeard()
+        self._announced: Robot | None = None
+        self._last = -np.inf
+        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+        self._counts = {"poses": 0, "commands": 0}
+
+        self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._states = self.create_publisher(JointState, "~/joint_states", 10)
+        self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
+        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+        self._tf = Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
+        guarded = self._refusals.guarded
+        self._inputs = [
+            MonitoredSubscription(
+                self, JointState, "joint_states", guarded("joint_states", self._take_joints), FRESH, needed=True
+            ),
+            MonitoredSubscription(
+                self, Temperature, "temperature", guarded("temperature", self._take_temperature), FRESH
+            ),
+            MonitoredSubscription(
+                self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
+            ),
+            MonitoredSubscription(self, String, "robot_description", self._take_description, LATCHED),
+            MonitoredSubscription(self, String, "calibration", self._take_calibration, LATCHED),
+        ]
+        if self._chosen["calibration"]:
+            self._calibration = read_calibration(Path(self._chosen["calibration"]))
+        self._health = Health(self, self._report)
+        self._meet()
+        self.create_service(Trigger, "~/reset", self._reset)
+
+    def _take_parameters(self) -> None:
+        self._commander.settings = _settings(self._chosen)
+
+    # calibration and robot
+
+    def _take_description(self, message: String) -> None:
+        if not self._chosen["robot_description"] and message.data != self._urdf:
+            self._urdf = message.data
+            self._meet()
+
+    def _take_calibration(self, message: String) -> None:
+        if self._chosen["calibration"] or message.data == self._text:
+            return
+        self._text = message.data
+        try:
+            self._calibration = parse_calibration(message.data, "topic calibration")
+        except ModcalError as error:
+            # the one in use was made for this robot, and stays
+            self._refusals.refuse("calibration", str(error))
+            self._refusal = self._refusal if self._commander.robot else str(error)
+            return
+        self._meet()
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget the calibration and the stream; read the file again, if one was named."""
+        self._calibration, self._text = None, ""
+        self._drop("reset, and no calibration since")
+        try:
+            if self._chosen["calibration"]:
+                self._calibration = read_calibration(Path(self._chosen["calibration"]))
+                self._meet()
+            response.success, response.message = True, self._refusal or "read again"
+        except ModcalError as error:
+            self._refusal = response.message = str(error)
+            response.success = False
+        self._health.publish()
+        return response
+
+    def _meet(self) -> None:
+        """Put calibration and robot together, if both are there and belong together; else correct nothing."""
+        if self._calibration is None:
+            return
+        if not self._urdf:
+            self._refusal = _NO_ROBOT_YET
+            return
+        try:
+            robot = Robot.of(self._calibration, self._urdf)
+            corrected_urdf(robot, self._urdf)
+        except ModcalError as error:
+            self._drop(str(error))
+            self.get_logger().error(f"refused: {error}")
+        else:
+            bounds = robot.bounds(self._commander.settings)
+            if self._joints is None or self._joints.names != bounds.names:
+                self._joints, self._approach = JointsHeard(bounds.names, bounds.lower, bounds.upper), Approach()
+            self._refusal = ""
+            self._commander.use(robot, self._now())
+            self._announce()
+        self._health.publish()
+
+    def _announce(self) -> None:
+        """Publish the corrected URDF of the calibration in use, once."""
+        robot = self._commander.robot
+        if robot is not None and robot is not self._announced:
+            self._announced = robot
+            self._corrected.publish(String(data=corrected_urdf(robot, self._urdf)))
+            self.get_logger().info(f"corrects robot {robot.correction.calibration.robot}")
+
+    def _drop(self, why: str) -> None:
+        self._refusal = why
+        self._commander.drop()
+        self._announced = None
+        # a late listener must not find the URDF of a calibration that is no longer trusted
+        self.destroy_publisher(self._corrected)
+        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
+
+    # what it hears
+
+    def _take_temperature(self, message: Temperature) -> None:
+        self._signals.hear_temperature(message, self._now())
+
+    def _take_joints(self, message: JointState) -> None:
+        if self._joints is None:
+            return
+        now = self._now()
+        self._joints.hear(message, now, self._chosen["stale_s"])
+        if self._joints.missing():
+            return
+        self._approach.update(self._joints.position)
+        self._commander.paused(now)
+        self._announce()
+        due = not 0.0 <= now - self._last < 0.999 / self._chosen["rate_hz"]
+        if due and self._commander.robot is not None:
+            self._joints.require_fresh(now, self._chosen["stale_s"])
+            self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
+            self._last = now
+
+    def _correct(self, robot: Robot, joints: JointsHeard, at: Conditions) -> None:
+        """Publish where the arm truly is."""
+        correction, target = robot.correction, self._commander.settings.target
+        correction.require(at)
+        T, C = correction.pose(at.q, at, target), correction.covariance(at.q, at, target)
+        q = correction.joints(at.q, at)
+        finite(T, C, q)
+        stamp = float(joints.stamps.min())
+        pose = PoseWithCovarianceStamped()
+        pose.header.frame_id = correction.chain.base
+        set_seconds(pose.header.stamp, stamp)
+        fill_pose(pose.pose, T, C)
+        states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
+        set_seconds(states.header.stamp, stamp)
+        self._pose.publish(pose)
+        if self._tf is not None:
+            tip = T if target == "tip" else correction.pose(at.q, at, "tip")
+            frame = corrected_frame(correction.chain.base, correction.chain.tip, tip)
+            self._tf.publish([frame], pose.header.stamp)
+        self._states.publish(states)
+        self._counts["poses"] += 1
+
+    def _take_desired(self, message: PoseStamped) -> None:
+        """Command what brings the target to a desired true pose."""
+        robot, joints, chosen = self._commander.robot, self._joints, self._chosen
+        if robot is None or joints is None:
+            raise BadCommand("desired_pose", f"nothing is corrected ({self._refusal})", "see to the calibration first")
+        require_new(message, self._now(), chosen["stale_s" if chosen["stream"] else "goal_stale_s"])
+        pose = desired_pose(message, robot.farthest)
+        joints.require_fresh(self._now(), chosen["stale_s"])
+        at = self._conditions(joints, self._now())
+        try:
+            self._commander.change_over(at, at.stamp)
+            self._announce()
+        except ModcalError as error:
+            self._refusals.refuse("calibration", str(error))
+        setpoint = self._commander.setpoint(pose, message.header.frame_id, at, at.stamp)
+        now = self._now()
+        if chosen["stream"]:
+            joints.require_fresh(now, chosen["stale_s"])  # computing took time too; a goal has all the time it needs
+        self._send(joints.names, setpoint, now)
+        self._commander.sent(setpoint, now)
+        if unseen := setpoint.command.unseen:
+            self._refusals.refuse(
+                "range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them"
+            )
+
+    def _send(self, names: tuple[str, ...], setpoint: Setpoint, now: float) -> None:
+        finite(setpoint.q, np.array(setpoint.seconds))
+        message = JointTrajectory(joint_names=list(names))
+        set_seconds(message.header.stamp, now)
+        point = JointTrajectoryPoint(positions=setpoint.q.tolist())
+        set_seconds(point.time_from_start, setpoint.seconds)
+        message.points = [point]
+        self._trajectory.publish(message)
+        self._counts["commands"] += 1
+
+    def _conditions(self, joints: JointsHeard, now: float) -> Conditions:
+        needs = self._commander.robot.correction.needs if self._commander.robot else ()
+        came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
+        at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
+        return Conditions(now, *at, self._signals.tracks(needs))
+
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    # what it says of itself
+
+    def _report(self) -> list[Status]:
+        robot, counts = self._commander.robot, self._counts
+        commands = {"commands": counts["commands"], "refused": self._refusals.counts["desired_pose"]}
+        said = self._refusals.recent("desired_pose", "range")
+        return [
+            subscription_status(self._inputs),
+            self._calibration_status(robot) if robot else Status("calibration", ERROR, self._refusal),
+            self._correction_status(robot) if robot else Status("correction", ERROR, "nothing is corrected"),
+            Status("commands", WARN if said else OK, said or "nothing was refused of late", commands),
+        ]
+
+    def _calibration_status(self, robot: Robot) -> Status:
+        correction = robot.correction
+        facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
+        said = self._refusals.recent("calibration")
+        if self._commander.waiting is not None:
+            said = f"a new one waits for the stream to pause; {said}".rstrip("; ")
+        elif not said and correction.calibration.uncertainty is None:
+            said = "does not say how well it is known, so poses tell of scatter only: calibrate again"
+        elif not said and correction.unwatched(self._now()):
+            said = "was recorded at another time: drifts are held as they were: calibrate again"
+        return Status("calibration", WARN if said else OK, said or "in use", facts)
+
+    def _correction_status(self, robot: Robot) -> Status:
+        now, joints, correction = self._now(), self._joints, robot.correction
+        facts = {"poses": self._counts["poses"]}
+        assert joints is not None
+        try:
+            joints.require_fresh(now, self._chosen["stale_s"])
+            at = self._conditions(joints, now)
+            correction.require(at)
+        except ModcalError as error:
+            return Status("correction", ERROR, str(error), facts)
+        said = self._refusals.recent("joint_states", "temperature")
+        if not said and self._tf is not None:
+            said = self._tf.trouble
+        if silent := self._signals.silent(correction.needs, now):
+            said = f"{', '.join(silent)}: silent, the last value is used"
+        elif unseen := correction.unseen(at.q):
+            said = f"{', '.join(unseen)}: where the calibration has never seen them; learned curves end before"
+        return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
+
+
+def _settings(chosen: dict[str, Any]) -> Settings:
+    """The core's settings; raises BadTable for a target that there is none of."""
+    if chosen["target"] not in ("tip", "tool"):
+        raise BadTable(f"target '{chosen['target']}'", "is neither tip nor tool", "set one of them")
+    return Settings(
+        target=chosen["target"],
+        stream=chosen["stream"],
+        horizon=chosen["horizon_s"],
+        turning=chosen["joint_speed_rad_s"],
+        sliding=chosen["joint_speed_m_s"],
+        tolerance_m=chosen["tolerance_m"],
+        tolerance_rad=chosen["tolerance_rad"],
+        switch_step=chosen["switch_step_rad"],
+        blend=chosen["blend_s"],
+    )
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(Corrector)

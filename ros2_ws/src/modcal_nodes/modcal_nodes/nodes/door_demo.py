@@ -1,0 +1,116 @@
+"""``door_demo``: one command that opens a simulated door, or a drawer, and says how it went."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from modcal_core.errors import BadCommand, BadTable
+from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
+from modcal_nodes.ros.health import OK, Health, Status
+from modcal_nodes.ros.launch_files import LAUNCHES
+from modcal_nodes.ros.parameters import DOOR_DEMO, declare, values
+from modcal_nodes.ros.running import run
+
+_PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
+_KINDS = ("door", "drawer")
+
+
+class DoorDemo(GuardedNode):
+    """Opens a simulated door or drawer by the other nodes; ends when it is over, exit code 0 if it is open."""
+
+    def __init__(self) -> None:
+        super().__init__("door_demo")
+        declare(self, DOOR_DEMO)
+        self._chosen = values(self, DOOR_DEMO)
+        if self._chosen["kind"] not in _KINDS:
+            raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
+        self._opened, self._pulls, self._over = 0.0, False, False
+        self._begun = self._asked = time.monotonic()
+        self._answer = None
+        self._pull = self.create_client(Trigger, "impedance_setpoint/pull")
+        self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
+        self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
+        self._children = self._start() if self._chosen["start"] else []
+        Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waits for the pull to begin")])
+        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _start(self) -> list[subprocess.Popen[bytes]]:
+        """The other nodes, as the launch file would start them, in processes of their own."""
+        try:
+            share = Path(get_package_share_directory("modcal_nodes"))
+        except (LookupError, OSError) as error:
+            raise BadTable("package modcal_nodes", "is not found", "source install/setup.bash") from error
+        beside = Path(sys.argv[0]).resolve().parent
+        plan, namespace, children = LAUNCHES["door_demo"], self.get_namespace(), []
+        for node in plan.nodes:
+            if node == "door_demo":
+                continue
+            words = [str(beside / node), "--ros-args", "-r", f"__ns:={namespace}"]
+            words += ["--params-file", str(share / "config" / f"{node}.yaml")]
+            for name, value in plan.fixed.get(node, {}).items():
+                words += ["-p", f"{name}:={str(share / value) if name == 'urdf' else str(value).lower()}"]
+            if node == "simulated_furniture":
+                words += ["-p", f"kind:={self._chosen['kind']}", "-p", f"seed:={self._chosen['seed']}"]
+            for old, new in plan.remaps.get(node, ()):
+                words += ["-r", f"{old}:={new}"]
+            children.append(subprocess.Popen(words, stdin=subprocess.DEVNULL))
+        return children
+
+    def _hear_truth(self, message: JointState) -> None:
+        self._opened = float(message.position[0])
+
+    def _hear_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._setpoint:
+                phase = next((pair.value for pair in status.values if pair.key == "phase"), "")
+                if self._pulls and not phase and status.message not in ("ready", "tare"):
+                    self._over = True
+                    self._said, self._went_well = status.message, status.level == DiagnosticStatus.OK
+                self._pulls = self._pulls or bool(phase)
+
+    def _look(self) -> None:
+        """Ask for the pull until it begins; end when it is over."""
+        if self._over:
+            unit = "rad" if self._chosen["kind"] == "door" else "m"
+            said = f"{self._said}; in truth it is open by {self._opened:.3f} {unit}"
+            if not self._went_well:
+                raise NodeEnds(BadCommand(f"{self._chosen['kind']} {self._chosen['seed']}", said, "try another seed"))
+            self.get_logger().info(said)
+            raise SystemExit(0)
+        now = time.monotonic()
+        if now - self._begun > self._chosen["patience_s"]:
+            said = f"is not open after {self._chosen['patience_s']:g} s"
+            raise NodeEnds(BadCommand(self._chosen["kind"], said, "see what the nodes say, or give it more patience_s"))
+        if any(child.poll() is not None for child in self._children):
+            raise NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "see what it said"))
+        if not self._pulls and now - self._asked > _AGAIN and self._pull.service_is_ready():
+            self._asked = now
+            self._pull.call_async(Trigger.Request())  # refused until everything has been heard
+
+    def close(self) -> None:
+        """End the nodes that were started."""
+        for child in self._children:
+            with contextlib.suppress(ProcessLookupError):
+                child.send_signal(signal.SIGINT)
+        for child in self._children:
+            try:
+                child.wait(10.0)
+            except subprocess.TimeoutExpired:
+                child.kill()
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(DoorDemo)

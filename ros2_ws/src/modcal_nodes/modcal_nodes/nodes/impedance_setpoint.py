@@ -1,0 +1,439 @@
+"""``impedance_setpoint``: opens a door or a drawer gently, setpoint by setpoint. A lifecycle node."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from lifecycle_msgs.srv import ChangeState
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.articulation.urdf import read
+from modcal_core.compliance.guard import Setpoint
+from modcal_core.compliance.operation import Operation
+from modcal_core.compliance.task import Joints, Stop, Wait
+from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.robots.posture import pose_and_jacobian
+from modcal_msgs_py.commands import JointsHeard, desired_pose
+from modcal_msgs_py.setpoints import ObjectHeard, fill_point, fill_target, fill_wrench, wrench_numbers
+from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT, declare, follow, values
+from modcal_nodes.ros.pending import waiting
+from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.running import FRESH, LATCHED, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.setpoint.arm import Arm, limits, task
+
+_TICKS = 2000  # of which the times are remembered
+_LET_GO = 2.0  # s, the longest that letting go takes
+_AT_CONFIGURE = (
+    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "stale_s",
+    "rate_hz",
+)  # fmt: skip
+_RCLError = rclpy_implementation.RCLError
+
+
+def _noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
+    """A transition whose exceptions are said and counted; rclpy would keep them to itself."""
+
+    @wraps(transition)
+    def noted(self: ImpedanceSetpoint, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(self, state)
+        except Exception as error:
+            self.faults.note(transition.__name__, error)
+            return TransitionCallbackReturn.ERROR
+
+    return noted
+
+
+_LATE = 1.5  # periods between two ticks
+
+
+class ImpedanceSetpoint(GuardedNode, LifecycleNode):
+    """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
+
+    def __init__(self) -> None:
+        super().__init__("impedance_setpoint")
+        declare(self, IMPEDANCE_SETPOINT)
+        self._chosen = values(self, IMPEDANCE_SETPOINT)
+        self._active = self._configured = False
+        self._urdf = ""
+        self._arm: Arm | None = None
+        self._joints: JointsHeard | None = None
+        self._object = ObjectHeard(read)
+        self._operation: Operation | None = None
+        self._said = "nothing was pulled yet"
+        self._level = OK
+        self._tool: tuple[float, Any] | None = None
+        self._inputs: list[MonitoredSubscription] = []
+        self._timer: Timer | None = None
+        self._refusals = Refusals(self)
+        self._counts = {"setpoints": 0, "late ticks": 0}
+        self._took: deque[float] = deque(maxlen=_TICKS)
+        self._before = 0.0
+        self._health = Health(self, self._report)
+        follow(self, IMPEDANCE_SETPOINT, self._chosen, self._check)
+        changes = self._service_change_state
+        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
+        changes.callback = self.guarded_service("change_state", self._transit)
+        self.create_service(Trigger, "~/pull", self._pull)
+        self.create_service(Trigger, "~/stop", self._stop)
+        self._auto: Timer | None = self.create_timer(0.0, self._start_itself) if self._chosen["autostart"] else None
+
+    # lifecycle
+
+    def _start_itself(self) -> None:
+        if self._auto is not None:
+            self._auto.cancel()
+            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                self.trigger_activate()
+
+    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        """Change the state; what cannot be done from here is answered, and nothing goes on being pulled."""
+        try:
+            response = self._change_state(request, response)
+        except _RCLError:
+            response.success = False
+        if not response.success:
+            asked, state = request.transition, self._state_machine.current_state[1]
+            said = f"transition {asked.label or asked.id} is refused in state {state}"
+            if self._operation is not None:
+                self._let_go(said)
+            self._refusals.refuse("lifecycle", f"{said}: see ~/get_available_transitions")
+        return response
+
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
+        changed = [name for name, value in new.items() if value != self._chosen[name]]
+        if changed and self._operation is not None:
+            raise BadCommand(f"parameter {changed[0]}", "cannot change while it pulls", "call ~/stop first")
+        for name in changed:
+            if name in _AT_CONFIGURE and self._configured:
+                raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")
+        task(new)
+
+    @_noted
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the parameters and begin to listen. Fails for parameters that make no sense."""
+        try:
+            task(self._chosen)
+        except ModcalError as error:
+            self._tell(ERROR, str(error))
+            return TransitionCallbackReturn.FAILURE
+        self._pose = self.create_lifecycle_publisher(PoseStamped, "~/target_pose", 1)
+        self._wrench = self.create_lifecycle_publisher(WrenchStamped, "~/target_wrench", 1)
+        self._stiffness = self.create_lifecycle_publisher(WrenchStamped, "~/target_stiffness", 1)
+        self._references = self.create_lifecycle_publisher(JointTrajectoryPoint, "~/joint_references", 1)
+        self._trajectory = self.create_lifecycle_publisher(JointTrajectory, "~/joint_trajectory", 1)
+        try:
+            if urdf := self._chosen["robot_description"] or self._urdf:
+                self._describe(urdf)
+        except ModcalError as error:
+            self._refusals.refuse("robot_description", str(error))
+        self._configured = True
+        if not self._inputs:  # which stay: what is latched would not be heard a second time
+            self._listen()
+        return super().on_configure(state)
+
+    def _listen(self) -> None:
+        heard: list[tuple[type, str, Callable[[Any], None], QoSProfile, bool]] = [
+            (JointState, "joint_states", self._take_joints, FRESH, True),
+            (WrenchStamped, "wrench", self._take_wrench, FRESH, True),
+            (String, "robot_description", self._take_description, LATCHED, not self._chosen["robot_description"]),
+            (String, "object_description", self._take_object, LATCHED, False),
+            (DiagnosticArray, "object_status", self._take_status, FRESH, False),
+            (PoseWithCovarianceStamped, "tool_pose", self._take_tool, FRESH, self._chosen["calibrated"]),
+        ]
+        self._inputs = [
+            MonitoredSubscription(
+                self, kind, topic, self._refusals.guarded(topic, callback), qos, needed=needed, single=needed
+            )
+            for kind, topic, callback, qos, needed in heard
+        ]
+
+    @_noted
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Be ready to pull."""
+        self._active = True
+        self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
+        self._tell(OK, "ready")
+        return super().on_activate(state)
+
+    @_noted
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop whatever is going on; nothing is published any more."""
+        self._end("deactivated")
+        return super().on_deactivate(state)
+
+    @_noted
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Listen no more, and forget what was heard."""
+        self._forget()
+        return super().on_cleanup(state)
+
+    @_noted
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """The end of it."""
+        self._end("shut down")
+        self._forget()
+        return super().on_shutdown(state)
+
+    @_noted
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """After a fault in a transition: as before it was configured."""
+        self._end("a transition failed")
+        self._forget()
+        return super().on_error(state)
+
+    def close(self) -> None:
+        """Let go of what is pulled, and end."""
+        self._end("the node is told to end")
+
+    def _end(self, why: str) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        self._let_go(why)
+        self._active = False
+
+    def _let_go(self, why: str) -> None:
+        """Let go of what is pulled, before anything else is done: a servo would hold on to where it was sent last."""
+        operation = self._operation
+        if operation is None:
+            return
+        try:
+            ticked = self._now()
+            operation.let_go(why, ticked)
+            end = time.monotonic() + _LET_GO
+            while self._operation is not None and time.monotonic() < end and self.context.ok():
+                time.sleep(1.0 / self._chosen["rate_hz"])
+                self._hear_on()
+                if (now := self._now()) > ticked:  # a simulated time goes on when the arm does
+                    ticked = now
+                    self._tick_once()
+        except Exception as error:
+            self.faults.note("letting go", error)
+        if self._operation is not None:
+            self._finish(self._operation.stop(why))
+
+    def _hear_on(self) -> None:
+        """Take what has arrived while the executor waits for a callback to end, the time included."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name == "/clock":
+                for message, _ in waiting(subscription, _TICKS):
+                    subscription.callback(message)
+        for ear in self._inputs:
+            ear.poll()
+
+    def _forget(self) -> None:
+        if not self._configured:
+            return
+        self._configured = False
+        for publisher in (self._pose, self._wrench, self._stiffness, self._references, self._trajectory):
+            self.destroy_lifecycle_publisher(publisher)
+        self._arm, self._joints, self._tool = None, None, None
+
+    # what it is asked
+
+    def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin to pull, from where the arm stands."""
+        try:
+            self._begin()
+            response.success, response.message = True, "it weighs its tool, then it pulls"
+        except ModcalError as error:
+            response.success, response.message = False, str(error)
+        self._health.publish()
+        return response
+
+    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Pull no more."""
+        response.success = True
+        response.message = "nothing was pulled"
+        if self._operation is not None:
+            stop = self._operation.stop("stopped as asked")
+            self._finish(stop)
+            response.message = stop.why
+        return response
+
+    def _begin(self) -> None:
+        """Raises BadCommand unless everything that a pull needs is there."""
+        if not self._active:
+            raise BadCommand("pull", "the node is not active", "configure and activate it first")
+        if self._operation is not None:
+            raise BadCommand("pull", f"it is pulling already ({self._operation.phase})", "call ~/stop first")
+        if self._arm is None or self._joints is None:
+            raise BadCommand("robot_description", "not heard yet", "publish it (latched), or set the parameter")
+        now = self._now()
+        self._joints.require_fresh(now, self._chosen["stale_s"])
+        if not abs(now - self._arm.sensor.stamp) <= self._chosen["stale_s"]:
+            raise BadCommand("wrench", "nothing was heard of late", "see that its publisher is alive")
+        if self._chosen["calibrated"]:
+            self._measured(now)
+        self._operation = Operation(self._arm.chain, task(self._chosen), limits(self._arm.chain, self._chosen))
+        self._tell(OK, "tare")
+
+    # what it hears
+
+    def _take_description(self, message: String) -> None:
+        self._urdf = message.data
+        known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.urdf)
+        if self._configured and not known:
+            self._describe(message.data)
+
+    def _describe(self, urdf: str) -> None:
+        """Know the arm; one that is pulling stays as it is."""
+        if self._operation is not None:
+            raise BadCommand("robot_description", "changes while it pulls", "it is taken when the pull is over")
+        self._arm = self._joints = None
+        arm = Arm.of(urdf, self._chosen)
+        self._arm, self._joints = arm, JointsHeard(arm.chain.names, arm.chain.lower, arm.chain.upper)
+
+    def _take_joints(self, message: JointState) -> None:
+        if self._joints is not None:
+            self._joints.hear(message, self._now(), self._chosen["stale_s"])
+
+    def _take_wrench(self, message: WrenchStamped) -> None:
+        if self._arm is not None:
+            now = self._now()
+            stamp = seconds(message.header.stamp) or now
+            if self._arm.sensor.stamp > now + self._chosen["stale_s"]:  # the clock was set back
+                self._arm.sensor.forget()
+            self._arm.sensor.hear(message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["stale_s"])
+
+    def _take_object(self, message: String) -> None:
+        self._object.hear_description(message)
+
+    def _take_status(self, message: DiagnosticArray) -> None:
+        self._object.hear_status(message, self._now())
+
+    def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
+        if self._arm is not None:
+            if message.header.frame_id not in ("", self._arm.chain.base):
+                said = f"is in frame '{message.header.frame_id}', not '{self._arm.chain.base}'"
+                raise BadCommand("tool_pose", said, "remap it from the corrector's ~/pose")
+            self._tool = seconds(message.header.stamp), desired_pose(message.pose, self._arm.farthest)
+
+    # what it does
+
+    def _tick(self) -> None:
+        """One setpoint; a fault in the middle of a pull ends it."""
+        try:
+            self._tick_once()
+        except Exception as error:
+            if not self.context.ok():
+                raise
+            self._let_go(f"the pull is given up: {self.faults.note('tick', error)}")
+
+    def _tick_once(self) -> None:
+        operation, arm, joints = self._operation, self._arm, self._joints
+        if operation is None or arm is None or joints is None:
+            return
+        begun, now = time.perf_counter(), self._now()
+        self._counts["late ticks"] += begun - self._before > _LATE / self._chosen["rate_hz"]
+        self._before = begun
+        try:
+            stamp, T = self._measured(now)
+        except ModcalError as error:
+            stamp, T = -np.inf, np.eye(4)  # too old for anything, which the operation waits for
+            self._refusals.refuse("tool_pose", str(error))
+        q = joints.position.copy()
+        answer = operation.tick(now, T, arm.sensor, Joints(q, stamp), self._object.at(now))
+        if isinstance(answer, Setpoint):
+            self._send(answer, now)
+            self._tell(OK, operation.phase)
+        elif isinstance(answer, Wait):
+            self._tell(OK if operation.phase == "tare" else WARN, answer.why)
+        else:
+            self._finish(answer)
+        self._took.append(time.perf_counter() - begun)
+
+    def _measured(self, now: float) -> tuple[float, Any]:
+        """When and where the tool was measured: by the corrector, if the arm is calibrated, else by its joints."""
+        assert self._arm is not None
+        assert self._joints is not None
+        stamp = float(self._joints.stamps.min())
+        if not self._chosen["calibrated"]:
+            return stamp, pose_and_jacobian(self._arm.chain, self._joints.position)[0]
+        if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["stale_s"]:
+            raise BadCommand("tool_pose", "nothing was heard of late", "start the corrector, or set calibrated: false")
+        return min(stamp, self._tool[0]), self._tool[1]
+
+    def _send(self, setpoint: Setpoint, now: float) -> None:
+        assert self._arm is not None
+        tip = self._arm.chain.tip
+        self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, 1.0 / self._chosen["rate_hz"]))
+        # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
+        if self._trajectory.get_subscription_count():
+            trajectory = JointTrajectory(joint_names=list(setpoint.names))
+            set_seconds(trajectory.header.stamp, now)
+            point = fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)
+            trajectory.points = [point]
+            self._trajectory.publish(trajectory)
+        if self._pose.get_subscription_count():
+            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+        if self._stiffness.get_subscription_count():
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+        self._counts["setpoints"] += 1
+
+    def _finish(self, stop: Stop) -> None:
+        self._operation = None
+        self._tell(OK if stop.done else ERROR, stop.why)
+        self._health.publish()
+
+    # what it says of itself
+
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    def _tell(self, level: bytes, said: str) -> None:
+        if (level, said) != (self._level, self._said):
+            log = self.get_logger()  # of one severity a line: rclpy remembers each caller's
+            if level == OK:
+                log.info(said)
+            elif level == WARN:
+                log.warning(said, throttle_duration_sec=1.0)
+            else:
+                log.error(said)
+        self._level, self._said = level, said
+
+    def _report(self) -> list[Status]:
+        refused = self._refusals.recent()
+        took = np.percentile(self._took, [50.0, 99.0]) * 1e3 if self._took else (0.0, 0.0)
+        facts = {
+            **self._counts,
+            "refused": self._refusals.counts.total(),
+            "phase": self._operation.phase if self._operation else "",
+            "force N": f"{float(np.linalg.norm(self._operation.force[:3])):.1f}" if self._operation else "",
+            "tick ms, median": f"{took[0]:.2f}",
+            "tick ms, 99 %": f"{took[1]:.2f}",
+        }
+        model = self._object.kind if self._object.model is not None else "none"
+        trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
+        return [
+            subscription_status(self._inputs),
+            Status("inputs", WARN if refused else OK, refused or "nothing was refused of late", trusted),
+            Status("pull", self._level, self._said, facts),
+        ]
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(ImpedanceSetpoint)

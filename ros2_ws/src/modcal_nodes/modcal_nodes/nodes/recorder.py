@@ -1,0 +1,266 @@
+"""``recorder``: what is published goes into a bag, as it comes, byte for byte."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.logging import get_logger
+from std_srvs.srv import Trigger
+
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
+from modcal_msgs_py.topics import READINGS
+from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
+from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import RECORDER, declare, follow, values
+from modcal_nodes.ros.running import run
+from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
+
+_LOOK_SECONDS = 0.1
+_REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
+_MEASURE_SECONDS = 1.0
+_FEW_MINUTES = 10.0
+_MB = 1e6
+_ROOM = "make room on the disk, or lower least_free_mb"
+
+
+class Recorder(GuardedNode):
+    """Subscribes to topics as they appear, with every QoS that their publishers offer."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        declare(self, RECORDER)
+        self._chosen = chosen = values(self, RECORDER)
+        follow(self, RECORDER, chosen, take=self._take_parameters)
+        optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
+        self._recorders = [
+            TopicRecorder(self, topic, self._take, topic not in optional, chosen["patience_s"])
+            for topic in dict.fromkeys(self.resolve_topic_name(name) for name in chosen["topics"] if name)
+        ]
+        self._early: list[Taken] = []
+        self._early_since = 0.0
+        self._trouble: ModcalError | None = None
+        self._said: dict[str, str] = {}
+        self._unheard: set[str] = set()
+        self._measured = (time.monotonic(), 0)
+        self._bytes_per_second = 0.0
+        self._started = time.monotonic()
+        self._base = Path(chosen["out"] or time.strftime("modcal_%Y_%m_%d-%H_%M_%S"))
+        self._free = _free_bytes(self._base)
+        if (shortage := self._shortage()) is not None:
+            raise shortage
+        self._bag = BagWriter(self._base) if chosen["out"] else _next_bag(self._base)
+        self._health = Health(self, self._report)
+        # a simulation that stands still must not keep messages from the disk
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
+        self.create_timer(_MEASURE_SECONDS, self._measure, clock=steady)
+        self.create_service(Trigger, "~/save", self._save)
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.get_logger().info(f"recording into {self._bag.folder}")
+
+    def _take_parameters(self) -> None:
+        for recorder in self._recorders:
+            recorder.patience = self._chosen["patience_s"]
+
+    def _tick(self) -> None:
+        """Subscribe to what is published now, and let no message wait."""
+        if self._trouble is not None:
+            self._end(self._trouble)
+        for recorder in self._recorders:
+            if recorder.look() and recorder.type_name is not None:
+                self._bag.add_topic(recorder.topic, recorder.type_name, recorder.profiles())
+                self.get_logger().info(f"recording {recorder.topic} ({recorder.type_name})")
+        self._complain()
+        try:
+            if self._early and (self._now() or time.monotonic() - self._early_since > FLUSH_SECONDS):
+                self._write_early()
+            self._bag.flush_if_due()
+        except ModcalError as error:
+            self._end(error)
+
+    def _take(self, taken: Taken) -> None:
+        if self._trouble is not None:
+            return
+        try:
+            if not self.get_clock().ros_time_is_active:
+                # the middleware stamped it on arrival, which does not depend on how busy this process is
+                received = taken.received_ns or self._now()
+                self._bag.write_raw(taken.topic, taken.cdr, received, taken.published_ns or received)
+                return
+            if self._early or not self._now():
+                self._early_since = self._early_since if self._early else time.monotonic()
+                self._early.append(taken)
+                return
+            self._bag.write_raw(taken.topic, taken.cdr, self._now())
+        except ModcalError as error:
+            self._end(error)
+
+    def _write_early(self) -> None:
+        """Write what came before simulated time began; if that does not begin soon, stamped 0, as that clock reads."""
+        for taken in self._early:
+            self._bag.write_raw(taken.topic, taken.cdr, self._now())
+        self._early = []
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _measure(self) -> None:
+        """Renew rates and free space, say what is newly wrong, and end before the disk is full."""
+        now, (then, size) = time.monotonic(), self._measured
+        self._bytes_per_second = max(self._bag.size - size, 0) / max(now - then, 1e-3)
+        self._measured = (now, self._bag.size)
+        self._free = _free_bytes(self._bag.folder)
+        for recorder in self._recorders:
+            recorder.measure()
+        if (shortage := self._shortage()) is not None:
+            self._end(shortage)
+        self._health.publish_if_changed()
+
+    def _complain(self) -> None:
+        """Say what is newly wrong, in the log and on /diagnostics."""
+        news = False
+        for topic, complaint in self._complaints():
+            if self._said.get(topic) != complaint.kind:
+                self._said[topic], news = complaint.kind, True
+                self._unheard |= {topic} if complaint.kind == UNHEARD else set()
+                self.get_logger().warn(complaint.text)
+        for recorder in self._recorders:
+            if recorder.waited is not None and recorder.topic in self._unheard:
+                self._unheard.discard(recorder.topic)
+                self._said.pop(recorder.topic, None)
+                self.get_logger().info(
+                    f"{recorder.topic}: the first message came {recorder.waited:.1f} s after subscribing"
+                )
+        if news:
+            self._health.publish()
+
+    def _shortage(self) -> BadRecording | None:
+        least = float(self._chosen["least_free_mb"])
+        if self._free >= least * _MB:
+            return None
+        return BadRecording(
+            f"disk of {self._base}", f"{self._free / _MB:.0f} MB free, less than least_free_mb = {least:g}", _ROOM
+        )
+
+    def _end(self, error: ModcalError) -> None:
+        """Say aloud why the recording ends, and end it."""
+        self._trouble = error
+        self.get_logger().fatal(str(error))
+        self._health.publish_last()
+        raise NodeEnds(error)
+
+    def _complaints(self) -> Iterator[tuple[str, Complaint]]:
+        for recorder in self._recorders:
+            if (complaint := recorder.complaint()) is not None:
+                yield recorder.topic, complaint
+        trackers = [
+            recorder for recorder in self._recorders if recorder.topic.endswith(tuple("/" + role for role in READINGS))
+        ]
+        patience = float(self._chosen["patience_s"])
+        if (
+            trackers
+            and not any(recorder.count for recorder in trackers)
+            and time.monotonic() - self._started > patience
+        ):
+            names = ", ".join(recorder.topic for recorder in trackers)
+            yield "tracker", Complaint(WARN, "nobody", f"no tracker is heard ({names}): start it, or remap its topic")
+
+    def _report(self) -> Iterator[Status]:
+        yield self._bag_status()
+        complaints = [complaint for _, complaint in self._complaints()]
+        said = "; ".join(c.text for c in complaints) or "everything that is needed is recorded"
+        facts: dict[str, object] = {}
+        for recorder in self._recorders:
+            facts[f"messages of {recorder.topic}"] = recorder.count
+            facts[f"rate of {recorder.topic} [Hz]"] = f"{recorder.rate:.1f}"
+            facts[f"bytes of {recorder.topic}"] = recorder.bytes
+            facts[f"lost of {recorder.topic}"] = recorder.lost
+        yield Status("topics", max((c.level for c in complaints), default=OK), said, facts)
+
+    def _bag_status(self) -> Status:
+        minutes = self._free / self._bytes_per_second / 60.0 if self._bytes_per_second else float("inf")
+        facts = {
+            "folder": self._bag.folder,
+            "messages": self._bag.count,
+            "bytes": self._bag.size,
+            "bytes waiting for the disk": self._bag.waiting,
+            "free [MB]": f"{self._free / _MB:.0f}",
+            "minutes until full": f"{minutes:.0f}",
+        }
+        least = float(self._chosen["least_free_mb"])
+        if self._trouble is not None:
+            return Status("bag", ERROR, str(self._trouble), facts)
+        if self._free < 2 * least * _MB or minutes < _FEW_MINUTES:
+            text = f"{self._free / _MB:.0f} MB free, {minutes:.0f} minutes at this rate; ends at {least:g} MB: {_ROOM}"
+            return Status("bag", WARN, text, facts)
+        if self.get_clock().ros_time_is_active and not self._now():
+            return Status("bag", WARN, "simulated time has not begun: nobody publishes /clock; stamps are 0", facts)
+        return Status("bag", OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
+
+    def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self._write_early()
+            count = self._bag.flush(sync=True)
+            response.success, response.message = True, f"{count} messages are on the disk in {self._bag.file}"
+        except ModcalError as error:
+            self._trouble, response.message = error, str(error)  # ends at the next tick, after this answer
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close this bag and begin the next; what is latched is true there too."""
+        try:
+            self.close()
+            closed, count = self._bag.folder, self._bag.count
+            self._bag = _next_bag(self._base)
+            self._measured = (time.monotonic(), 0)
+            for recorder in self._recorders:
+                if recorder.type_name is not None:
+                    self._bag.add_topic(recorder.topic, recorder.type_name, recorder.profiles())
+                for taken in recorder.kept:
+                    self._take(taken._replace(received_ns=self._now()))
+            response.success = True
+            response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
+            self.get_logger().info(f"recording into {self._bag.folder}")
+        except ModcalError as error:
+            self._trouble, response.message = error, str(error)
+        return response
+
+    def close(self) -> None:
+        """Write the bag's index and metadata; nothing, when the disk has refused before."""
+        if self._bag.broken:
+            return
+        self._write_early()
+        self._bag.close()
+        # not by the node's own logger, which is published, and by now there may be nothing left to publish with
+        get_logger("modcal.recorder").info(f"closed {self._bag.folder} with {self._bag.count} messages")
+
+
+def _next_bag(base: Path) -> BagWriter:
+    """A bag named ``base``, or with the first number behind it that is free; two recorders may begin in one second."""
+    number = 1
+    while True:
+        folder = base if number == 1 else base.with_name(f"{base.name}_{number}")
+        if not folder.exists():
+            try:
+                return BagWriter(folder)
+            except BadRecording:
+                if not folder.exists():
+                    raise
+        number += 1
+
+
+def _free_bytes(place: Path) -> int:
+    place = place.absolute()
+    while not place.exists():
+        place = place.parent
+    return shutil.disk_usage(place).free
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(Recorder, rest=_REST)

@@ -1,0 +1,112 @@
+"""``trajectory_sender``: sends a planned trajectory to a controller, and says whether the arm arrived."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from modcal_core.errors import BadCommand, BadTable
+from modcal_core.planning.trajectory_file import Trajectory, trajectory_from_data
+from modcal_msgs_py.commands import JointsHeard
+from modcal_msgs_py.stamps import set_seconds
+from modcal_nodes.io.files import read_yaml
+from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
+from modcal_nodes.ros.health import OK, WARN, Health, Status
+from modcal_nodes.ros.parameters import TRAJECTORY_SENDER, declare, values
+from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.running import FRESH, run
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+
+_PERIOD = 0.1  # s
+
+
+class TrajectorySender(GuardedNode):
+    """Waits for joint states and for a controller, sends the trajectory once to ``~/joint_trajectory``, and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("trajectory_sender")
+        declare(self, TRAJECTORY_SENDER)
+        self._chosen = chosen = values(self, TRAJECTORY_SENDER)
+        file = Path(chosen["trajectory"])
+        if not file.is_file():
+            raise BadTable(f"trajectory '{file}'", "is no file", "set the parameter to the one that modcal plan wrote")
+        self._planned = trajectory_from_data(read_yaml(file), str(file))
+        self._sent: Trajectory | None = None
+        self._at = self._begun = time.monotonic()
+        unlimited = np.full(len(self._planned.names), np.inf)
+        self._joints = JointsHeard(self._planned.names, -unlimited, unlimited)
+        self._refusals = Refusals(self)
+        self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
+        heard = self._refusals.guarded("joint_states", self._take_joints)
+        self._inputs = [MonitoredSubscription(self, JointState, "joint_states", heard, FRESH, needed=True, single=True)]
+        self._health = Health(self, self._report)
+        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _take_joints(self, message: JointState) -> None:
+        self._joints.hear(message, self._now(), self._chosen["stale_s"])
+
+    def _now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    def _look(self) -> None:
+        """Send it as soon as the arm is known and somebody listens; end when it has arrived, or has not in time."""
+        now, patience = time.monotonic(), self._chosen["patience_s"]
+        if self._sent is None:
+            if lacks := self._lacks():
+                if now - self._begun > patience:
+                    raise NodeEnds(BadCommand("trajectory", f"was not sent: {lacks}", "see to that, and start again"))
+                return
+            try:
+                self._send()
+            except BadCommand as error:
+                raise NodeEnds(error) from error
+            return
+        off = np.abs(self._joints.position - self._sent.q[-1])
+        if now - self._at < self._sent.t[-1]:
+            return
+        fresh = abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["stale_s"]
+        if fresh and off.max() <= self._chosen["tolerance_rad"]:
+            self.get_logger().info(f"arrived, {off.max():.2g} rad or m from the last point at most")
+            raise SystemExit(0)
+        if now - self._at > self._sent.t[-1] + patience:
+            worst = int(np.argmax(off))
+            said = f"{off[worst]:.3g} from the last point" if fresh else "is not heard any more"
+            raise NodeEnds(BadCommand(f"joint {self._sent.names[worst]}", said, "see what the controller says"))
+
+    def _lacks(self) -> str:
+        if missing := self._joints.missing():
+            return f"joint_states does not tell of {', '.join(missing)}"
+        if not abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["stale_s"]:
+            return "joint_states: nothing was heard of late"
+        if not self._trajectory.get_subscription_count():
+            return f"nobody listens to {self._trajectory.topic_name}: remap it to the controller's topic"
+        return ""
+
+    def _send(self) -> None:
+        chosen = self._chosen
+        ready = self._planned.led_up_to(self._joints.position, chosen["speed_rad_s"], chosen["approach_rad"])
+        message = JointTrajectory(joint_names=list(ready.names))  # without a stamp: from now on
+        for after, q in zip(ready.t, ready.q, strict=True):
+            point = JointTrajectoryPoint(positions=q.tolist(), velocities=[0.0] * len(q))
+            set_seconds(point.time_from_start, float(after))
+            message.points.append(point)
+        self._trajectory.publish(message)
+        self._sent, self._at = ready, time.monotonic()
+        self.get_logger().info(f"{len(ready.t)} points sent to {self._trajectory.topic_name}, {ready.t[-1]:.1f} s")
+
+    def _report(self) -> list[Status]:
+        if self._sent is None:
+            line = Status("trajectory", WARN, f"waiting: {self._lacks() or 'to send'}")
+        else:
+            line = Status("trajectory", OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago")
+        return [subscription_status(self._inputs), line]
+
+
+def main() -> None:
+    """Entry point of the executable."""
+    run(TrajectorySender)

@@ -1,0 +1,1 @@
+"""What every node needs of ROS: subscriptions, parameters, health, lifecycle, signals, frames."""

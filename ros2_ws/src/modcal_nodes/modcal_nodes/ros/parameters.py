@@ -1,0 +1,391 @@
+"""Every parameter of every node: default, bounds and what it means, in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+
+from modcal_core.errors import ModcalError
+from modcal_core.planning.returns import RETURNS
+from modcal_nodes.ros.guarded import GuardedNode
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """default: also gives the type. low, high: bounds of a number, both or neither.
+
+    live: whether it may be changed while the node runs, and then takes effect; every other one is read-only.
+    """
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    live: bool = False
+
+
+RECORDER = {
+    "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),
+    "topics": Parameter(
+        ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
+         "temperature", "wrench"],
+        "Topics to record, relative to the node's namespace, as soon as someone publishes them.",
+    ),
+    "optional": Parameter(
+        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "temperature", "wrench"],
+        "Those of the topics that may be missing without a word.",
+    ),
+    "patience_s": Parameter(5.0, "Seconds after which a topic that is not heard is complained of.", 0.1, 3600.0),
+    "least_free_mb": Parameter(
+        200.0, "Free space on the disk below which the bag is closed and the recorder ends [MB].", 0.0, 1e12
+    ),
+}  # fmt: skip
+
+CALIBRATOR = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: the link behind most joints that are heard."),
+    "fixed": Parameter([""], "Parameters that must stay as they are, by name, place or pattern."),
+    "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
+    "out": Parameter("", "Folder that a solve writes its files to; empty: it writes none."),
+    "state": Parameter("", "Folder that the trusted model and the stations are kept in over restarts; empty: nowhere."),
+    "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
+    "seed": Parameter(0, "Of the split into train, explain and held-out.", 0, 2**31 - 1),
+    "clock_limit_s": Parameter(
+        0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
+    ),
+    "accept": Parameter("better", "When a result is trusted: better (than what is trusted, surely), or asked."),
+    "first_solve": Parameter(0, "Stations after which the first solve begins by itself; 0: when asked.", 0, 100_000),
+    "after_change": Parameter(
+        20, "Stations since a change after which the diagnosis is opened again; 0: when asked.", 0, 100_000
+    ),
+    "wandering": Parameter([""], "Places that may creep with time: base, tool or joints; empty: none."),
+    "wander_m": Parameter(1e-6, "How far they creep in a second, a standard deviation [m].", 0.0, 1e-2),
+    "wander_rad": Parameter(1e-6, "How far they turn in a second, a standard deviation [rad].", 0.0, 1e-2),
+    "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
+    "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
+    "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
+}
+
+CORRECTOR = {
+    "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "target": Parameter("tip", "What poses are of: tip (the tip link) or tool (what the tracker saw)."),
+    "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
+    "horizon_s": Parameter(0.1, "Time that a setpoint of a stream is given [s].", 0.005, 2.0),
+    "stale_s": Parameter(0.1, "Age at which joint states, and desired poses of a stream, are too old [s].", 0.01, 2.0),
+    "goal_stale_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
+    "joint_speed_rad_s": Parameter(0.5, "Speed of turning joints that no command exceeds [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.1, "Speed of sliding joints that no command exceeds [m/s].", 0.0001, 5.0),
+    "tolerance_m": Parameter(1e-6, "Predicted miss above which a pose is refused [m].", 1e-9, 1e-3),
+    "tolerance_rad": Parameter(1e-6, "The same of its orientation [rad].", 1e-9, 1e-2),
+    "switch_step_rad": Parameter(
+        2e-3, "Largest step of a joint that a new calibration may bring into a stream [rad; m].", 0.0, 0.1
+    ),
+    "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
+    "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+    "publish_tf": Parameter(False, "Whether the corrected tip goes to /tf, as TIP_corrected (tf2_msgs)."),
+}
+
+ARTICULATION_ESTIMATOR = {
+    "input": Parameter("joint_states", "What shows the handle: joint_states, tool_pose, tracker/pose, tracker/point."),
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the link behind most joints that are heard."),
+    "rate_hz": Parameter(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
+    "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "tolerance_m": Parameter(4e-3, "How well a model must predict to be trusted [m].", 1e-4, 0.05),
+    "ahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
+    "still_m": Parameter(3e-3, "What a pulled handle moves by in a second while it counts as stuck [m].", 1e-4, 0.05),
+    "pull_n": Parameter(15.0, "Force beyond that of the beginning from which somebody pulls [N].", 0.5, 500.0),
+    "tool_mass": Parameter(
+        0.0,
+        "Mass beyond the force sensor [kg], where poses are upright and wrenches in the gripper; 0: none.",
+        0.0,
+        100.0,
+    ),
+}
+
+SIMULATED_CELL = {
+    "urdf": Parameter("", "URDF file of the nominal arm."),
+    "delta": Parameter("", "File of a nominal Delta robot, in the URDF's place; empty: none."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: the one behind most joints."),
+    "seed": Parameter(
+        1, "Decides the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
+    ),
+    "visit": Parameter(
+        0, "Another number: the same arm, tracker and tool, visited at other postures with other noise.", 0, 2**31 - 1
+    ),
+    "length_std_m": Parameter(5e-4, "How far the true arm's bodies are displaced, per axis [m].", 0.0, 0.1),
+    "angle_std_rad": Parameter(1e-3, "How far the true arm's bodies are turned, per axis [rad].", 0.0, 0.2),
+    "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),
+    "noise_rad": Parameter(5e-5, "Noise of one tracker orientation, per axis [rad].", 0.0, 0.1),
+    "repeatability_rad": Parameter(
+        0.0, "How far each joint stops from where it says, anew at each arrival [rad; m].", 0.0, 0.01
+    ),
+    "gear_joint": Parameter("", "Joint whose gear errs, which no model is told; empty: none."),
+    "gear_cycles": Parameter(101.0, "How often that error repeats in a turn of the joint.", 0.0, 1000.0),
+    "gear_amplitude_rad": Parameter(2e-4, "How large it is [rad].", 0.0, 0.01),
+    "joint_compliance_rad_per_nm": Parameter(
+        [0.0], "Compliance of the joints [rad/(N m); m/N]: one number for all, or one a joint."
+    ),
+    "measurement": Parameter("pose", "What the tracker shows: pose or point."),
+    "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
+    "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
+    "publish_effort": Parameter(False, "Whether joint states hold the torques that hold the arm up."),
+    "start_delay_s": Parameter(0.0, "Silence before the first message, for subscribers to be found [s].", 0.0, 60.0),
+    "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
+    "returns": Parameter(
+        RETURNS, "Of these, how many are visited twice, so that the noise floor is known; 0: none.", 0, 1000
+    ),
+    "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
+    "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),
+    "repeat": Parameter(False, "Whether to visit as many others after those, for ever."),
+    "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
+    "clock_rate_hz": Parameter(250.0, "How often a simulated second that is done [Hz].", 1.0, 2000.0),
+    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 100.0),
+    "clock_start_s": Parameter(1000.0, "What simulated time begins with [s].", 0.0, 4e9),
+    "temperature_noise_k": Parameter(0.05, "Noise of a temperature [K].", 0.0, 10.0),
+    # from here on: may be changed while the cell runs
+    "payload_kg": Parameter(0.0, "A mass at the tip, which nobody is told of [kg].", 0.0, 100.0),
+    "tool_bump_m": Parameter([0.0, 0.0, 0.0], "How far the tool was knocked off, along its axes [m]."),
+    "tool_turn_rad": Parameter([0.0, 0.0, 0.0], "How far it was turned thereby, as a rotation vector [rad]."),
+    "tracker_move_m": Parameter([0.0, 0.0, 0.0], "How far the tracker was displaced, along its axes [m]."),
+    "warm_up_link": Parameter("", "Link that warms up, and whose temperature is published; empty: none."),
+    "warm_up_m": Parameter(0.0, "How much longer that link gets in the end [m].", -0.01, 0.01),
+    "warm_up_s": Parameter(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
+}
+
+SIMULATED_FURNITURE = {
+    "urdf": Parameter("", "URDF file of the arm; its links must have masses."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
+    "seed": Parameter(0, "Decides the object, its place, the tool's weight and the noise.", 0, 2**31 - 1),
+    "kind": Parameter("", "What is pulled: door, drawer, screw or folding; empty: a door or a drawer, by chance."),
+    "grasp": Parameter("", "How the hand holds the handle: weld (firmly) or ball (it may turn); empty: by chance."),
+    "radius_m": Parameter(-1.0, "Distance of the handle from the hinge [m]; below zero: by chance.", -1.0, 2.0),
+    "friction": Parameter(-1.0, "Dry friction of its joint [N m; N]; below zero: by chance.", -1.0, 200.0),
+    "damping": Parameter(-1.0, "Damping of its joint [N m s/rad; N s/m]; below zero: by chance.", -1.0, 1000.0),
+    "spring": Parameter(-1.0, "Stiffness that closes it [N m/rad; N/m]; below zero: by chance.", -1.0, 1000.0),
+    "mass_kg": Parameter(-1.0, "Mass of what moves [kg]; below zero: by chance.", -1.0, 200.0),
+    "stop": Parameter(
+        -1.0, "Where it jams for good [rad; m]; 0: it is locked; below zero: only at its own end.", -1.0, 3.0
+    ),
+    "servo_stiffness": Parameter(4000.0, "Stiffness of the joints' servos [N m/rad].", 100.0, 1e5),
+    "servo_lag_s": Parameter(0.03, "How far behind a steadily moving reference they stay [s].", 0.005, 0.2),
+    "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
+    "wrench_rate_hz": Parameter(250.0, "Rate of the wrist's sensor [Hz].", 10.0, 1000.0),
+    "truth_rate_hz": Parameter(100.0, "Rate of ~/contact_force and ~/object_truth [Hz].", 1.0, 1000.0),
+    "publish_clock": Parameter(
+        False, "Whether to publish a simulated time on /clock, which waits where the machine does not keep up."
+    ),
+    "clock_rate_hz": Parameter(500.0, "How often a simulated second that is done [Hz].", 10.0, 2000.0),
+    "keep_step": Parameter(False, "Whether a simulated time also waits for the next reference, while they come."),
+    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 10.0),
+    "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
+    "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
+}
+
+
+IMPEDANCE_SETPOINT = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
+    "calibrated": Parameter(False, "Whether the tool is where tool_pose (the corrector's ~/pose) says it is."),
+    "autostart": Parameter(False, "Whether it configures and activates itself."),
+    "mode": Parameter(
+        "admittance", "admittance (the stack that follows is stiff), or expected (it is compliant itself)."
+    ),
+    "direction": Parameter([0.0, 0.0, -1.0], "Believed direction of the pull, seen from the tool."),
+    "goal": Parameter(0.0, "How far to open it [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
+    "goal_rad": Parameter(1.0472, "How far to open what turns [rad].", 0.01, 3.0),
+    "goal_m": Parameter(0.3, "How far to open what slides [m].", 0.005, 2.0),
+    "exploring_m_s": Parameter(0.03, "Speed of the pull while the way is unknown [m/s].", 0.001, 0.2),
+    "speed_m_s": Parameter(0.06, "Speed once it is known [m/s].", 0.001, 0.5),
+    "explore_m": Parameter(0.25, "Longest way that is gone unknown [m].", 0.01, 1.0),
+    "mass": Parameter([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
+    "damping": Parameter([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
+    "stiffness": Parameter([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
+    "stack_stiffness": Parameter([3000.0, 200.0], "What a stiff stack is asked for, way and turning [N/m; N m/rad]."),
+    "blend_s": Parameter(0.5, "How long other gains take to come in [s].", 0.0, 10.0),
+    "slow_force_n": Parameter(15.0, "Force from which the pace falls [N].", 0.1, 500.0),
+    "slow_moment_nm": Parameter(6.0, "The same of the moment [N m].", 0.01, 100.0),
+    "stand_force_n": Parameter(35.0, "Force at which it stands [N].", 0.2, 500.0),
+    "stand_moment_nm": Parameter(14.0, "The same of the moment [N m].", 0.02, 100.0),
+    "most_force_n": Parameter(50.0, "Force at which the pull ends at once [N].", 1.0, 500.0),
+    "most_moment_nm": Parameter(20.0, "The same of the moment [N m].", 0.1, 100.0),
+    "most_speed_m_s": Parameter(0.25, "No setpoint moves the tool faster [m/s].", 0.001, 2.0),
+    "most_acceleration_m_s2": Parameter(2.5, "Nor changes its speed faster [m/s2].", 0.01, 50.0),
+    "most_turning_rad_s": Parameter(1.5, "No setpoint turns the tool faster [rad/s].", 0.01, 10.0),
+    "most_turning_rad_s2": Parameter(15.0, "Nor changes that faster [rad/s2].", 0.1, 300.0),
+    "most_displacement_m": Parameter(0.1, "No setpoint lies farther from where the tool is [m].", 0.001, 1.0),
+    "most_turn_rad": Parameter(0.5, "No setpoint is turned farther from it [rad].", 0.01, 3.0),
+    "joint_speed_rad_s": Parameter(1.5, "Speed of turning joints that no setpoint exceeds [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.3, "Speed of sliding joints that no setpoint exceeds [m/s].", 0.0001, 5.0),
+    "joint_acceleration_rad_s2": Parameter(15.0, "How fast that speed may change [rad/s2].", 0.01, 200.0),
+    "joint_acceleration_m_s2": Parameter(3.0, "The same of sliding joints [m/s2].", 0.001, 100.0),
+    "least_gain": Parameter(0.02, "Smallest gain of the joints that is not taken for singular [m; rad].", 1e-4, 1.0),
+    "tool_mass": Parameter(0.0, "Mass beyond the force sensor, where it is known [kg]; 0: only the tare.", 0.0, 100.0),
+    "tool_centre": Parameter([0.0, 0.0, 0.0], "Its centre, in the sensor's frame [m]."),
+    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "wrench_frame": Parameter("", "A link fixed to the tool that wrenches may be in, beside the tool's own."),
+    "wrench_by_tool": Parameter(False, "Whether the sensor says what the tool does, not what is done to it."),
+    "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
+    "servo_lag_s": Parameter(0.03, "How far setpoints that move steadily are ahead of the arm [s].", 0.0, 1.0),
+    "hand_n_m": Parameter(15e3, "Stiffness of arm, hand and object at a hard stop, as believed [N/m].", 100.0, 1e6),
+    "tare_s": Parameter(0.5, "How long the tool is weighed [s].", 0.1, 10.0),
+    "stale_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
+    "patience_s": Parameter(1.0, "How long a pull waits for an input that is late before it ends [s].", 0.0, 60.0),
+    "rate_hz": Parameter(250.0, "Setpoints a second [Hz].", 10.0, 1000.0),
+    "horizon_s": Parameter(0.02, "When a trajectory's point is to be reached [s].", 0.001, 1.0),
+}
+
+ACCELERATION_LIMITS = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: the root link."),
+    "tip": Parameter("", "Link that carries the payload; empty: the link behind most joints that are heard."),
+    "payload_kg": Parameter(0.0, "Mass that the arm carries [kg].", 0.0, 1e4),
+    "payload_centre_m": Parameter([0.0, 0.0, 0.0], "Its centre of mass in the tip link [m]."),
+    "payload_inertia": Parameter([0.0] * 6, "Its inertia about that: ixx iyy izz ixy ixz iyz [kg m2]."),
+    "method": Parameter(
+        "coupled", "coupled (bounds that hold for all joints at once), or equivalent (each joint by itself)."
+    ),
+    "torque_share": Parameter(1.0, "Share of every drive's torque that may be used.", 0.01, 1.0),
+    "torque": Parameter([""], "Largest torques that are not the URDF's effort, as joint=value [N m; N]."),
+    "friction": Parameter([""], "Dry friction that is not the URDF's, as joint=value [N m; N]."),
+    "damping": Parameter([""], "Viscous friction that is not the URDF's, as joint=value [N m s/rad; N s/m]."),
+    "rotor": Parameter([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
+    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "stale_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "rate_hz": Parameter(50.0, "Bounds are published at most this often [Hz].", 0.1, 250.0),
+}
+
+VIEWER = {
+    "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "base": Parameter("", "Link where the arm begins; empty: that of the calibration, else the root link."),
+    "tip": Parameter("", "Link where the arm ends; empty: that of the calibration, else behind most joints heard."),
+    "arrow_scale": Parameter(
+        100.0, "How much larger all that is off is drawn: 100 makes 1 mm ten centimetres.", 1.0, 1e5
+    ),
+    "full_colour_m": Parameter(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
+    "stations": Parameter(60, "How many of the last stations are shown.", 1, 1000),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
+    "rate_hz": Parameter(5.0, "How often the pictures are drawn anew [Hz].", 0.1, 30.0),
+}
+
+
+DOOR_DEMO = {
+    "start": Parameter(True, "Whether it starts the other nodes itself; false: a launch file does."),
+    "kind": Parameter("door", "What is opened: door or drawer."),
+    "seed": Parameter(0, "Decides the object, its place and the noise.", 0, 2**31 - 1),
+    "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
+}
+
+TRAJECTORY_SENDER = {
+    "trajectory": Parameter("", "File of the trajectory, as modcal plan writes it (trajectory.yaml)."),
+    "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
+    "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
+    "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
+    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
+}
+
+# May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
+# not configured.
+_LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
+    "recorder": (RECORDER, "patience_s least_free_mb"),
+    "calibrator": (
+        CALIBRATOR,
+        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s",
+    ),
+    "corrector": (
+        CORRECTOR,
+        "target stream horizon_s stale_s goal_stale_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
+        "switch_step_rad blend_s rate_hz",
+    ),
+    "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz stale_s ahead_m pull_n"),
+    "impedance_setpoint": (
+        IMPEDANCE_SETPOINT,
+        "mode direction goal goal_rad goal_m exploring_m_s speed_m_s explore_m mass damping stiffness stack_stiffness "
+        "blend_s slow_force_n slow_moment_nm stand_force_n stand_moment_nm most_force_n most_moment_nm most_speed_m_s "
+        "most_acceleration_m_s2 most_turning_rad_s most_turning_rad_s2 most_displacement_m most_turn_rad "
+        "joint_speed_rad_s joint_speed_m_s joint_acceleration_rad_s2 joint_acceleration_m_s2 least_gain gravity "
+        "servo_lag_s hand_n_m tare_s patience_s horizon_s "
+        "base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool cutoff_hz stale_s rate_hz",
+    ),
+    "acceleration_limits": (
+        ACCELERATION_LIMITS,
+        "payload_kg payload_centre_m payload_inertia method torque_share torque friction damping rotor gravity stale_s",
+    ),
+    "viewer": (VIEWER, "arrow_scale full_colour_m stale_s"),
+    "simulated_cell": (
+        SIMULATED_CELL,
+        "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
+    ),
+    "simulated_furniture": (SIMULATED_FURNITURE, ""),
+    "door_demo": (DOOR_DEMO, ""),
+    "trajectory_sender": (TRAJECTORY_SENDER, ""),
+}
+NODES = {
+    name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
+    for name, (table, live) in _LIVE.items()
+}
+RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES["corrector"]
+ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
+ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
+SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
+DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
+
+
+def declare(node: Node, parameters: dict[str, Parameter]) -> None:
+    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
+    for name, parameter in parameters.items():
+        descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
+        if parameter.low is not None and parameter.high is not None:
+            if isinstance(parameter.default, int):
+                bounds = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=0)
+                descriptor.integer_range = [bounds]
+            else:
+                span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
+                descriptor.floating_point_range = [span]
+        node.declare_parameter(name, parameter.default, descriptor)
+
+
+def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
+    """The present values of these parameters."""
+    return {name: node.get_parameter(name).value for name in parameters}
+
+
+def follow(
+    node: GuardedNode,
+    parameters: dict[str, Parameter],
+    chosen: dict[str, Any],
+    check: Callable[[dict[str, Any]], object] = lambda new: None,
+    take: Callable[[], object] = lambda: None,
+) -> None:
+    """Keep ``chosen`` as the parameters are while the node runs.
+
+    check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
+    change.
+    """
+
+    def judge(changed: list[Any]) -> SetParametersResult:
+        try:
+            check({**chosen, **{p.name: p.value for p in changed if p.name in parameters}})
+        except ModcalError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def apply(changed: list[Any]) -> None:
+        chosen.update({p.name: p.value for p in changed if p.name in parameters})
+        take()
+
+    node.add_on_set_parameters_callback(judge)
+    node.add_post_set_parameters_callback(apply)

@@ -1,0 +1,148 @@
+"""A subscription that knows when something is wrong with it: nobody speaks, QoS does not match, two speak at once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, OK, WARN, Status
+from modcal_nodes.ros.pending import waiting
+
+_LESS = {
+    QoSPolicyKind.RELIABILITY: "heard with best effort; on a busy network some messages will be lost",
+    QoSPolicyKind.DURABILITY: "heard all the same; what it published before was missed, it should latch",
+}
+_AT_ONCE = 100  # messages of one topic before others have their turn
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+
+
+class MonitoredSubscription:
+    """One subscription, and what to say of it. ``needed``: whether silence is a fault."""
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], object],
+        qos: QoSProfile,
+        needed: bool = False,
+        patience: float = 5.0,
+        single: bool = False,
+    ) -> None:
+        """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault."""
+        # each message of a burst is guarded by itself
+        self._node, self._callback = node, node.guarded(topic, callback)
+        self.needed, self.patience, self._single = needed, patience, single
+        self.count = 0
+        self.incompatible: str | None = None
+        self._less: Timer | None = None
+        self._last = time.monotonic()
+        self._kind, self._qos = kind, qos
+        self._subscriptions = [self._subscribe(topic, qos)]
+        self.topic = self._subscriptions[0].topic_name
+
+    def _subscribe(self, topic: str, qos: QoSProfile) -> Subscription:
+        def hear(message: Any) -> None:
+            self._take(message)
+            for behind, _ in waiting(subscription, _AT_ONCE):
+                self._take(behind)
+
+        events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
+        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events)
+        return subscription
+
+    def poll(self) -> None:
+        """Take what has arrived, without an executor."""
+        for subscription in list(self._subscriptions):
+            for message, _ in waiting(subscription, _AT_ONCE):
+                self._take(message)
+
+    def _take(self, message: Any) -> None:
+        self.count += 1
+        self._last = time.monotonic()
+        self._callback(message)
+
+    def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        try:
+            kind = QoSPolicyKind(event.last_policy_kind)
+        except ValueError:
+            kind = QoSPolicyKind.INVALID
+        name = kind.name.lower()
+        if self._less is None and kind in _LESS:
+            self._node.get_logger().warning(f"{self.topic}: a publisher's {name} does not match: {_LESS[kind]}")
+            # not from within its own event: a subscription cannot be taken away while it is being served
+            self._less = self._node.create_timer(0.0, partial(self._settle_for_less, kind), clock=_STEADY)
+        elif kind not in _LESS:
+            self.incompatible = (
+                f"a publisher's {name} does not match, its messages do not arrive: let both ask for the same"
+            )
+            self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
+
+    def _settle_for_less(self, kind: QoSPolicyKind) -> None:
+        """Subscribe so that this publisher is heard as well."""
+        assert self._less is not None
+        self._less.cancel()
+        qos = QoSProfile(
+            depth=self._qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+        )
+        if kind == QoSPolicyKind.RELIABILITY:  # hears every publisher, so the other must go, or some are heard twice
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions.clear()
+        self._subscriptions.append(self._subscribe(self.topic, qos))
+
+    @property
+    def silence(self) -> float:
+        """Seconds since the last message, or since the beginning."""
+        return time.monotonic() - self._last
+
+    @property
+    def publishers(self) -> int:
+        """How many publishers there are."""
+        return self._node.count_publishers(self.topic)
+
+    def complaint(self) -> tuple[bytes, str] | None:
+        """(level, what is wrong), or None."""
+        publishers = self.publishers
+        if self.incompatible is not None and self.count == 0:
+            return ERROR, f"{self.topic}: {self.incompatible}"
+        if self._single and publishers > 1:
+            return WARN, f"{self.topic}: {publishers} publishers at once: give each robot a namespace, or remap"
+        latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if self.needed and self.silence > self.patience and not (latched and self.count):
+            level = ERROR if self.count == 0 else WARN
+            if publishers == 0:
+                return level, f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
+            return level, f"{self.topic}: silent for {self.silence:.0f} s: see that its publisher is alive"
+        return None
+
+
+def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
+    """What is heard and what is not, as one status."""
+    inputs = list(inputs)
+    complaints = [complaint for ear in inputs if (complaint := ear.complaint()) is not None]
+    level = max((level for level, _ in complaints), default=OK)
+    message = "; ".join(text for _, text in complaints) or "everything that is needed is heard"
+    counts = {f"messages of {ear.topic}": ear.count for ear in inputs}
+    return Status(
+        "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in inputs}}
+    )
+
+
+def tracker_status(hearing: Status, inputs: Iterable[MonitoredSubscription]) -> Status:
+    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
+    instruments = [ear for ear in inputs if "tracker/" in ear.topic]
+    if hearing.level != OK or any(ear.count for ear in instruments):
+        return hearing
+    topics = " and ".join(ear.topic for ear in instruments)
+    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)

@@ -1,0 +1,266 @@
+"""One topic on its way into a bag: every publisher is heard, whatever its QoS, and every message is kept once.
+
+A subscription hears a publisher only if it asks for no more than that offers. One that asks for little hears everybody,
+but then a reliable publisher does not repeat what got lost, and a latched one does not tell what it said before. So
+there is one subscription for each kind of QoS that is offered; what comes twice is known by the stamp that its
+publisher gave it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from modcal_msgs_py.bag_metadata import qos_profile
+from modcal_msgs_py.topics import READINGS, TYPES
+from modcal_msgs_py.types import jazzy
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.health import ERROR, WARN
+from modcal_nodes.ros.pending import waiting
+
+# Five seconds of a fast driver may wait while this process gets no time.
+_DEPTH = 5000
+# After a process was killed, a publisher may take seconds to learn of the one that subscribes in its place, for the
+# middleware holds on to the dead one. To subscribe once more is announced anew, and often shortens that.
+_AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
+_UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
+UNHEARD = "unheard"  # kind of that complaint
+_FAST = (*READINGS, "joint_states", "wrench")
+# Messages that are taken in one go, before other topics, timers and services have their turn.
+_AT_ONCE = 200
+
+
+_SLASHED_FAST = tuple("/" + role for role in _FAST)
+
+
+class Offer(NamedTuple):
+    """The kind of QoS that a publisher offers, as far as it decides who hears it."""
+
+    reliable: bool
+    latched: bool
+
+
+class Taken(NamedTuple):
+    """A message as it came: CDR bytes, and when it was published and received by the system's clock [ns]."""
+
+    topic: str
+    cdr: bytes
+    published_ns: int
+    received_ns: int
+
+
+class Complaint(NamedTuple):
+    """What is wrong with a topic. kind: stays the same while the text counts on."""
+
+    level: bytes
+    kind: str
+    text: str
+
+
+class TopicRecorder:
+    """One wanted topic. ``needed``: whether it is a fault when nobody publishes it."""
+
+    def __init__(
+        self, node: GuardedNode, topic: str, take: Callable[[Taken], None], needed: bool, patience: float
+    ) -> None:
+        """Begin to wait for publishers. take: gets every message. patience: seconds of silence that are accepted."""
+        self.topic, self.needed = topic, needed
+        self.type_name: str | None = None
+        self.count = self.bytes = self.publishers = 0
+        self.rate = 0.0
+        self.kept: deque[Taken] = deque()
+        self._node, self._take, self.patience = node, take, patience
+        self._keep = node.guarded(topic, self._keep_one)  # each message of a burst is guarded by itself
+        self._inputs: dict[Offer, Subscription] = {}
+        self._types: set[str] = set()
+        self._seen: set[tuple[int, int]] = set()
+        self._order: deque[tuple[int, int]] = deque()
+        self._number: int | None = None
+        self._gaps = self._suspected = self._told_lost = 0
+        self._last = time.monotonic()
+        self._rated = (self._last, 0)
+        self._subscribed = self._last
+        self._again = 0
+        self._spares: list[tuple[Offer, Subscription]] = []
+        self._first: dict[Offer, Subscription] = {}
+        self.waited: float | None = None  # s from the subscription to the first message
+
+    def look(self) -> bool:
+        """Subscribe to what is offered now; whether that was something new."""
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        if len(publishers) != self.publishers:
+            self.publishers, self._number = len(publishers), None
+        else:
+            self._gaps += self._suspected
+        self._suspected = 0
+        self._types = {publisher.topic_type for publisher in publishers}
+        if self.type_name is None:
+            self.type_name = self._recordable()
+        if self.type_name is None:
+            return False
+        offers = {
+            Offer(
+                publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
+                publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            )
+            for publisher in publishers
+            if publisher.topic_type == self.type_name
+        }
+        if self._inputs and not self.count and self.publishers:
+            self._insist()
+        elif self._spares:
+            self._settle()
+        new = offers - set(self._inputs)
+        for offer in new:
+            self._inputs[offer] = self._subscribe(offer)
+            self._subscribed = self._last = time.monotonic()
+        return bool(new)
+
+    def _insist(self) -> None:
+        """Subscribe once more to who has not been heard yet. The others stay: one of them may be heard any moment."""
+        if self._again < len(_AGAIN) and time.monotonic() - self._subscribed > _AGAIN[self._again]:
+            self._again += 1
+            self._spares += [(offer, self._subscribe(offer)) for offer in self._inputs]
+
+    def _settle(self) -> None:
+        """Of the subscriptions of one kind keep the one that was heard first."""
+        for offer, subscription in [*self._inputs.items(), *self._spares]:
+            if subscription is not self._first.get(offer, self._inputs[offer]):
+                self._node.destroy_subscription(subscription)
+        self._inputs.update(self._first)
+        self._spares.clear()
+
+    def profiles(self) -> list[dict[str, Any]]:
+        """The QoS that was offered so far, as a bag holds it."""
+        return [qos_profile(offer.latched, offer.reliable) for offer in sorted(self._inputs)]
+
+    @property
+    def lost(self) -> int:
+        """Messages that the middleware says, or the publisher's numbering shows, to have been lost."""
+        return max(self._gaps, self._told_lost)
+
+    def measure(self) -> None:
+        """Renew ``rate`` [Hz]; to be called about once a second."""
+        now, (then, count) = time.monotonic(), self._rated
+        self.rate = (self.count - count) / max(now - then, 1e-3)
+        self._rated = (now, self.count)
+
+    def complaint(self) -> Complaint | None:
+        """What is wrong, or None."""
+        others = self._types - {self.type_name}
+        if self.type_name is None and self._types:
+            text = (
+                f"{self.topic}: {', '.join(sorted(self._types))} cannot be recorded: its definition is not known here"
+            )
+            return Complaint(ERROR, "type", text)
+        if others:
+            text = (
+                f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one of them"
+            )
+            return Complaint(ERROR, "types", text)
+        if not self.count and self._inputs and self.publishers and self.topic.endswith(_SLASHED_FAST):
+            since = time.monotonic() - self._subscribed
+            if since > _UNHEARD:
+                text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
+                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
+        silence = time.monotonic() - self._last
+        if silence > self.patience and self.publishers == 0 and self.needed:
+            text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
+            return Complaint(WARN, "nobody", text)
+        if silence > self.patience and self.publishers and not any(offer.latched for offer in self._inputs):
+            text = f"{self.topic}: silent for {silence:.0f} s: see that its publisher is alive"
+            return Complaint(WARN, "silent", text)
+        if self.lost:
+            text = f"{self.topic}: {self.lost} messages lost: this machine or the network is too busy"
+            return Complaint(WARN, "lost", text)
+        return None
+
+    def _recordable(self) -> str | None:
+        """The type to record, of those that are published now: the contract's, else the first that is known here."""
+        expected = {type_name for role, type_name in TYPES.items() if self.topic.endswith("/" + role)}
+        known = [name for name in sorted(self._types) if name in jazzy().types and _message_class(name) is not None]
+        return next((name for name in known if name in expected), known[0] if known else None)
+
+    def _subscribe(self, offer: Offer) -> Subscription:
+        qos = QoSProfile(
+            depth=_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if offer.reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if offer.latched else DurabilityPolicy.VOLATILE,
+        )
+        assert self.type_name is not None
+        make = partial(
+            self._node.create_subscription,
+            _message_class(self.type_name),
+            self.topic,
+            partial(self._hear, offer, box := list[Subscription]()),
+            qos,
+            raw=True,
+        )
+        try:
+            box.append(make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost)))
+        except UnsupportedEventTypeError:
+            box.append(make())
+        return box[0]
+
+    def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
+        self._first.setdefault(offer, box[0])
+        self._keep(offer, cdr, info)
+        for behind in waiting(box[0], _AT_ONCE, raw=True):
+            self._keep(offer, *behind)
+
+    def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
+        published = info["source_timestamp"]
+        self._last = time.monotonic()
+        if published and self._known(published, cdr):
+            return
+        self._count_gaps(info.get("publication_sequence_number"))
+        if not self.count:
+            self.waited = self._last - self._subscribed
+        self.count += 1
+        self.bytes += len(cdr)
+        taken = Taken(self.topic, cdr, published, info["received_timestamp"])
+        if offer.latched:
+            self.kept.append(taken)
+            while len(self.kept) > max(self.publishers, 1):
+                self.kept.popleft()
+        self._take(taken)
+
+    def _known(self, published: int, cdr: bytes) -> bool:
+        """Whether this message came before; it is remembered."""
+        key = (published, hash(cdr))
+        if key in self._seen:
+            return True
+        self._seen.add(key)
+        self._order.append(key)
+        if len(self._order) > 2 * _DEPTH:
+            self._seen.discard(self._order.popleft())
+        return False
+
+    def _count_gaps(self, number: int | None) -> None:
+        # several publishers number their messages alike, and nothing tells them apart
+        if number is None or self.publishers != 1 or len(self._inputs) != 1:
+            return
+        if self._number is not None and number > self._number + 1:
+            # or another publisher has come, which the next look will show
+            self._suspected += number - self._number - 1
+        self._number = number
+
+    def _count_lost(self, event: QoSMessageLostInfo) -> None:
+        self._told_lost += event.total_count_change
+
+
+def _message_class(name: str) -> Any:
+    """The class of a message type; None when it is not installed."""
+    package, _, message = name.partition("/msg/")
+    try:
+        return getattr(import_module(f"{package}.msg"), message, None)
+    except ImportError:
+        return None
