@@ -33,7 +33,7 @@ from rich.table import Table  # noqa: E402
 from modcal_core.calibration.adjoint import identify_twists  # noqa: E402
 from modcal_core.calibration.cell import Cell, fit_cell  # noqa: E402
 from modcal_core.calibration.module_errors import learn  # noqa: E402
-from modcal_core.calibration.witness import witness  # noqa: E402
+from modcal_core.calibration.recording_evidence import witness  # noqa: E402
 from modcal_core.modules.assembly import Assembly  # noqa: E402
 from modcal_core.modules.poe import chain_of  # noqa: E402
 

@@ -21,11 +21,11 @@ from data_cases import places, text_case
 from mcap_cases import case as mcap_case
 from mcap_cases import parts, spoilt_bytes
 
-from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.correction.correction import Correction
+from modcal_core.effects.effect import JOINTS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
 from modcal_core.measurements.inspection import inspect

@@ -14,7 +14,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.effects.candidates import vocabulary
 from modcal_core.online.estimator import Estimator
 from modcal_core.online.watch import Watch
 

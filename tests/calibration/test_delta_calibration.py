@@ -8,12 +8,12 @@ from deltas import NOISE_M, record_delta
 from finite_differences import assert_jacobian
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ALL, AXIS, Effect
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.score import errors
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects.effect import ALL, AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRobot, NotReachable
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data

@@ -12,14 +12,14 @@ from robots.test_kinematics import urdf
 from scipy.interpolate import BSpline
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ALL, AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.shapes import Shape, periodic
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects.effect import ALL, AXIS, JOINTS, LENGTH, RADIAL, Effect
+from modcal_core.effects.shapes import Shape, periodic
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import SignalTrack

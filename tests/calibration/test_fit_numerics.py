@@ -9,14 +9,14 @@ from modcal_core.calibration import identify as fits
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import StationDistance, distance_rows
 from modcal_core.calibration.distances_together import common_factor, contradicted_together, without_distances
-from modcal_core.calibration.effects import ALL, Effect, all_columns
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.known_distances import contradictions, distances_of
 from modcal_core.calibration.linearise import View, linearise
 from modcal_core.calibration.noise import excess_spread
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.effects.effect import ALL, Effect, all_columns
+from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
 from modcal_core.robots.urdf import read_chain
 from tests.cells import NOISE_M, Recorded, record, ur10

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from cells import record, slider_arm, ur10
 
-from modcal_core.calibration.gauge import least_change
+from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.loop import calibrate

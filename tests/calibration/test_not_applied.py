@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
-from modcal_core.calibration.effects import AXIS, LENGTH, Effect
-from modcal_core.calibration.held import Held
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.effects.driver_limits import Held
+from modcal_core.effects.effect import AXIS, LENGTH, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.evaluate import evaluate
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.effects import is_move
 from modcal_core.calibration.regimes import Move, find_regimes, moves_of
 from modcal_core.calibration.score import errors
+from modcal_core.effects.effect import is_move
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Result, calibrate

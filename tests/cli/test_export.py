@@ -12,9 +12,9 @@ from cli.test_bad_input import refused
 from correction.test_compensation import calibration_of, true_model
 from robots.test_tables import assert_same
 
-from modcal_core.calibration.effects import AXIS, Effect
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.robots.table_csv import from_csv
 from modcal_core.robots.tables import from_table

@@ -9,20 +9,20 @@ import pytest
 from calibration.test_effects import EFFECTS, started
 from cells import NOISE_M, NOISE_RAD, samples_of, slider_arm, ur10
 
+from modcal_core.calibration.canonical import least_change, passing_directions
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.circumstances import Arm
-from modcal_core.calibration.effects import AXIS, Effect
-from modcal_core.calibration.gauge import least_change, passing_directions
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import Deviations, apply_deviations
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.correction.compensation import compensate
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
+from modcal_core.effects.drivers import Arm
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -10,15 +10,15 @@ from cells import ur10
 from diagnosis.test_diagnosis import at_joint, recorded
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.chances import as_normal
-from modcal_core.calibration.effects import AXIS, Effect
+from modcal_core.calibration.distributions import as_normal
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.diagnosis.pruning import is_nothing, joint_size, needless
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 
 JOINT = "elbow_joint"
 TRUE = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))

@@ -10,7 +10,7 @@ from types import SimpleNamespace as Message
 import numpy as np
 
 from modcal_core.articulation.added import AddedModel, Guarded
-from modcal_core.calibration.added import AddedEffect
+from modcal_core.effects.registry import AddedEffect
 from modcal_msgs_py.added_topics import AddedTopic, Joints
 
 ROOT = Path(__file__).resolve().parents[2]

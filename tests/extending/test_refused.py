@@ -12,9 +12,9 @@ import pytest
 pytestmark = pytest.mark.slow
 
 PACKAGE = """
-from modcal_core.calibration.added import AddedEffect, AddedShape
-from modcal_core.calibration.effects import AXIS, Effect
-from modcal_core.calibration.shapes import Shape
+from modcal_core.effects.registry import AddedEffect, AddedShape
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_msgs_py.added_topics import AddedTopic
 import numpy as np
 
@@ -28,9 +28,9 @@ ADDED = {added}
 """
 SCANNED = """
 from cells import record, ur10
-from modcal_core.calibration.circumstances import Arm, Circumstances
-from modcal_core.calibration.effects import columns
-from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.effect import columns
+from modcal_core.effects.candidates import vocabulary
 at = Circumstances(record(1, 20).samples, Arm(ur10()))
 print([columns(e, at)[0][0].size.shape for e in vocabulary(at) if e.family == "bend"])
 """

@@ -14,7 +14,7 @@ from pathlib import Path
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 
 # A room may import from itself and from those before it; `top` are the files beside the rooms, where the loop stands.
-_FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "calibration", "diagnosis", "online")
+_FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "effects", "calibration", "diagnosis", "online")
 _ALSO = {"errors", "geometry", "robots", "measurements"}
 ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
 ROOMS["correction"] = ROOMS["calibration"] | {"correction"}

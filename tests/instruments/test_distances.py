@@ -15,7 +15,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import StationDistance, distance_rows
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import identify
-from modcal_core.calibration.placing import Known
+from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 

@@ -20,7 +20,7 @@ from instruments.worlds import Reading
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.placing import Known
+from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

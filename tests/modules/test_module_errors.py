@@ -14,7 +14,7 @@ from modules.workshop import Arm, Made, shelf_of
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.module_errors import ModuleErrors, deviation_of, learn, part_std, surprise
 from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
-from modcal_core.calibration.witness import Witness, witness
+from modcal_core.calibration.recording_evidence import Witness, witness
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

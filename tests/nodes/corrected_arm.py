@@ -20,9 +20,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from modcal_core.calibration.effects import AXIS, Effect
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain

@@ -10,11 +10,11 @@ from cells import record, samples_of
 from numpy.random import Generator
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import AXIS, Effect
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.linearise import linearise
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

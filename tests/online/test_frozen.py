@@ -8,11 +8,11 @@ from calibration.test_linearise import SHIFT, TURN, cell
 from cells import slider_arm, ur10
 from numpy.random import Generator
 
-from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.parameters import ordered_candidates
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import views_of
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import so3
 from modcal_core.online.frozen import Frozen, small_log
 from modcal_core.robots.chain import Chain

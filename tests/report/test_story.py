@@ -7,8 +7,8 @@ import pytest
 from cells import slider_arm, ur10
 from diagnosis.test_diagnosis import CAUSES, recorded
 
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, Effect
-from modcal_core.calibration.shapes import Shape
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
 from modcal_core.report.effect_sizes import parameters, rhythm
 from modcal_core.report.findings import Finding

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.calibration.added import AddedEffect, AddedShape, Setting
-from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.effects import AXIS, Effect
-from modcal_core.calibration.shapes import Shape
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.registry import AddedEffect, AddedShape, Setting
+from modcal_core.effects.shapes import Shape
 
 _ROUNDING = 0.02  # rad; a cable does not become taut within nothing, and what is fitted must be smooth
 

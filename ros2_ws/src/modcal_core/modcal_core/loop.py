@@ -14,15 +14,15 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.distances_together import contradicted_together
-from modcal_core.calibration.doubts import require_plausible
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
-from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.moves import identify_moved
+from modcal_core.calibration.plausibility import require_plausible
 from modcal_core.calibration.regimes import find_regimes, moves_of
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
@@ -33,7 +33,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
 from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
-from modcal_core.diagnosis.vocabulary import load_since
+from modcal_core.effects.candidates import load_since
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.notes import instrument_notes

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import JOINTS, Effect
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.own_statement import own_statement, together_stated
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects.effect import JOINTS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align

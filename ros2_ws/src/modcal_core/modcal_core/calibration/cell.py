@@ -10,10 +10,10 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance, StationDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.initial import locate, locate_base
+from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.moves import Move, What, identify_moved
 from modcal_core.calibration.parameters import with_prior
-from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.effects import Effect, all_columns, columns, prior_stds
 from modcal_core.calibration.linearise import View, geometry_rows
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
@@ -22,6 +20,8 @@ from modcal_core.calibration.parameters import View as Seen
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import Effect, all_columns, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.effects import all_columns
 from modcal_core.calibration.linearise import (
     View,
     apply_deviations,
@@ -19,10 +18,11 @@ from modcal_core.calibration.linearise import (
 )
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.twists import local_twists
+from modcal_core.effects.effect import all_columns
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import local_twists
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
 

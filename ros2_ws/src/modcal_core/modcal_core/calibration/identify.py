@@ -16,9 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
-from modcal_core.calibration.effects import Effect, prior_stds
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
@@ -32,6 +30,8 @@ from modcal_core.calibration.noise import (
 )
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.system import system_of
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import dimensions, kinds

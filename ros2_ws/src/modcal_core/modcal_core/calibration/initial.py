@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration.instruments import new_instruments
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.placing import (
+from modcal_core.calibration.locate_instruments import (
     Known,
     find_tool,
     leaders,
@@ -25,6 +24,7 @@ from modcal_core.calibration.placing import (
     require_readings,
     spread_rows,
 )
+from modcal_core.calibration.model import Model
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

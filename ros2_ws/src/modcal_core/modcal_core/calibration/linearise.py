@@ -24,14 +24,14 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.effects import READING, Effect, Term, all_columns, motion
 from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
-from modcal_core.calibration.twists import error_transform, local_twists
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import READING, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import error_transform, local_twists
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.kinematics import Frames

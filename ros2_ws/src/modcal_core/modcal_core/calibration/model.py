@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modcal_core.calibration.circumstances import Arm, Circumstances
-from modcal_core.calibration.effects import Effect, motion
 from modcal_core.calibration.instruments import Instrument
+from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.effect import Effect, motion
 from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

@@ -5,9 +5,9 @@ a small error exp(e), so to first order
 
     δ_k = Σ_pieces Ad(T_tail)⁻¹ e_piece,        T_tail: the product of the pieces behind it within M_k,
 
-and each recording tells a part of δ (see :mod:`modcal_core.calibration.witness`). A *module* error belongs to a serial
-number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are taken as
-Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a number,
+and each recording tells a part of δ (:mod:`~modcal_core.calibration.recording_evidence`). A *module* error belongs to a
+serial number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are
+taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a number,
 are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares over all
 assemblies at once:
 
@@ -25,8 +25,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from modcal_core.calibration.chances import beyond_chi2
-from modcal_core.calibration.witness import Witness
+from modcal_core.calibration.distributions import beyond_chi2
+from modcal_core.calibration.recording_evidence import Witness
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

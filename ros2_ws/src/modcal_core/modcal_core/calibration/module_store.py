@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.module_errors import Key, ModuleErrors, learn
-from modcal_core.calibration.witness import Witness
+from modcal_core.calibration.recording_evidence import Witness
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly

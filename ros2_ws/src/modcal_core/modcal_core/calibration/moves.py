@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import is_move
 from modcal_core.calibration.identify import CONVERGED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.effects.effect import is_move
 from modcal_core.measurements.samples import Samples
 
 _ROUGHLY = 1.0  # standard deviations to which a fit is brought before anything may be rejected

@@ -14,7 +14,7 @@ from math import cbrt, sqrt
 
 import numpy as np
 
-from modcal_core.calibration.chances import median_chi2
+from modcal_core.calibration.distributions import median_chi2
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import indirect_rows, kinds
 from modcal_core.measurements.samples import Samples

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import Term, all_columns
 from modcal_core.calibration.linearise import View, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.effects.effect import Term, all_columns
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

@@ -24,6 +24,7 @@ import numpy as np
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import DIRECTIONS
 from modcal_core.measurements.kinds.kind import ORIGIN
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.robots import delta as deltas
@@ -37,7 +38,6 @@ PRIOR_ANGLE_RAD = 0.02
 _WIDE = 5.0
 
 INSTRUMENT = -2  # the place of an instrument's own constants
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _UNITS = ("m", "m", "m", "rad", "rad", "rad", *deltas.UNITS)
 
 

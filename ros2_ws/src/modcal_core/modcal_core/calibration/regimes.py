@@ -20,23 +20,23 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import Move as Move
 from modcal_core.calibration.moves import What, identify_moved
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.posture_order import explained_by_posture
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
 from modcal_core.calibration.score import errors, outlying, squared_misses
 from modcal_core.calibration.setups import Setup, Sights, Stretches, stretches
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.twists import error_values
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
+from modcal_core.geometry.twists import error_values
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.posture_order import explained_by_posture
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.effects import is_large_move
 from modcal_core.calibration.linearise import apply_deviations, deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.effects.effect import is_large_move
 
 
 def without(model: Model, known: Uncertainty, gone: Sequence[int]) -> Model:

@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
+from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.gauge import least_change
+from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.moments import sharpened
 from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.score import usual_scatter
 from modcal_core.calibration.store import Calibration, parameter_table

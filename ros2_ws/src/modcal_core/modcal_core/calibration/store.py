@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.added import require_known
-from modcal_core.calibration.circumstances import Arm
-from modcal_core.calibration.effects import Effect
-from modcal_core.calibration.held import Held, Usual
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.effects.driver_limits import Held, Usual
+from modcal_core.effects.drivers import Arm
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.registry import require_known
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

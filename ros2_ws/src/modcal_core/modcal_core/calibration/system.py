@@ -7,12 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.effects.drivers import Circumstances
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

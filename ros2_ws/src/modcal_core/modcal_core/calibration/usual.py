@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.held import Usual, averaged, outside_drivers
 from modcal_core.calibration.model import Model
+from modcal_core.effects.driver_limits import Usual, averaged, outside_drivers
 from modcal_core.measurements.samples import Samples
 
 _MOVES = ("step", "until")

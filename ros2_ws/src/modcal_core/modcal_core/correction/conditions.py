@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.calibration.circumstances import Arm
+from modcal_core.effects.drivers import Arm
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import POSE, SignalTrack

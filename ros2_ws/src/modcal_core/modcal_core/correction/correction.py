@@ -1,8 +1,8 @@
 """Where an arm truly is, given what its joints report: the calibrated geometry with the effects put in.
 
 *In the base link* means that of the calibrated arm written with the least change to its drawing (see
-:mod:`modcal_core.calibration.gauge`): where the base stands in the tracker, and what turns or slides the first joint as
-a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame* has no
+:mod:`modcal_core.calibration.canonical`): where the base stands in the tracker, and what turns or slides the first
+joint as a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame* has no
 such freedom: it is what that instrument would show.
 
 Of the effects, those of the arm move the tip; a tool that was bumped moves the tool only; a base or tracker that
@@ -17,15 +17,15 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Arm, Circumstances
-from modcal_core.calibration.effects import JOINTS, READING, Term, columns, motion, shape_columns
-from modcal_core.calibration.gauge import passing_directions
+from modcal_core.calibration.canonical import passing_directions
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.twists import error_transform
 from modcal_core.correction.conditions import Conditions
+from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.effect import JOINTS, READING, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import error_transform
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.robots.kinematics import Frames, frames
 
@@ -205,7 +205,7 @@ def _deviations_covariance(calibration: Calibration) -> Array | None:
     """Covariance of deviations at places 1 … n − 1, six each, at the tool, six, and of the effects' values.
 
     In the gauge of least change: what could as well stand before a joint as behind it is put where it changes the
-    drawing least, as :mod:`modcal_core.calibration.gauge` does, here to first order.
+    drawing least, as :mod:`modcal_core.calibration.canonical` does, here to first order.
     """
     known = calibration.uncertainty
     if known is None:

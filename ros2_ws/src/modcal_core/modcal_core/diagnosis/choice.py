@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.diagnosis.vocabulary import plainness
+from modcal_core.effects.candidates import plainness
+from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 
 _TIE = 2.0  # in −log10 p

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
 from modcal_core.calibration.model import Model
 from modcal_core.diagnosis.memory import last_moves, moments_on_base, play, slipped
+from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples

@@ -21,14 +21,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from modcal_core.calibration.chances import beyond_gumbel, gumbel_of, log10_beyond_f
-from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.effects import AXIS, LENGTH, Effect, columns, length_direction, place_index
+from modcal_core.calibration.distributions import beyond_gumbel, gumbel_of, log10_beyond_f
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import View, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
-from modcal_core.calibration.shapes import PERIODIC, periodic
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import AXIS, LENGTH, Effect, columns, length_direction, place_index
+from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

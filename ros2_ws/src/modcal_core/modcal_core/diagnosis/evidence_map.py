@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import LENGTH, SHIFT
 from modcal_core.diagnosis.evidence import Evidence
+from modcal_core.effects.effect import LENGTH, SHIFT
 from modcal_core.geometry.so3 import Array
 
 _SHIFTS = ("x", "y", "z", LENGTH, SHIFT)  # one row of a map: five would say nearly the same

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.effects import ALL, AXIS, Effect
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
-from modcal_core.calibration.shapes import Shape
 from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.effects.candidates import vocabulary
+from modcal_core.effects.effect import ALL, AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.measurements.samples import Samples
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance

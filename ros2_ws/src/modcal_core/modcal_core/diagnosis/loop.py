@@ -12,22 +12,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.chances import beyond_normal
-from modcal_core.calibration.circumstances import Circumstances
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.posture_order import joints_instead
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
-from modcal_core.calibration.shapes import Shape
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.choice import Choice, choose, is_weight
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import LEAST_GAIN, joint_size, needless
-from modcal_core.diagnosis.vocabulary import vocabulary
+from modcal_core.effects.candidates import vocabulary
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.shapes import Shape
+from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 
 SIGNIFICANT = 0.002

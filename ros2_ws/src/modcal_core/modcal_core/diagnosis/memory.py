@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Circumstances
+from modcal_core.effects.drivers import Circumstances
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

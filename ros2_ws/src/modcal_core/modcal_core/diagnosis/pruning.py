@@ -10,15 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.chances import as_normal
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import Effect
+from modcal_core.calibration.distributions import as_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

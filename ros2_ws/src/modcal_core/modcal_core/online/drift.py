@@ -21,12 +21,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.calibration.cell import Cell, refit_cell, with_frames
-from modcal_core.calibration.chances import beyond_chi2
-from modcal_core.calibration.doubts import LIMIT_OF_REACH
+from modcal_core.calibration.distributions import beyond_chi2
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.plausibility import LIMIT_OF_REACH
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import exact_samples

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.identify import priors
 from modcal_core.calibration.linearise import View as Seen
 from modcal_core.calibration.linearise import linearise, model_at
@@ -23,6 +22,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import HUBER_Z, Spread, robust_weights, score_of_one
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
+from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import SHARED, Samples

@@ -15,13 +15,13 @@ from math import asin, sqrt
 
 import numpy as np
 
-from modcal_core.calibration.effects import all_columns, motion
 from modcal_core.calibration.linearise import Deviations, View, deviations, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
-from modcal_core.calibration.twists import local_twists
+from modcal_core.effects.effect import all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import HAT, Array
+from modcal_core.geometry.twists import local_twists
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames

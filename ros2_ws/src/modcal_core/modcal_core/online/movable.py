@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.parameters import DIRECTIONS, Parameter, direction_names
+from modcal_core.calibration.parameters import Parameter, direction_names
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import DIRECTIONS
 from modcal_core.robots.chain import Chain
 
 ZERO = "zero"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import length_direction
+from modcal_core.effects.effect import length_direction
 from modcal_core.geometry.so3 import Array
 from modcal_core.online.watch import Seen, Watch
 from modcal_core.robots.gravity import payload_wrench

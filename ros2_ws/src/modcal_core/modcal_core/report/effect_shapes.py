@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.effects import AXIS, JOINTS, LENGTH, RADIAL, Effect
+from modcal_core.effects.effect import AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.figures import label, small, thinned
 from modcal_core.report.findings import component_names, curve

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.added import added_shape
-from modcal_core.calibration.effects import ACROSS, ALL, JOINTS, LENGTH, SHIFT, Effect
-from modcal_core.calibration.effects import AXIS as AXIS
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import DIRECTIONS
-from modcal_core.diagnosis.vocabulary import WHOLE_CYCLES
+from modcal_core.effects.candidates import WHOLE_CYCLES
+from modcal_core.effects.effect import ACROSS, ALL, JOINTS, LENGTH, SHIFT, Effect
+from modcal_core.effects.effect import AXIS as AXIS
+from modcal_core.effects.registry import added_shape
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import DIRECTIONS
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 

@@ -11,18 +11,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.added import added_effects
-from modcal_core.calibration.chances import beyond_normal
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.effects import ALL, AXIS, Effect, is_large_move, is_move
+from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
-from modcal_core.calibration.posture_order import joints_instead
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.diagnosis.loop import Diagnosis
+from modcal_core.effects.effect import ALL, AXIS, Effect, is_large_move, is_move
+from modcal_core.effects.registry import added_effects
+from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.effect_sizes import Quantity, at_tool, parameters
 from modcal_core.report.effect_sizes import component_names as component_names

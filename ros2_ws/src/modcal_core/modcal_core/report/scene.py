@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.effects import motion
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors
+from modcal_core.effects.effect import motion
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import indirect_rows
 from modcal_core.measurements.samples import Samples

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from modcal_core.calibration.effects import ACROSS
+from modcal_core.effects.effect import ACROSS
 from modcal_core.report.effect_sizes import Quantity
 
 Sizes = Mapping[str, Quantity]

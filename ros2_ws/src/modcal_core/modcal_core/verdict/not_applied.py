@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Arm
-from modcal_core.calibration.effects import Effect
-from modcal_core.calibration.held import averaged, outside_drivers
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
+from modcal_core.effects.driver_limits import averaged, outside_drivers
+from modcal_core.effects.drivers import Arm
+from modcal_core.effects.effect import Effect
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.grounds import NotApplied
 

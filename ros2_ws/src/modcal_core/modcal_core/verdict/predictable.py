@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.chances import gumbel_of
+from modcal_core.calibration.distributions import gumbel_of
 from modcal_core.calibration.split import block_length
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

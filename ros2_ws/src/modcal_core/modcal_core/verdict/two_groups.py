@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.effects import place_index
 from modcal_core.calibration.linearise import View
+from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.robots.chain import Chain

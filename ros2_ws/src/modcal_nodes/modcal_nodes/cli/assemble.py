@@ -13,7 +13,7 @@ from rich.table import Table
 
 from modcal_core.calibration.module_errors import ModuleError, ModuleErrors, learn, surprise
 from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
-from modcal_core.calibration.witness import witness
+from modcal_core.calibration.recording_evidence import witness
 from modcal_core.errors import BadTable
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.incidence import incidence_of

@@ -10,8 +10,8 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.moves import WHATS, Move, What
-from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable

@@ -1,7 +1,7 @@
 """Everything that is looked for: each effect of the vocabulary at every place it can sit, before any has a size.
 
 One function names one kind of effect; adding a kind is adding a function to :data:`KINDS`, or installing a package that
-brings one (:mod:`~modcal_core.calibration.added`). What has no name yet comes last, as free shapes of any driver.
+brings one (:mod:`~modcal_core.effects.registry`). What has no name yet comes last, as free shapes of any driver.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from modcal_core.calibration import added
-from modcal_core.calibration.circumstances import Circumstances
-from modcal_core.calibration.effects import ACROSS, ALL, AXIS, JOINTS, LENGTH, RADIAL, SHIFT, Effect, length_direction
-from modcal_core.calibration.shapes import Shape
+from modcal_core.effects import registry
+from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, JOINTS, LENGTH, RADIAL, SHIFT, Effect, length_direction
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 
 LEAST_SPEED = 1e-3  # rad/s or m/s
@@ -35,7 +35,7 @@ def vocabulary(at: Circumstances) -> Iterator[Effect]:
     """All candidates for these samples, without values."""
     for kind in KINDS:
         yield from kind(at)
-    yield from added.candidates(at)
+    yield from registry.candidates(at)
 
 
 def plainness(effect: Effect) -> int:

@@ -7,6 +7,8 @@ import numpy as np
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # of the six values of a twist
+
 
 def error_transform(twist: Array) -> Array:
     """``Trans(t) Rot(exp ω)`` (..., 4, 4) of errors' six values (t, ω) (..., 6) [m, rad]."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration.added import added_shape, basis_of
+from modcal_core.effects.registry import added_shape, basis_of
 from modcal_core.geometry.so3 import Array
 
 REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}

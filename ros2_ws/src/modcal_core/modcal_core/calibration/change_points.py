@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.effects import Effect
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import errors
+from modcal_core.effects.effect import Effect
 from modcal_core.measurements.samples import Samples
 
 _AROUND = 12  # stations on either side of a step that are tried

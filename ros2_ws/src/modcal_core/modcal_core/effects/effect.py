@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.circumstances import Circumstances, public_driver
-from modcal_core.calibration.parameters import DIRECTIONS
-from modcal_core.calibration.shapes import Shape
-from modcal_core.calibration.twists import local_twists
+from modcal_core.effects.drivers import Circumstances, public_driver
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import DIRECTIONS, local_twists
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import ARMS
 from modcal_core.robots.mechanism import Mechanism

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.added import added_driver
-from modcal_core.calibration.held import Held
+from modcal_core.effects.driver_limits import Held
+from modcal_core.effects.registry import added_driver
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples

@@ -20,8 +20,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.packages import added
 
 if TYPE_CHECKING:
-    from modcal_core.calibration.circumstances import Circumstances
-    from modcal_core.calibration.effects import Effect
+    from modcal_core.effects.drivers import Circumstances
+    from modcal_core.effects.effect import Effect
 
 GROUP = "modcal.effects"
 # What the house has, which no package may name anew.

@@ -14,14 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.doubts import require_plausible
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.parameters import DIRECTIONS, Parameter
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.plausibility import require_plausible
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import DIRECTIONS
 from modcal_core.measurements.samples import Samples
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library import Library

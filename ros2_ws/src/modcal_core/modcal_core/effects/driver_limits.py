@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modcal_core.calibration.shapes import Shape
+from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 
 if TYPE_CHECKING:
-    from modcal_core.calibration.effects import Effect
+    from modcal_core.effects.effect import Effect
 
 OUTSIDE = ("effort", "temperature", "signal", "time")  # kinds of drivers that postures and URDF do not tell
 
