@@ -79,9 +79,9 @@ class PulledArm:
         self._asks = {name: node.create_client(Trigger, f"{WHO}/{name}") for name in ("pull", "stop")}
         self.clock = node.create_publisher(Clock, "/clock", 10)
         self._time, self._answered, self._stepped = _BEGIN, 0.0, time.monotonic()
-        if speaks:
+        if speaks:  # else it only asks: a clock that nobody answers goes as fast as it can
             self.description.publish(String(data=URDF))
-        node.create_timer(0.5 * PERIOD, self.speak)
+            node.create_timer(0.5 * PERIOD, self.speak)
 
     def now(self) -> float:
         return self._time
