@@ -147,7 +147,7 @@ def run(folder: Path, seconds: float) -> int:
                 }
                 cell.stop()
             relay.terminate()
-            relay.wait(20.0)
+            _ended(relay)
             due = time.monotonic() + 2.0
             wait(lambda: time.monotonic() > due, 10.0)
         finally:
@@ -155,6 +155,20 @@ def run(folder: Path, seconds: float) -> int:
             codes = {subject.name: subject.stop() for subject in every}
         calm.stop(patience=60.0)
     return _report(folder, every, codes, answers)
+
+
+def _ended(relay: subprocess.Popen[bytes]) -> None:
+    """Wait for the relay to end; one that does not says where it stands."""
+    try:
+        relay.wait(20.0)
+    except subprocess.TimeoutExpired:
+        print(f"relay {relay.pid} does not end", flush=True)
+        for task in Path(f"/proc/{relay.pid}/task").iterdir():
+            print(task.name, (task / "comm").read_text().strip(), (task / "wchan").read_text(), (task/"stat").read_text()[:60], flush=True)
+        relay.send_signal(signal.SIGUSR1)
+        time.sleep(2.0)
+        relay.send_signal(signal.SIGUSR1)
+        time.sleep(2.0)
 
 
 def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
@@ -298,7 +312,7 @@ def main() -> int:
     chosen = parser.parse_args()
     if chosen.keep is not None:
         chosen.keep.mkdir(parents=True)
-        return run(chosen.keep, 60.0 * chosen.minutes)
+        return run(chosen.keep.resolve(), 60.0 * chosen.minutes)
     with tempfile.TemporaryDirectory() as name:
         return run(Path(name), 60.0 * chosen.minutes)
 

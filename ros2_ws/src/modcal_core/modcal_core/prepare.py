@@ -59,7 +59,7 @@ def prepare(
 
     since, until: stamps [s] between which dropped readings are counted.
     """
-    clean = cleaned(recording, chain.names)
+    clean = cleaned(recording, chain.names, chain)
     recording = clean.recording
     require_usable(recording, chain)
     aligned, notes = align(recording, chain.names, lambda q: forward(chain, q)[:, :3, 3], clock_limit)

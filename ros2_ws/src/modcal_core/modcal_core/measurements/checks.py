@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
@@ -21,10 +22,17 @@ _SHOWN = 12  # topics in a refusal
 POSITIONS = "tracker/pose or tracker/point"
 
 
+def joint_limits(chain: Mechanism) -> Array:
+    """The largest position [rad, m] of each joint, (n,), beyond which degrees or millimetres are suspected."""
+    stated = np.maximum(np.abs(chain.lower), np.abs(chain.upper))
+    turns = np.where(np.isfinite(stated), np.maximum(MOST_TURNS, 1.05 * stated), MOST_TURNS_ENDLESS)
+    return np.asarray(np.where(chain.revolute, turns, FARTHEST))
+
+
 def require_usable(recording: Recording, chain: Mechanism) -> None:
     """Raises BadRecording unless there are joint states of every joint, and readings, in SI units.
 
-    What is not finite has been left out before (see ``dropouts``).
+    What is not finite, and single values that cannot be, have been left out before (see ``dropouts``).
     """
     _require_joints(recording, chain)
     _require_readings(recording, chain)
@@ -55,14 +63,13 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> No
     position = track.position[:, j]
     k = chain.names.index(name)
     largest = float(np.abs(position).max())
-    stated = max(abs(chain.lower[k]), abs(chain.upper[k]))
+    limit = float(joint_limits(chain)[k])
+    if largest <= limit:
+        return
     if chain.revolute[k]:
-        limit = max(MOST_TURNS, 1.05 * stated) if np.isfinite(stated) else MOST_TURNS_ENDLESS
-        if largest > limit:
-            said = f"position reaches {largest:.1f} rad, {limit:.1f} rad is the limit: it looks like degrees"
-            raise BadRecording(f"joint {name}", said, "record radians")
-    elif largest > FARTHEST:
-        raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
+        said = f"position reaches {largest:.1f} rad, {limit:.1f} rad is the limit: it looks like degrees"
+        raise BadRecording(f"joint {name}", said, "record radians")
+    raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
 
 
 def _require_one_source(track: JointTrack, chain: Mechanism) -> None:

@@ -1,6 +1,7 @@
-"""Messages of a recording that say nothing: joint positions and readings that are not finite, targets that were lost.
+"""Messages of a recording that say nothing: numbers that are not finite or cannot be, targets and clocks that were lost.
 
-They are left out, counted and said. A recording is refused when nothing is left, or too little for what is asked of it.
+They are left out, counted and said. A recording is refused when nothing is left, or too little for what is asked of it;
+and, by what is wrong with it, where most of its messages are wrong, as those of a tracker that publishes millimetres.
 """
 
 from __future__ import annotations
@@ -11,14 +12,23 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.robots.mechanism import Mechanism
 
 JOINTS = "joint states without a finite position"
+BEYOND = "joint states with a position that no joint has"
 READINGS = "readings that are not finite"
 TARGETS = "readings without a target (a quaternion of zeros)"
+IMPLAUSIBLE = "readings that cannot be (too far away, or not of unit length)"
+ELSEWHEN = "stamped at another time than all others"
 _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
+_MOST = 0.5  # share of implausible readings beyond which they are no glitches but what the instrument says
+_GLITCHES = 0.05  # the same of joint positions and stamps, and of efforts, which are steadier than a tracker
+_NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
+_DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
 
 
 @dataclass(frozen=True)
@@ -30,40 +40,112 @@ class Cleaned:
     lost: tuple[tuple[str, int], ...] = ()
 
 
-def cleaned(recording: Recording, names: tuple[str, ...]) -> Cleaned:
+def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | None = None) -> Cleaned:
     """The recording without messages that say nothing of these joints, or of the target.
 
-    Raises BadRecording where nothing is left of a track that is needed.
+    chain: the arm, where it is known: what it cannot reach is left out too, as far as it is an exception. Raises
+    BadRecording where nothing is left of a track that is needed.
     """
     notes: list[str] = []
     lost = dict(recording.lost)
-    joints = tuple(_joints(track, names, notes, lost) for track in recording.joints)
-    readings = tuple(_readings(track, notes, lost) for track in recording.readings)
-    if all(a is b for a, b in zip((*joints, *readings), (*recording.joints, *recording.readings), strict=True)):
+    joints = tuple(_joints(track, names, chain, notes, lost) for track in recording.joints)
+    reach = 0.0 if chain is None else chain.reach()
+    readings = tuple(_readings(track, reach, notes, lost) for track in recording.readings)
+    signals = tuple(_signals(track) for track in recording.signals)
+    before, after = (recording.joints, recording.readings, recording.signals), (joints, readings, signals)
+    if all(a is b for old, new in zip(before, after, strict=True) for a, b in zip(old, new, strict=True)):
         return Cleaned(recording, (), tuple(lost.items()))
-    return Cleaned(replace(recording, joints=joints, readings=readings), tuple(notes), tuple(lost.items()))
+    clean = replace(recording, joints=joints, readings=readings, signals=signals)
+    return Cleaned(clean, tuple(notes), tuple(lost.items()))
 
 
-def _joints(track: JointTrack, names: tuple[str, ...], notes: list[str], lost: dict[str, int]) -> JointTrack:
+def elsewhen(stamps: Array) -> np.ndarray:
+    """True for the few stamps (m,) that lie far from all others, as those of a clock that was not set for a moment.
+
+    None where there are many: then they are recordings of several days.
+    """
+    if len(stamps) < 3:
+        return np.zeros(len(stamps), dtype=np.bool_)
+    off = np.abs(stamps - np.median(stamps))
+    far = np.asarray(~(off <= max(_DAY, _SPREADS * float(np.median(off)))))
+    return far if far.sum() <= max(1.0, _GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
+
+
+def _joints(
+    track: JointTrack, names: tuple[str, ...], chain: Mechanism | None, notes: list[str], lost: dict[str, int]
+) -> JointTrack:
     """The rows of a track that say where the named joints are that it carries."""
     mine = [j for j, name in enumerate(track.names) if name in names]
-    bad = ~np.isfinite(track.position[:, mine])
+    position = track.position[:, mine]
+    bad = ~np.isfinite(position)
     rows: np.ndarray = np.any(bad, axis=1)
-    if not rows.any():
-        return track
-    worst = mine[int(np.argmax(bad.sum(axis=0)))]
-    if rows.all():
+    if mine and rows.all() and len(rows):
+        worst = mine[int(np.argmax(bad.sum(axis=0)))]
         said = f"position is not finite in any of {len(rows)} messages"
         raise BadRecording(f"joint {track.names[worst]}", said, "correct the driver, or record again")
-    _count(lost, JOINTS, int(rows.sum()))
-    notes.append(_sentence(track.topic, rows, track.stamps, f"no finite position of {track.names[worst]}"))
-    keep = ~rows
-    columns = {name: getattr(track, name)[keep] for name in ("stamps", "position", "velocity", "effort", "received")}
-    return replace(track, **columns)
+    other = elsewhen(track.stamps) & ~rows
+    beyond = _beyond(track, mine, chain)
+    far: np.ndarray = beyond.any(axis=1) & ~rows & ~other
+    for reason, those, columns, what in (
+        (JOINTS, rows, bad, "no finite position"),
+        (f"joint states {ELSEWHEN}", other, None, ELSEWHEN),
+        (BEYOND, far, beyond, "a position beyond its range"),
+    ):
+        if those.any():
+            _count(lost, reason, int(those.sum()))
+            of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
+            notes.append(_sentence(track.topic, those, track.stamps, what + of))
+    keep = ~(rows | other | far)
+    if not keep.all():
+        columns = ("stamps", "position", "velocity", "effort", "received")
+        track = replace(track, **{name: getattr(track, name)[keep] for name in columns})
+    return _with_rates(track, mine, notes)
 
 
-def _readings(track: ReadingTrack, notes: list[str], lost: dict[str, int]) -> ReadingTrack:
-    """The readings of a track that are finite, and that have an orientation where there is one."""
+def _beyond(track: JointTrack, mine: list[int], chain: Mechanism | None) -> np.ndarray:
+    """Where a position is one that the joint cannot have, (m, len(mine)): a glitch, not an arm that speaks degrees."""
+    size = np.abs(track.position[:, mine])
+    surely = size > _NO_DEGREES
+    if surely.any(axis=1).mean() > _MOST if len(size) else True:
+        return np.zeros(size.shape, dtype=np.bool_)
+    if chain is None:
+        return np.asarray(surely)
+    known = dict(zip(chain.names, joint_limits(chain), strict=True))
+    over = size > np.array([known.get(track.names[j], np.inf) for j in mine])
+    return np.asarray(over if over.any(axis=1).mean() <= _GLITCHES else surely)
+
+
+def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTrack:
+    """The track with velocities and efforts that are finite or, for a whole joint, unknown.
+
+    Where a few are not, those before and after stand in: a mean over a dwell must not be lost to one number.
+    """
+    changed: dict[str, Array] = {}
+    for what in ("velocity", "effort"):
+        values = getattr(track, what)
+        known = np.isfinite(values[:, mine])
+        some = known.any(axis=0) & ~known.all(axis=0)
+        if not some.any():
+            continue
+        values = values.copy()
+        order = np.argsort(track.stamps, kind="stable")
+        for k in np.flatnonzero(some).tolist():
+            j, good, n = mine[k], known[:, k], int((~known[:, k]).sum())
+            few = n <= _GLITCHES * len(good)
+            kept = order[good[order]]
+            values[~good, j] = np.interp(track.stamps[~good], track.stamps[kept], values[kept, j]) if few else np.nan
+            done = "those before and after stand in" if few else "it counts as unknown there"
+            at = float(track.stamps[int(np.argmax(~good))])
+            notes.append(
+                f"{track.topic}: no finite {what} of {track.names[j]} in {n} of {len(good)} messages, "
+                f"first at {at:.3f} s: {done}."
+            )
+        changed[what] = values
+    return replace(track, **changed) if changed else track
+
+
+def _readings(track: ReadingTrack, reach: float, notes: list[str], lost: dict[str, int]) -> ReadingTrack:
+    """The readings of a track that are finite and plausible, and that have an orientation where there is one."""
     if track.kind not in kinds() or not len(track.stamps):
         return track
     broken: np.ndarray = ~np.all(np.isfinite(track.values), axis=1)
@@ -72,18 +154,36 @@ def _readings(track: ReadingTrack, notes: list[str], lost: dict[str, int]) -> Re
         with np.errstate(invalid="ignore", over="ignore"):
             gone = ~broken & (np.linalg.norm(track.values[:, 3:], axis=1) < _LOST)
     rows = broken | gone
-    if not rows.any():
-        return track
     name = f"{track.topic} ({track.frame})"
     if rows.all():
         why = "not finite" if broken.all() else "not finite, or without a target,"
         said = f"{why} in all of {len(rows)} readings"
         raise BadRecording(name, said, "check that the instrument sees its target, and record again")
-    for reason, those, what in ((READINGS, broken, "not finite"), (TARGETS, gone, "without a target")):
+    other = elsewhen(track.stamps) & ~rows
+    odd: np.ndarray = np.zeros(len(rows), dtype=np.bool_)
+    odd[~rows] = kinds()[track.kind].implausible(track.values[~rows], reach)
+    odd &= ~other
+    if odd.sum() > _MOST * (~rows).sum():
+        odd[:] = False  # what is wrong with them is said when they are checked
+    for reason, those, what in (
+        (READINGS, broken, "not finite"),
+        (TARGETS, gone, "without a target"),
+        (f"readings {ELSEWHEN}", other, ELSEWHEN),
+        (IMPLAUSIBLE, odd, "too far away, or not of unit length,"),
+    ):
         if those.any():
             _count(lost, reason, int(those.sum()))
             notes.append(_sentence(name, those, track.stamps, what))
-    return track.rows(~rows)
+    rows = rows | other | odd
+    return track.rows(~rows) if rows.any() else track
+
+
+def _signals(track: SignalTrack) -> SignalTrack:
+    """A signal without values that are not finite, and stamps of another time."""
+    keep = np.isfinite(track.values).all(axis=1) & ~elsewhen(track.stamps)
+    if keep.all() or not keep.any():
+        return track
+    return replace(track, stamps=track.stamps[keep], values=track.values[keep])
 
 
 def _sentence(name: str, rows: np.ndarray, stamps: Array, what: str) -> str:

@@ -61,7 +61,7 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
     findings += _receive_finding(recording)
     if chain is not None:
         try:
-            clean = cleaned(recording, chain.names)
+            clean = cleaned(recording, chain.names, chain)
             require_usable(clean.recording, chain)
         except ModcalError as error:
             findings.append(f"Cannot be used for calibration: {error}.")

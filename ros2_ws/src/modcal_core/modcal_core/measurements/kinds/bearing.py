@@ -80,6 +80,11 @@ class Bearing(Kind):
         R = so3.exp(x[:3]) @ R
         return se3.transform(R, x[3:] - R @ centre), np.empty(0)
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Directions that are no unit vectors."""
+        with np.errstate(over="ignore"):
+            return np.asarray(~(np.abs(np.linalg.norm(values, axis=1) - 1.0) <= _UNIT))
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Directions that are no unit vectors."""
         norm = np.linalg.norm(track.values, axis=1)

@@ -14,8 +14,10 @@ import numpy as np
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import FARTHEST, ORIGIN, Constant, Kind, Scene, Sight, millimetres
+from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, Sight, farthest, millimetres
 from modcal_core.measurements.recording import RANGE, ReadingTrack
+
+_MOST_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
 
 class Distance(Kind):
@@ -73,6 +75,12 @@ class Distance(Kind):
         x = least_squares(miss, np.r_[a, z], loss="soft_l1").x
         return se3.transform(p=-(x[:3] + centre)), x[3:]
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Ranges of nothing, and what no arm could have moved."""
+        d = values[:, 0]
+        changing = np.abs(d - np.median(d)) > 4.0 * reach if reach and len(d) > 1 else np.zeros(len(d), dtype=np.bool_)
+        return np.asarray((d <= 0.0) | (d > farthest(reach)) | changing)
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Zeros, negative readings, millimetres."""
         d = track.values[:, 0]
@@ -81,5 +89,5 @@ class Distance(Kind):
             said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
             return said, "leave out readings without a target"
         # the tool may stick out as far as the arm reaches
-        changing = millimetres("ranges change by", float(np.ptp(d)), 4.0 * reach)
-        return changing or millimetres("ranges reach", float(d.max()), max(FARTHEST, 20.0 * reach))
+        changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MOST_OF))), 4.0 * reach)
+        return changing or millimetres("ranges reach", float(d.max()), farthest(reach))

@@ -127,6 +127,13 @@ class Kind:
         """Whether an instrument could read there at all, (m,)."""
         return np.ones(scene.target.shape[1], bool)
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """True for readings (m, width), all finite, that no instrument of an arm with this reach [m] gives, (m,).
+
+        They are left out where they are few; where most are, ``complaint`` says what is wrong with all of them.
+        """
+        return np.zeros(len(values), dtype=np.bool_)
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """(limit, remedy) of readings that cannot be used, None where they can. reach: of the arm [m]."""
         return None
@@ -149,6 +156,11 @@ def scene_in(T_frame_base: Array, T_base_tool: Array, target: Array | None = Non
     """The scene of a frame, seen from the base, for poses (m, 4, 4). target: in the tool [m]; None: its origin."""
     p, axes = T_base_tool[:, :3, 3].T, T_base_tool[:, :3, :3].transpose(2, 1, 0)
     return Scene(se3.inverse(T_frame_base), p if target is None else p + np.einsum("dim,d->im", axes, target), p, axes)
+
+
+def farthest(reach: float) -> float:
+    """Distance [m] from its tracker beyond which nothing that an arm of this reach [m] holds can be."""
+    return max(FARTHEST, 20.0 * reach)
 
 
 def millimetres(name: str, largest: float, limit: float) -> tuple[str, str] | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.measurements.kinds.kind import FARTHEST, Kind
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import Kind, farthest
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
 
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be
@@ -20,12 +21,17 @@ class Point(Kind):
     dimensions = 3
     direct = True
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Positions farther from the tracker than any arm could be."""
+        most = farthest(reach)  # by component first: a square may overflow
+        return np.asarray((np.abs(values[:, :3]) > most).any(axis=1) | (_norm(values[:, :3]) > most))
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Positions in millimetres."""
         position = track.values[:, :3]
-        spread = float(np.linalg.norm(position - np.median(position, axis=0), axis=1).mean())
+        spread = float(_norm(position - np.median(position, axis=0)).mean())
         far = float(np.linalg.norm(np.median(position, axis=0)))
-        if spread > 5.0 * reach or far > max(FARTHEST, 20.0 * reach):
+        if spread > 5.0 * reach or far > farthest(reach):
             said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: it looks like millimetres"
             return said, "record metres"
         return None
@@ -40,6 +46,10 @@ class Pose(Point):
     width = 7
     dimensions = 6
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Positions too far away, and quaternions that are no rotations."""
+        return np.asarray(super().implausible(values, reach) | ~(np.abs(_norm(values[:, 3:]) - 1.0) <= _UNIT))
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Positions in millimetres, quaternions that are none."""
         norm = np.linalg.norm(track.values[:, 3:], axis=1)
@@ -48,3 +58,9 @@ class Pose(Point):
             length = f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s"
             return f"{length}, 1 ± {_UNIT:g} is allowed", "publish unit quaternions x y z w"
         return said
+
+
+def _norm(vectors: Array) -> Array:
+    """Lengths (m,) of vectors (m, k), whatever they hold: infinite where a square overflows."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.linalg.norm(vectors, axis=1))

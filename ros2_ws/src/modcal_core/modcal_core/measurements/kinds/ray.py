@@ -128,6 +128,11 @@ class Ray(Kind):
         assert best is not None
         return best[1], best[2]
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Ranges of nothing, or beyond what such a sensor sees."""
+        d = values[:, 0]
+        return np.asarray((d <= 0.0) | (d > max(_FARTHEST, 4.0 * reach)))
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Zeros, negative readings, millimetres."""
         d = track.values[:, 0]

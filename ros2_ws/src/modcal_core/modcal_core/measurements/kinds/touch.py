@@ -74,6 +74,11 @@ class Touch(Kind):
         x = least_squares(miss, np.r_[0.0, 0.0, -h.mean()]).x
         return frame_on_plane(normal(x), float(normal(x) @ centre + x[2])), np.empty(0)
 
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Heights that no arm of this reach comes to."""
+        most = 2.0 * reach if reach else np.inf
+        return np.asarray(np.abs(values[:, 0]) > most)
+
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Heights in millimetres."""
         return millimetres("heights reach", float(np.abs(track.values[:, 0]).max()), 2.0 * reach)
