@@ -53,7 +53,9 @@ class Case:
 
 
 Maker = Callable[[Works, np.random.Generator], Case]
-KINDS: dict[str, dict[str, Maker]] = {"main": {}, "later": {}, "fresh": {}, "fresh_again": {}, "real": {}, "good": {}}
+KINDS: dict[str, dict[str, Maker]] = {
+    name: {} for name in ("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "real", "good")
+}
 
 
 def kind(group: str = "main") -> Callable[[Maker], Maker]:

@@ -2,10 +2,10 @@
 
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
-Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh`` and ``fresh_again``, written after
-the last change to the code of their day and run once; ``real``, made out of recordings of real arms beside the
-checkout; ``good``. A fault counts as named when what makes the verdict open, or what was modelled, holds the joint,
-the place or the topic that is at fault.
+Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``
+and ``fresh_fourth``, each written after the last change to the code of its day and run once; ``real``, made out of
+recordings of real arms beside the checkout; ``good``. A fault counts as named when what makes the verdict open, or what
+was modelled, holds the joint, the place or the topic that is at fault.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from typing import Any  # noqa: E402
 import conventions  # noqa: E402, F401 (registers its kinds)
 import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
+import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
 import numpy as np  # noqa: E402
@@ -62,7 +63,7 @@ from workcell import Works  # noqa: E402
 ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
-SEEDS = {"main": 2, "later": 2, "fresh": 1, "fresh_again": 1, "real": 1, "good": 4}
+SEEDS = {"main": 2, "later": 2, "fresh": 1, "fresh_again": 1, "fresh_third": 1, "fresh_fourth": 1, "real": 1, "good": 4}
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,9 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("real", "Faults in real recordings"),
         ("later", "Kinds written later"),
         ("fresh", "Kinds once written after the last change"),
-        ("fresh_again", "Kinds written after the last change"),
+        ("fresh_again", "Kinds once written after the last change, again"),
+        ("fresh_third", "Kinds once written after the last change, third group"),
+        ("fresh_fourth", "Kinds written after the last change"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:

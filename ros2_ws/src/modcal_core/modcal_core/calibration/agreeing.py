@@ -23,8 +23,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward
 
-_ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
-_OF_REACH = 0.006  # the same for positions
+ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
+OF_REACH = 0.006  # the same for positions
 _CLEARLY = 2.0  # times both; what misses by less may be the arm's own error, or that of a few stations drawn
 _DRAWN = 5  # stations
 _DRAWS = 240
@@ -98,7 +98,7 @@ class _Search:
         self.samples, self.chain = samples, chain
         self.A = forward(chain, samples.q)
         self.poses = bool(samples.is_pose.all())
-        self.limit = _ANGLE, _OF_REACH * chain.reach()
+        self.limit = ANGLE, OF_REACH * chain.reach()
         self.rng = np.random.default_rng(0)
 
     def found(self) -> Disagreement | None:
@@ -267,14 +267,17 @@ class _Search:
                 f"joint {name} keeps its reported position{where} while it moves by some {swing:.0f}°: it looks stale"
             )
             return self._said(rows, what, remedy)
+        if _spread(seen) < 2.0 * ANGLE:
+            what = f"joint {name} moves{where} and the readings do not show it: the tracker, or its reference, moves along"
+            return self._said(rows, what, f"mount the tracker and its reference where {name} does not move them")
         off = seen - reported
-        if _spread(off) < 2.0 * _ANGLE:
+        if _spread(off) < 2.0 * ANGLE:
             turn = np.degrees(np.angle(np.mean(np.exp(1j * off))))
-            if abs(turn) < np.degrees(_CLEARLY * _ANGLE):  # it stands as reported: what is wrong is not this joint
+            if abs(turn) < np.degrees(_CLEARLY * ANGLE):  # it stands as reported: what is wrong is not this joint
                 return None
             return self._said(rows, f"joint {name} reads {-turn:.1f}° too much{where}: another zero", remedy)
         for how, factor in _FACTORS.items():
-            if _spread(seen - factor * reported) < 2.0 * _ANGLE:
+            if _spread(seen - factor * reported) < 2.0 * ANGLE:
                 return self._said(rows, f"joint {name} looks counted {how}{where}", remedy)
         return self._said(rows, f"joint {name} was elsewhere than reported{where}", remedy)
 

@@ -84,9 +84,11 @@ def of_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
 
 
 def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
-    """Two joints or more that turn the other way, three that stand under each other's names, all in reverse order."""
+    """Two joints or more that turn the other way, two that are swapped and turn the other way, three that stand under
+    each other's names, all in reverse order.
+    """
     n = len(names)
-    for count in range(2, n):
+    for count in range(2, n + 1):
         for some in combinations(range(n), count):
             sign = np.ones(n)
             sign[list(some)] = -1.0
@@ -94,6 +96,17 @@ def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
                 f"joints {_listed([names[i] for i in some])} look reversed",
                 "correct their signs, or the axes in the URDF",
                 lambda s, sign=sign: replace(s, q=s.q * sign),  # type: ignore[misc]
+                "joints",
+            )
+    for i, j in combinations(range(n), 2):
+        for reversed_ in ((i,), (j,), (i, j)):
+            order, sign = list(range(n)), np.ones(n)
+            order[i], order[j] = j, i
+            sign[list(reversed_)] = -1.0
+            yield Mistake(
+                f"joints {names[i]} and {names[j]} look swapped, and {_listed([names[r] for r in reversed_])} reversed",
+                "correct the names and the signs in joint_states",
+                lambda s, order=order, sign=sign: replace(s, q=s.q[:, order] * sign),  # type: ignore[misc]
                 "joints",
             )
     orders = [(i, j, k) for a, b, c in combinations(range(n), 3) for i, j, k in ((a, b, c), (a, c, b))]
@@ -109,7 +122,7 @@ def _reordered(offender: str, order: list[int]) -> Mistake:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
 
 
 def of_units() -> Iterator[Mistake]:

@@ -1,8 +1,9 @@
 """When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
-times is named. When none does, only a part of the stations may be wrong, or one joint (:mod:`agreeing`); else the robot
-or the pairing as a whole is wrong.
+times is named. When none does, one channel of the recording may not go along with the rest
+(:mod:`channels`), or only a part of the stations, or one joint (:mod:`agreeing`); else the robot or the pairing as a
+whole is wrong.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.channels import disagreeing_channel, wrong_description
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.mistakes import (
     Mistake,
@@ -40,8 +42,11 @@ _SCREENED = 4  # mistakes of several joints that are fitted
 _MOST = 300  # samples are enough to tell
 
 
-def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
-    """Raises BadRecording, naming the likely mistake, when the fitted model misses by more than an arm's errors can."""
+def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Samples | None = None) -> None:
+    """Raises BadRecording, naming the likely mistake, when the fitted model misses by more than an arm's errors can.
+
+    samples: that were fitted. whole: of the recording, in which rows stand beside their neighbours; None for these.
+    """
     chain = nominal.model.chain
     limit = LIMIT_OF_REACH * chain.reach()
     missed = _miss(fitted, samples)
@@ -59,6 +64,11 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
             several = _weighed(mistake, few, chain, several)
         best = several if several[1] else best
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
+    whole = samples if whole is None else whole
+    if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
+        alone = disagreeing_channel(whole, chain)
+        if alone is not None:
+            raise BadRecording(alone.what, said, alone.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():
         raise BadRecording(best[1], f"{said}; undone, it misses by {1e3 * best[0]:.1f} mm", best[2])
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.position, axis=0), strict=True) if extent == 0.0]
@@ -71,6 +81,9 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples) -> None:
     found = disagreement(few, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+    described = wrong_description(whole, chain)
+    if described is not None:
+        raise BadRecording(described.what, said, described.remedy)
     if beside := moving_beside(samples):
         raise BadRecording(
             "joint states and readings",

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration.agreeing import disagreement
+from modcal_core.calibration.channels import disagreeing_channel
 from modcal_core.diagnosis.dependence import dependence
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_REJECTED
@@ -37,7 +38,10 @@ def _apart(case: Case) -> Iterator[str]:
     """What the rejected stations look like, where they are too many to be single wrong readings."""
     if case.wrong.mean() <= MOST_REJECTED:
         return
-    other = disagreement(case.samples, case.model.chain)
+    other = None
+    if case.wrong.mean() > 0.5:  # most of them: something is wrong throughout
+        other = disagreeing_channel(case.samples, case.model.chain)
+    other = other or disagreement(case.samples, case.model.chain)
     if other is not None:
         what = other.what[0].upper() + other.what[1:]
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."

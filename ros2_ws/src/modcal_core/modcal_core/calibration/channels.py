@@ -1,0 +1,350 @@
+"""Which channels of a recording go along with the robot, each judged by itself, and what the others look like.
+
+Where a model misses by far, one thing may be wrong and all the rest right: a column of the readings, the orientations,
+the row in which a reading stands, one length or one axis of the description. Lists of mistakes find what is on them.
+Here each channel is asked alone, in closed form. With a (N, 3, 3) and b (N, 3) the turns and places of the arm's tip, a
+coordinate of a point of the tool is linear in vec(a), b and 1, whatever base and tool are, and so is each element of an
+orientation in vec(a). A coordinate that is not so at its own station, and is at a neighbour's, stands in another row.
+Coordinates that are, say by their coefficients how long and how turned their frame is; orientations say it once more.
+Where orientations agree by themselves they tell how base and tool are turned, and places are then linear in the offsets
+of all joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from modcal_core.calibration.agreeing import ANGLE, OF_REACH, Disagreement
+from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place, turns_left
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward
+
+_LEAST = 40  # stations; a coordinate has 13 coefficients
+_MOST = 400
+_FEW = 60  # stations to which turns of the description are fitted
+_SHIFTS = (1, -1, 2, -2, 3, -3)
+_APART = np.radians(3.0)  # by which two frames are turned, from which that is no error of an arm
+_LONGER = 0.05  # share by which a coordinate is too long or too short
+_SEEN = 0.03  # of the reach; deviation of the tip's place beyond what its turns tell, from which scales are known
+_WRONG_LENGTH = 0.02  # of the reach
+_ROUNDS = 12
+
+
+def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """What looks wrong with one channel of a recording, None where none is singled out.
+
+    samples: all of them; in a frame of several, that with most readings is looked at.
+    """
+    found = _Channels.of(samples, chain)
+    if found is None:
+        return None
+    try:
+        return found.late() or found.frames()
+    except np.linalg.LinAlgError:
+        return None
+
+
+def wrong_description(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """The joint of the description that does not fit poses by one offset, one axis or one turn, None if none does."""
+    found = _Channels.of(samples, chain)
+    if found is None or not found.poses:
+        return None
+    try:
+        return found.offset() if found.turns_agree else found.turn()
+    except np.linalg.LinAlgError:
+        return None
+
+
+@dataclass(frozen=True)
+class _Channels:
+    """Stations of one frame, in order of time."""
+
+    samples: Samples
+    chain: Chain
+    A: Array
+
+    @classmethod
+    def of(cls, samples: Samples, chain: Mechanism) -> _Channels | None:
+        if not isinstance(chain, Chain) or not len(samples):
+            return None
+        f = int(np.argmax(np.bincount(samples.frame)))
+        rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
+        if len(rows) < _LEAST or samples.frames[f] in samples.sockets:
+            return None
+        rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MOST]
+        part = samples.select(rows)
+        return cls(part, chain, forward(chain, part.q))
+
+    @property
+    def poses(self) -> bool:
+        return bool(self.samples.is_pose.all())
+
+    @property
+    def limit(self) -> float:
+        """Distance [m] that a nominal arm misses by at most."""
+        return OF_REACH * self.chain.reach()
+
+    @cached_property
+    def design(self) -> Array:
+        """What a coordinate of a point of the tool is linear in, (N, 13)."""
+        N = len(self.samples)
+        return np.concatenate([self.A[:, :3, :3].reshape(N, 9), self.A[:, :3, 3], np.ones((N, 1))], axis=1)
+
+    @cached_property
+    def turned(self) -> tuple[Array, Array, float]:
+        """How base and tool are turned as orientations say, and the median angle [rad] that these miss by."""
+        a, R = self.A[:, :3, :3], self.samples.R
+        Y, X = base_and_tool_turns(a, R)
+        return Y, X, float(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=1)))
+
+    @property
+    def turns_agree(self) -> bool:
+        return self.turned[2] < ANGLE
+
+    # --- rows --------------------------------------------------------------------------------------------------------
+
+    def late(self) -> Disagreement | None:
+        """Columns of the readings that belong to another row than they stand in."""
+        names = ["x", "y", "z", *(["orientations"] if self.poses else [])]
+        fits = self._agree(0)
+        if fits.all():
+            return None
+        for shift in _SHIFTS:
+            moved = ~fits & self._agree(shift)
+            if not moved.any() or not (fits | moved).all():
+                continue
+            who = "readings" if moved.all() else self._columns([n for n, m in zip(names, moved, strict=True) if m])
+            side = "late" if shift > 0 else "early"
+            rows = f"{abs(shift)} row{'s' if abs(shift) > 1 else ''}"
+            look = "looks" if who.startswith("column ") and who.endswith("positions") else "look"
+            what = f"{who} {look} {side} by {abs(shift)} station{'s' if abs(shift) > 1 else ''}"
+            what += f": each stands {rows} too {'low' if shift > 0 else 'high'} in the order of the stations"
+            remedy = "pair each reading with its own posture (a table that slipped, or a clock that is off)"
+            return self._said(what, remedy)
+        return None
+
+    @staticmethod
+    def _columns(names: list[str]) -> str:
+        own = [n for n in names if n != "orientations"]
+        said = [f"{'columns' if len(own) > 1 else 'column'} {' and '.join(own)} of the positions"] if own else []
+        return " and ".join([*said, *(["orientations"] if "orientations" in names else [])])
+
+    def _agree(self, shift: int) -> np.ndarray:
+        """Whether x, y, z, and orientations if there are any, go along with the posture of so many stations before."""
+        N = len(self.samples)
+        here = np.arange(max(0, -shift), N - max(0, shift))
+        there = here + shift
+        design = self.design[here]
+        out = [self._linear(design, self.samples.position[there, k])[1] < self.limit for k in range(3)]
+        if self.poses:
+            a, R = self.A[here, :3, :3], self.samples.R[there]
+            Y, X = base_and_tool_turns(a, R)
+            out.append(float(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=1))) < ANGLE)
+        return np.array(out)
+
+    @staticmethod
+    def _linear(design: Array, column: Array) -> tuple[Array, float]:
+        """Coefficients, and the median miss in the units of the tip's place; robust."""
+        weight = np.ones(len(column))
+        for _ in range(4):
+            H, g = (design.T * weight) @ design, (design.T * weight) @ column
+            solution = np.linalg.solve(H + 1e-10 * np.trace(H) * np.eye(len(H)), g)
+            square = (column - design @ solution) ** 2
+            weight = 1.0 / (square + max(float(np.median(square)), 1e-18))
+            weight /= weight.max()
+        usual = float(np.sqrt(np.median(square)))
+        return solution, usual / max(float(np.linalg.norm(solution[9:12])), 1e-9)
+
+    # --- frames ------------------------------------------------------------------------------------------------------
+
+    def frames(self) -> Disagreement | None:
+        """Positions and orientations that each agree with the arm, and not with each other; coordinates too long."""
+        each = [self._linear(self.design, self.samples.position[:, k]) for k in range(3)]
+        beyond = (
+            self.design[:, 9:12]
+            - self.design[:, :9] @ np.linalg.lstsq(self.design[:, :9], self.design[:, 9:12], rcond=1e-9)[0]
+        )
+        if max(miss for _, miss in each) > self.limit or beyond.std(axis=0).min() < _SEEN * self.chain.reach():
+            return self._orientations_alone()
+        M = np.stack([solution[9:12] for solution, _ in each])
+        size = np.linalg.norm(M, axis=1)
+        common = float(np.median(size))
+        off = [k for k in range(3) if abs(size[k] / common - 1.0) > _LONGER]
+        if off:
+            which = " and ".join("xyz"[k] for k in off)
+            return self._said(
+                f"coordinate {which} of the readings looks {size[off[0]] / common:.4g} times as long as the others",
+                "write all three coordinates in one unit, and see the instrument's scale",
+            )
+        Y = so3.nearest_rotation(M / common)
+        if np.linalg.det(M) < 0.0 or abs(common - 1.0) > _LONGER:
+            return None  # the mistakes have these
+        gap = float(
+            np.median(np.linalg.norm(tool_and_place(Y[None], self.A[None], self.samples.position[None])[0][0], axis=1))
+        )
+        if gap > self.limit:
+            return self._not_one_point(Y)
+        if not self.poses:
+            return None
+        if not self.turns_agree:
+            return self._orientations_alone()
+        apart = float(np.linalg.norm(so3.log(self.turned[0] @ Y.T)))
+        if apart < _APART:
+            return None
+        return self._said(
+            f"orientations are given in a frame that is turned by {np.degrees(apart):.3g}° to that of the positions "
+            "(a static transform was left out of one of them, or the axes stand in another order)",
+            "give positions and orientations in one frame",
+        )
+
+    def _not_one_point(self, Y: Array) -> Disagreement | None:
+        """Positions that are linear in the posture and not those of one point of the tool."""
+        more = ""
+        if self.poses:
+            R, N = self.samples.R, len(self.samples)
+            columns = np.concatenate(
+                [Y @ self.A[:, :3, :3], np.broadcast_to(np.eye(3), (N, 3, 3)), np.swapaxes(R, 1, 2)], axis=2
+            )
+            h = self.samples.position - self.A[:, :3, 3] @ Y.T
+            solution = np.linalg.lstsq(columns.reshape(-1, 9), h.ravel(), rcond=1e-9)[0]
+            gap = h - columns @ solution
+            if float(np.median(np.linalg.norm(gap, axis=1))) < self.limit:
+                size = 1e3 * float(np.linalg.norm(solution[6:]))
+                more = f", but as if an offset of {size:.3g} mm had been turned by the inverse orientation"
+        return self._said(
+            f"positions go along with the posture, though not as those of one point of the tool{more}",
+            "see how the tool's offset is taken into account before positions are written",
+        )
+
+    def _orientations_alone(self) -> Disagreement | None:
+        """Positions that agree with the arm where orientations do not."""
+        if not self.poses or self.turns_agree:
+            return None
+        each = [self._linear(self.design, self.samples.position[:, k])[1] for k in range(3)]
+        if max(each) > self.limit:
+            return None
+        return self._said(
+            f"positions go along with the posture and orientations do not (they miss by "
+            f"{np.degrees(self.turned[2]):.3g}°)",
+            "see how orientations are made, and whether they are of the same target",
+        )
+
+    # --- descriptions ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def before(self) -> Array:
+        """Turns of the frames that the joints' origins are given in, (n + 1, N, 3, 3)."""
+        M, N = self.chain.origins[:, :3, :3], len(self.samples)
+        out = [np.broadcast_to(np.eye(3), (N, 3, 3))]
+        for k in range(self.chain.n):
+            turn = self.samples.q[:, k, None] * self.chain.axes[k] if self.chain.revolute[k] else np.zeros((N, 3))
+            out.append(out[-1] @ M[k] @ so3.exp(turn))
+        return np.stack(out)
+
+    def offset(self) -> Disagreement | None:
+        """One joint's origin that stands elsewhere, orientations being as the description has them; or several."""
+        Y, n = self.turned[0], self.chain.n
+        h = self.samples.position - self.A[:, :3, 3] @ Y.T
+        known = [np.broadcast_to(np.eye(3), self.before[0].shape), Y @ self.A[:, :3, :3]]
+        found: list[tuple[float, int, Array]] = []
+        for j in range(1, n):
+            miss, solution = self._placed([*known, Y @ self.before[j]], h)
+            found.append((miss, j, solution[6:]))
+        miss, j, shift = min(found, key=lambda f: f[0])
+        if miss < self.limit and np.linalg.norm(shift) > _WRONG_LENGTH * self.chain.reach():
+            said = ", ".join(f"{1e3 * v:.0f}" for v in shift)
+            name = self.chain.names[j]
+            return self._said(
+                f"the origin of joint {name} in the URDF looks wrong by ({said}) mm, or the link before it is another",
+                f"see <origin xyz> of {name}, and whether the description is that of this robot",
+            )
+        miss, solution = self._placed([*known, *(Y @ self.before[j] for j in range(1, n))], h)
+        sizes = np.linalg.norm(solution[6:].reshape(-1, 3), axis=1)
+        wrong = [self.chain.names[j + 1] for j in np.flatnonzero(sizes > _WRONG_LENGTH * self.chain.reach())]
+        if miss > self.limit or not wrong:
+            return None
+        return self._said(
+            f"orientations fit the URDF and lengths do not: look at the origins of {', '.join(wrong)}",
+            "give the description of this robot and not of another size",
+        )
+
+    def _placed(self, columns: list[Array], h: Array) -> tuple[float, Array]:
+        """Median distance that places (N, 3) miss by, as sums of these turns (N, 3, 3) times constant vectors."""
+        design = np.concatenate(columns, axis=2)
+        flat = design.reshape(-1, design.shape[2])
+        H = flat.T @ flat
+        # what is not told by the readings stays as drawn
+        solution = np.linalg.solve(H + 1e-6 * np.trace(H) / len(H) * np.eye(len(H)), flat.T @ h.ravel())
+        return float(np.median(np.linalg.norm(h - design @ solution, axis=1))), solution
+
+    def turn(self) -> Disagreement | None:
+        """One joint's axis, or the turn of its origin, that is another than in the description."""
+        few = np.unique(np.linspace(0, len(self.samples) - 1, _FEW).astype(int))
+        R, q, M = self.samples.R[few], self.samples.q[few], self.chain.origins[:, :3, :3]
+        joints = [j for j in range(self.chain.n) if self.chain.revolute[j]]
+        left = {j: self.before[j][few] @ M[j] for j in joints}
+        right = {j: np.swapaxes(self.before[j + 1][few], 1, 2) @ self.A[few, :3, :3] for j in joints}
+        axes = [(j, s * e) for j in joints for e in np.eye(3) for s in (1.0, -1.0) if s * e @ self.chain.axes[j] < 0.99]
+        a = np.stack([left[j] @ so3.exp(q[:, j, None] * u) @ right[j] for j, u in axes])
+        k, missed = self._best(a, R)
+        if missed < ANGLE:
+            j, u = axes[k]
+            name, axis = self.chain.names[j], " ".join(f"{v:g}" for v in u + 0.0)
+            return self._said(
+                f"joint {name} looks as if it turned about {axis} in its frame and not about "
+                f"{' '.join(f'{v:g}' for v in self.chain.axes[j])}",
+                f"see <axis> of {name} in the URDF",
+            )
+        starts = _cube()
+        which = [(j, S) for j in joints for S in range(len(starts))]
+        S = np.stack([starts[s] for _, s in which])
+        L = np.stack([left[j] for j, _ in which])
+        T = np.stack([so3.exp(q[:, j, None] * self.chain.axes[j]) @ right[j] for j, _ in which])
+        for r in range(_ROUNDS):
+            Y, X = base_and_tool_turns(L @ S[:, None] @ T, np.broadcast_to(R, T.shape))
+            seen = np.swapaxes(L, -1, -2) @ np.swapaxes(Y, -1, -2)[:, None] @ R @ np.swapaxes(X, -1, -2)[:, None]
+            S = so3.nearest_rotation(np.sum(seen @ np.swapaxes(T, -1, -2), axis=1))
+            if r == 3:  # go on with the best of them
+                keep = np.argsort(self._missed(L @ S[:, None] @ T, R))[:12]
+                which, S, L, T = [which[i] for i in keep], S[keep], L[keep], T[keep]
+        k, missed = self._best(L @ S[:, None] @ T, R)
+        if missed > ANGLE:
+            return None
+        name = self.chain.names[which[k][0]]
+        turned = np.degrees(float(np.linalg.norm(so3.log(S[k]))))
+        return self._said(
+            f"the origin of joint {name} in the URDF looks turned by {turned:.3g}°, or its zero is another",
+            f"see <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
+        )
+
+    def _missed(self, a: Array, R: Array) -> Array:
+        R = np.broadcast_to(R, a.shape)
+        Y, X = base_and_tool_turns(a, R)
+        return np.asarray(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=-1), axis=-1))
+
+    def _best(self, a: Array, R: Array) -> tuple[int, float]:
+        missed = self._missed(a, R)
+        k = int(np.argmin(missed))
+        return k, float(missed[k])
+
+    def _said(self, what: str, remedy: str) -> Disagreement:
+        return Disagreement(what, remedy, len(self.samples), len(self.samples))
+
+
+def _cube() -> Array:
+    """The 24 turns of a cube, (24, 3, 3)."""
+    from itertools import permutations, product
+
+    out = []
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            R = np.eye(3)[list(order)] * sign
+            if np.linalg.det(R) > 0.0:
+                out.append(R)
+    return np.stack(out)
