@@ -109,7 +109,7 @@ def subjects(folder: Path, domain: int) -> list[Subject]:
     panda = ROOT / "examples" / "robots" / "panda.urdf"
     words = {
         "recorder": ["-p", "out:=BAG"],
-        "calibrator": ["-p", "state:=state", "-p", "out:=disturbed", "-p", "memory_s:=20.0"],
+        "calibrator": ["-p", "state:=state", "-p", "out:=disturbed", "-p", "buffer_s:=20.0"],
         "corrector": ["-r", "calibration:=calibrator/calibration"],
         "viewer": [],
         "articulation_estimator": [],
@@ -164,7 +164,13 @@ def _ended(relay: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         print(f"relay {relay.pid} does not end", flush=True)
         for task in Path(f"/proc/{relay.pid}/task").iterdir():
-            print(task.name, (task / "comm").read_text().strip(), (task / "wchan").read_text(), (task/"stat").read_text()[:60], flush=True)
+            print(
+                task.name,
+                (task / "comm").read_text().strip(),
+                (task / "wchan").read_text(),
+                (task / "stat").read_text()[:60],
+                flush=True,
+            )
         relay.send_signal(signal.SIGUSR1)
         time.sleep(2.0)
         relay.send_signal(signal.SIGUSR1)

@@ -104,7 +104,7 @@ def _soak(folder: Path, seconds: float) -> int:
     bag = folder / "bag"
     processes = {
         "recorder": Process("recorder", domain, folder, out=bag),
-        "calibrator": Process("calibrator", domain, folder, memory_s=TURN * seconds),
+        "calibrator": Process("calibrator", domain, folder, buffer_s=TURN * seconds),
     }
     with running(*processes.values()), listener(domain) as (node, wait):
         said = Said(node)

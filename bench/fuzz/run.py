@@ -44,11 +44,15 @@ class Result:
     faults: Counter[str] = field(default_factory=Counter)
     examples: dict[str, tuple[int, str]] = field(default_factory=dict)
 
+MIN_CASES = 40  # on a machine that is busy, seconds say little
+
 
 def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, first: int = 0) -> Result:
-    """Run cases of one target for so much processor time [s], or so many of them."""
+    """Run cases of one target for so much processor time [s], forty at least, or so many of them."""
     out, began, number = Result(), time.process_time(), first
-    while number - first < cases if cases is not None else time.process_time() - began < seconds:
+    while number - first < (MIN_CASES if cases is None else cases) or (
+        cases is None and time.process_time() - began < seconds
+    ):
         case = target.make(np.random.default_rng([seed, number]))
         start = time.process_time()
         try:

@@ -240,7 +240,7 @@ def close_the_loop(
             goals = truth.tool(meant)
             corrector = Process(
                 "corrector", domain, folder, "-r", "~/joint_trajectory:=joint_trajectory", use_sim_time="true",
-                calibration=folder / "calibration", target="tool", joint_speed_rad_s=1.0, stale_s=0.4 * factor, rate_hz=1.0,
+                calibration=folder / "calibration", target="tool", joint_speed_rad_s=1.0, timeout_s=0.4 * factor, rate_hz=1.0,
             )  # fmt: skip
             reached: dict[str, list[Array]] = {"nominal": [], "corrected": [], "floor": []}
             sent: list[Array] = []

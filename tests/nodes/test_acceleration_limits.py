@@ -121,7 +121,7 @@ class Rig:
 def rig(tmp_path: Path, **parameters: Any) -> Iterator[Rig]:
     domain = fresh_domain()
     # a busy machine is late; what is too old here is so by seconds
-    process = Process("acceleration_limits", domain, tmp_path, stale_s=1.5, rate_hz=20.0, **parameters)
+    process = Process("acceleration_limits", domain, tmp_path, timeout_s=1.5, rate_hz=20.0, **parameters)
     with running(process), listener(domain) as (node, wait):
         made = Rig(node, wait)
         made.description.publish(String(data=URDF))

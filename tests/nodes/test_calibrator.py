@@ -68,7 +68,7 @@ def test_joints_in_any_order_with_others_between_them(shared: Shared) -> None:
 
 def test_silence_is_said_by_topic(tmp_path: Path) -> None:
     domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, silent_s=1.0)
+    calibrator = Process("calibrator", domain, tmp_path, silence_timeout_s=1.0)
     with running(calibrator), listener(domain) as (node, wait):
         said = Said(node)
         wait(lambda: said.level(HEARING) == 2, 60.0)
@@ -104,7 +104,7 @@ def test_a_clock_set_back_begins_a_new_stretch(shared: Shared) -> None:
 
 def test_messages_without_a_station_are_left_out_when_they_grow_old(tmp_path: Path) -> None:
     """Half a minute of joint states without a tracker, and then a cell as it should be."""
-    with beside_a_cell(tmp_path, effects=False, memory_s=20.0) as (calibrator, node, wait, cell, _):
+    with beside_a_cell(tmp_path, effects=False, buffer_s=20.0) as (calibrator, node, wait, cell, _):
         cell.play(stations(30), lambda _, m: m if hasattr(m, "name") else None)
         wait(lambda: "some minutes of messages are left out" in calibrator.output, 60.0)
         cell.play(stations(begin=START + 100.0))

@@ -77,17 +77,17 @@ def test_parameters_that_may_change_take_effect(tmp_path: Path) -> None:
 
     with spun(Calibrator, after_change=7) as pair:
         node: Any = pair.node
-        put(node, silent_s=0.25, after_change=3, first_solve=12, accept="asked")
-        assert {ear.patience for ear in node._ears} == {0.25}
+        put(node, silence_timeout_s=0.25, after_change=3, first_solve=12, accept="asked")
+        assert {ear.patience for ear in node._inputs} == {0.25}
         assert (node._supervisor.policy.after_change, node._supervisor.policy.accept) == (3, "asked")
         assert node._supervisor._wait == 12
-        pair.wait(lambda: any(ear.complaint() for ear in node._ears if ear.needed), 2.0)
+        pair.wait(lambda: any(ear.complaint() for ear in node._inputs if ear.needed), 2.0)
         (refused,) = node.set_parameters([Parameter("accept", value="perhaps")])
         assert "better and asked are known" in refused.reason
         assert node._chosen["accept"] == "asked"
     with spun(Recorder, out=tmp_path / "bag") as pair:
-        put(pair.node, patience_s=0.3, least_free_mb=1.0)
-        assert {tape.patience for tape in pair.node._tapes} == {0.3}  # type: ignore[attr-defined]
+        put(pair.node, patience_s=0.3, min_free_mb=1.0)
+        assert {recorder.patience for recorder in pair.node._recorders} == {0.3}  # type: ignore[attr-defined]
     with spun(Corrector) as pair:
         put(pair.node, target="tool", horizon_s=0.2)
         assert pair.node._commander.settings.target == "tool"  # type: ignore[attr-defined]

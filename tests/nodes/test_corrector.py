@@ -177,7 +177,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
     much = calibration(0, started("ratio").with_values(np.array([8e-3])))
     domain = fresh_domain()
     # time enough for a machine that does other things as well
-    process = Process("corrector", domain, tmp_path, stream=True, stale_s=1.0, horizon_s=0.5, blend_s=0.5)
+    process = Process("corrector", domain, tmp_path, stream=True, timeout_s=1.0, horizon_s=0.5, blend_s=0.5)
     with running(process), listener(domain) as (node, wait):
         arm = Arm(node)
         arm.calibration.publish(String(data=text(first)))

@@ -53,7 +53,7 @@ def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> N
     stale, horizon, speed = 0.5, 0.25, 0.4
     process = Process(
         "corrector", domain, tmp_path,
-        stream=True, stale_s=stale, horizon_s=horizon, joint_speed_rad_s=speed, calibration=written(made, tmp_path),
+        stream=True, timeout_s=stale, horizon_s=horizon, joint_speed_rad_s=speed, calibration=written(made, tmp_path),
     )  # fmt: skip
     arrived: list[tuple[float, JointTrajectory]] = []
     with running(process), hearing_beside(domain, arrived), listener(domain) as (node, wait):

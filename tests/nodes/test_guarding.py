@@ -120,7 +120,7 @@ def test_an_exception_in_every_callback(pair: Pair) -> None:
 def test_one_bad_message_of_a_burst_costs_itself(tmp_path: Path) -> None:
     """What waits behind it is handled in the same call, and is not lost."""
     with spun(Viewer) as pair:
-        ear = next(ear for ear in pair.node._ears if ear.topic == "/temperature")
+        ear = next(ear for ear in pair.node._inputs if ear.topic == "/temperature")
         handled, inner = [], ear._callback
 
         def third_fails(message: Any) -> None:

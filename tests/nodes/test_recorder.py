@@ -120,11 +120,11 @@ def _begins_with(number: int) -> bytes:
 
 
 def test_too_little_room_at_the_start_is_refused(tmp_path: Path) -> None:
-    recorder = Process("recorder", fresh_domain(), tmp_path, out=tmp_path / "bag", least_free_mb=1e11)
+    recorder = Process("recorder", fresh_domain(), tmp_path, out=tmp_path / "bag", min_free_mb=1e11)
     with running(recorder):
         assert recorder.popen.wait(60.0) == 2
     (line,) = refusals(recorder)
-    assert "less than least_free_mb = 1e+11: make room" in line
+    assert "less than min_free_mb = 1e+11: make room" in line
     assert not (tmp_path / "bag").exists()
 
 
@@ -137,12 +137,12 @@ def test_when_room_gets_short_the_bag_is_closed_in_time(tmp_path: Path) -> None:
         wait(lambda: change.service_is_ready() and BAG in diagnostics.last, 60.0)
         wait(lambda: len(numbers_on_disk(tmp_path / "bag")) > 100, 60.0)
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1e11)
-        change.call_async(SetParameters.Request(parameters=[Parameter(name="least_free_mb", value=value)]))
+        change.call_async(SetParameters.Request(parameters=[Parameter(name="min_free_mb", value=value)]))
         wait(lambda: recorder.popen.poll() is not None, 60.0)
         wait(lambda: diagnostics.worst[BAG] == DiagnosticStatus.ERROR, 10.0)
         assert recorder.popen.returncode == 2
     assert len(refusals(recorder)) == 1
-    assert "MB free, less than least_free_mb = 1e+11" in refusals(recorder)[0]
+    assert "MB free, less than min_free_mb = 1e+11" in refusals(recorder)[0]
     assert repair_bag(tmp_path / "bag", tmp_path / "new").folder is None
     assert contiguous(numbers_on_disk(tmp_path / "bag"))
 
@@ -225,7 +225,7 @@ def test_two_robots_in_one_domain_and_a_restart(tmp_path: Path) -> None:
             talking.enter_context(Talker(node, f"/{side}/joint_states"))
         for start in range(2):
             recorders = [
-                Process("recorder", domain, tmp_path, "-r", f"__ns:=/{side}", least_free_mb=1.0) for side in sides
+                Process("recorder", domain, tmp_path, "-r", f"__ns:=/{side}", min_free_mb=1.0) for side in sides
             ]
             with running(*recorders):
                 wait(lambda: sum(bool(_heard(bag)) for bag in tmp_path.glob("modcal_*")) == 2 * start + 2, 60.0)  # noqa: B023

@@ -111,20 +111,20 @@ def test_deactivated_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:
 
 
 def test_a_limit_that_is_changed_holds_for_the_next_pull(cell: Cell) -> None:
-    """most_speed_m_s is a limit of safety; while it pulls nothing can be changed, and what is read earlier says so."""
+    """max_speed_m_s is a limit of safety; while it pulls nothing can be changed, and what is read earlier says so."""
     arm, wait = cell.arm, cell.wait
     arm.again(wait, Toy(door()))
-    assert cell.set("most_speed_m_s", 0.004) == (True, "")
+    assert cell.set("max_speed_m_s", 0.004) == (True, "")
     arm.pull(wait)
-    assert "cannot change while it pulls" in cell.set("most_speed_m_s", 0.25)[1]
+    assert "cannot change while it pulls" in cell.set("max_speed_m_s", 0.25)[1]
     wait(lambda: len(arm.poses) > 150, 60.0)
     p = np.array([[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in arm.poses[:150]])
     steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
     assert 0.0 < steps.max() < 1.05 * 0.004 / 250.0 * 2.0  # a tick that was late may be followed by twice as much
     arm.ask(wait, "stop")
-    assert cell.set("most_speed_m_s", 0.25) == (True, "")
+    assert cell.set("max_speed_m_s", 0.25) == (True, "")
     assert "is read when the node is configured" in cell.set("tool_mass", 1.0)[1]
-    assert "must rise" in cell.set("slow_force_n", 400.0)[1]
+    assert "must rise" in cell.set("slowdown_force_n", 400.0)[1]
 
 
 def test_told_to_end_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:

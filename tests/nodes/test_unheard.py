@@ -31,7 +31,7 @@ def test_it_says_at_once_that_nothing_comes_and_when_it_does(tmp_path: Path, cap
         assert (said.name, said.level) == ("/recorder: topics", DiagnosticStatus.WARN)
         assert "/joint_states: subscribed for" in said.message
         assert "temperature" not in said.message
-        tape = next(tape for tape in pair.node._tapes if tape.topic == "/joint_states")  # type: ignore[attr-defined]
+        recorder = next(recorder for recorder in pair.node._recorders if recorder.topic == "/joint_states")  # type: ignore[attr-defined]
         pair.wait(lambda: tape._again >= 2, 5.0)
         pair.wait(joints.get_subscription_count, 5.0)
         for number in range(20):

@@ -120,7 +120,7 @@ def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
     cell |= {"clock_rate_hz": 40.0}  # each tick wakes every node
     processes = (
         Process("calibrator", domain, tmp_path, use_sim_time="true", effects=False, first_solve=24, after_change=0),
-        Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, stale_s=10.0),
+        Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, timeout_s=10.0),
         Process("simulated_cell", domain, tmp_path, start_delay_s=4.0, **simulated, **cell),
     )
     with running(*processes), listener(domain) as (node, wait):
@@ -155,7 +155,7 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
     domain = fresh_domain()
     # calibrator/calibration is played under the name that the arm of the corrector's tests uses
     remap = ("-r", "calibrator/calibration:=calibration")
-    viewer = Process("viewer", domain, tmp_path, *remap, arrow_scale=SCALE, stale_s=1.0, rate_hz=10.0)
+    viewer = Process("viewer", domain, tmp_path, *remap, arrow_scale=SCALE, timeout_s=1.0, rate_hz=10.0)
     with running(viewer), listener(domain) as (node, wait):
         arm, said, seen = Arm(node), Said(node), Pictures(node)
         wait(lambda: len(seen.of("axes", "nominal")) == CHAIN.n, 60.0)

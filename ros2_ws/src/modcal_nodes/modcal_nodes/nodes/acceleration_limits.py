@@ -105,14 +105,14 @@ class AccelerationLimits(GuardedNode):
             self._names |= new
             self._recognise()
         if self._joints is not None:
-            self._joints.hear(message, self._now(), self._chosen["stale_s"])
+            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
 
     def _tick(self, _: object = None) -> None:
         """Publish bounds of where the arm stands now, if it has been heard since the last ones."""
         arm, joints = self._arm, self._joints
         if arm is None or joints is None or joints.missing() or (stamp := float(joints.stamps.min())) == self._last:
             return
-        joints.require_fresh(self._now(), self._chosen["stale_s"])
+        joints.require_fresh(self._now(), self._chosen["timeout_s"])
         lower, upper = arm.bounds(joints.position, joints.velocity, self._chosen["method"])
         for publisher, bound in ((self._lower, lower[0]), (self._upper, upper[0])):
             message = JointTrajectory(points=[JointTrajectoryPoint()])
@@ -136,7 +136,7 @@ class AccelerationLimits(GuardedNode):
             return Status("limits", ERROR, self._refusal, facts)
         facts |= {"payload": f"{arm.payload.mass:g} kg", "method": self._chosen["method"]}
         try:
-            joints.require_fresh(self._now(), self._chosen["stale_s"])
+            joints.require_fresh(self._now(), self._chosen["timeout_s"])
             left = arm.window(joints.position, joints.velocity)
             left.require_held()
         except ModcalError as error:

@@ -136,10 +136,10 @@ class ArticulationEstimator(GuardedNode):
         if self._chain is None or self._joints is None:
             return
         now = self._now()
-        self._joints.hear(message, now, self._chosen["stale_s"])
+        self._joints.hear(message, now, self._chosen["timeout_s"])
         if self._joints.missing():
             return
-        self._joints.require_fresh(now, self._chosen["stale_s"])
+        self._joints.require_fresh(now, self._chosen["timeout_s"])
         stamp = float(self._joints.stamps.min())
         if self._due(stamp):
             T = forward(self._chain, self._joints.position)
@@ -214,7 +214,7 @@ class ArticulationEstimator(GuardedNode):
         length = max(model.length_per_unit, 1e-3)
         if abs(a - self._before) * length > 1e-3:  # which way the handle goes
             self._way, self._before = float(np.sign(a - self._before)), a
-        ahead = self._chosen["ahead_m"] / length
+        ahead = self._chosen["lookahead_m"] / length
         T = model.pose(a + self._way * ahead) if model.kind != "rigid" else model.start
         self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
         assert self._state is not None

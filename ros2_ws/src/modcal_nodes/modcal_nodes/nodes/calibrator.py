@@ -68,13 +68,13 @@ class Calibrator(GuardedNode):
         if self._lock is not None and self._lock.warning:
             self.get_logger().warning(self._lock.warning)
         state = read_state(self._folder) if self._folder else State()
-        self._buffer = Buffer(chosen["memory_s"])
+        self._buffer = Buffer(chosen["buffer_s"])
         self._buffer.samples = state.samples
         self._restored = state if state.calibration else None
         self._files = dict(state.files or {})
         self._candidate: Solved | None = None
-        creeping = tuple(place for place in chosen["wandering"] if place)
-        wander = Wander(creeping, chosen["wander_m"], chosen["wander_rad"]) if creeping else None
+        creeping = tuple(place for place in chosen["process_noise_places"] if place)
+        wander = Wander(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
         self._supervisor = Supervisor(_policy(chosen), wander)
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
@@ -87,7 +87,7 @@ class Calibrator(GuardedNode):
         self._outputs = Publishers(self)
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
-        self._inputs = self._listen(chosen["silent_s"])
+        self._inputs = self._listen(chosen["silence_timeout_s"])
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)
         self._waiting: Future | None = None
@@ -104,7 +104,7 @@ class Calibrator(GuardedNode):
     def _take_parameters(self) -> None:
         self._supervisor.follow(_policy(self._chosen))
         for ear in self._inputs:
-            ear.patience = self._chosen["silent_s"]
+            ear.patience = self._chosen["silence_timeout_s"]
 
     # hearing
 
@@ -260,7 +260,7 @@ class Calibrator(GuardedNode):
         elif self._arm.chain is None:
             self._buffer.keep(1)  # nobody can say what these are good for; they must not grow without end
         elif self._buffer.full:
-            pieces, most = self._buffer.pieces, self._chosen["most_stations"]
+            pieces, most = self._buffer.pieces, self._chosen["max_stations"]
             work = self._buffer.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
             now = self._buffer.forgotten
             done, fail = partial(self._condensed, pieces, now), partial(self._left_out, pieces, now)
@@ -353,7 +353,7 @@ class Calibrator(GuardedNode):
             try:
                 heard = self._buffer.heard()
                 if heard.recordings:
-                    most, limit = self._chosen["most_stations"], self._chosen["clock_limit_s"]
+                    most, limit = self._chosen["max_stations"], self._chosen["clock_limit_s"]
                     self._buffer.samples = condense(heard, self._arm.chain, limit, most)
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")

@@ -167,7 +167,7 @@ class Corrector(GuardedNode):
         if self._joints is None:
             return
         now = self._now()
-        self._joints.hear(message, now, self._chosen["stale_s"])
+        self._joints.hear(message, now, self._chosen["timeout_s"])
         if self._joints.missing():
             return
         self._approach.update(self._joints.position)
@@ -175,7 +175,7 @@ class Corrector(GuardedNode):
         self._announce()
         due = not 0.0 <= now - self._last < 0.999 / self._chosen["rate_hz"]
         if due and self._commander.robot is not None:
-            self._joints.require_fresh(now, self._chosen["stale_s"])
+            self._joints.require_fresh(now, self._chosen["timeout_s"])
             self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
             self._last = now
 
@@ -206,9 +206,9 @@ class Corrector(GuardedNode):
         robot, joints, chosen = self._commander.robot, self._joints, self._chosen
         if robot is None or joints is None:
             raise BadCommand("desired_pose", f"nothing is corrected ({self._refusal})", "see to the calibration first")
-        require_new(message, self._now(), chosen["stale_s" if chosen["stream"] else "goal_stale_s"])
+        require_new(message, self._now(), chosen["timeout_s" if chosen["stream"] else "goal_timeout_s"])
         pose = desired_pose(message, robot.farthest)
-        joints.require_fresh(self._now(), chosen["stale_s"])
+        joints.require_fresh(self._now(), chosen["timeout_s"])
         at = self._conditions(joints, self._now())
         try:
             self._commander.change_over(at, at.stamp)
@@ -218,7 +218,7 @@ class Corrector(GuardedNode):
         setpoint = self._commander.setpoint(pose, message.header.frame_id, at, at.stamp)
         now = self._now()
         if chosen["stream"]:
-            joints.require_fresh(now, chosen["stale_s"])  # computing took time too; a goal has all the time it needs
+            joints.require_fresh(now, chosen["timeout_s"])  # computing took time too; a goal has all the time it needs
         self._send(joints.names, setpoint, now)
         self._commander.sent(setpoint, now)
         if unseen := setpoint.command.unseen:
@@ -275,7 +275,7 @@ class Corrector(GuardedNode):
         facts = {"poses": self._counts["poses"]}
         assert joints is not None
         try:
-            joints.require_fresh(now, self._chosen["stale_s"])
+            joints.require_fresh(now, self._chosen["timeout_s"])
             at = self._conditions(joints, now)
             correction.require(at)
         except ModcalError as error:

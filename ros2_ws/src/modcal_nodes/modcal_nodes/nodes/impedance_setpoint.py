@@ -42,7 +42,7 @@ from modcal_nodes.setpoint.arm import Arm, limits, task
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _AT_CONFIGURE = (
-    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "stale_s",
+    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
     "rate_hz",
 )  # fmt: skip
 _RCLError = rclpy_implementation.RCLError
@@ -280,8 +280,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._arm is None or self._joints is None:
             raise BadCommand("robot_description", "not heard yet", "publish it (latched), or set the parameter")
         now = self._now()
-        self._joints.require_fresh(now, self._chosen["stale_s"])
-        if not abs(now - self._arm.sensor.stamp) <= self._chosen["stale_s"]:
+        self._joints.require_fresh(now, self._chosen["timeout_s"])
+        if not abs(now - self._arm.sensor.stamp) <= self._chosen["timeout_s"]:
             raise BadCommand("wrench", "nothing was heard of late", "see that its publisher is alive")
         if self._chosen["calibrated"]:
             self._measured(now)
@@ -306,15 +306,17 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _take_joints(self, message: JointState) -> None:
         if self._joints is not None:
-            self._joints.hear(message, self._now(), self._chosen["stale_s"])
+            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
             now = self._now()
             stamp = seconds(message.header.stamp) or now
-            if self._arm.sensor.stamp > now + self._chosen["stale_s"]:  # the clock was set back
+            if self._arm.sensor.stamp > now + self._chosen["timeout_s"]:  # the clock was set back
                 self._arm.sensor.forget()
-            self._arm.sensor.hear(message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["stale_s"])
+            self._arm.sensor.hear(
+                message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["timeout_s"]
+            )
 
     def _take_object(self, message: String) -> None:
         self._object.hear_description(message)
@@ -370,7 +372,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         stamp = float(self._joints.stamps.min())
         if not self._chosen["calibrated"]:
             return stamp, pose_and_jacobian(self._arm.chain, self._joints.position)[0]
-        if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["stale_s"]:
+        if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["timeout_s"]:
             raise BadCommand("tool_pose", "nothing was heard of late", "start the corrector, or set calibrated: false")
         return min(stamp, self._tool[0]), self._tool[1]
 

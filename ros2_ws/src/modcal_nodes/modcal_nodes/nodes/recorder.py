@@ -25,7 +25,7 @@ _REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated t
 _MEASURE_SECONDS = 1.0
 _FEW_MINUTES = 10.0
 _MB = 1e6
-_ROOM = "make room on the disk, or lower least_free_mb"
+_ROOM = "make room on the disk, or lower min_free_mb"
 
 
 class Recorder(GuardedNode):
@@ -140,11 +140,11 @@ class Recorder(GuardedNode):
             self._health.publish()
 
     def _shortage(self) -> BadRecording | None:
-        least = float(self._chosen["least_free_mb"])
+        least = float(self._chosen["min_free_mb"])
         if self._free >= least * _MB:
             return None
         return BadRecording(
-            f"disk of {self._base}", f"{self._free / _MB:.0f} MB free, less than least_free_mb = {least:g}", _ROOM
+            f"disk of {self._base}", f"{self._free / _MB:.0f} MB free, less than min_free_mb = {least:g}", _ROOM
         )
 
     def _end(self, error: ModcalError) -> None:
@@ -192,7 +192,7 @@ class Recorder(GuardedNode):
             "free [MB]": f"{self._free / _MB:.0f}",
             "minutes until full": f"{minutes:.0f}",
         }
-        least = float(self._chosen["least_free_mb"])
+        least = float(self._chosen["min_free_mb"])
         if self._trouble is not None:
             return Status("bag", ERROR, str(self._trouble), facts)
         if self._free < 2 * least * _MB or minutes < _FEW_MINUTES:

@@ -48,7 +48,7 @@ class TrajectorySender(GuardedNode):
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take_joints(self, message: JointState) -> None:
-        self._joints.hear(message, self._now(), self._chosen["stale_s"])
+        self._joints.hear(message, self._now(), self._chosen["timeout_s"])
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
@@ -69,7 +69,7 @@ class TrajectorySender(GuardedNode):
         off = np.abs(self._joints.position - self._sent.q[-1])
         if now - self._at < self._sent.t[-1]:
             return
-        fresh = abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["stale_s"]
+        fresh = abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["timeout_s"]
         if fresh and off.max() <= self._chosen["tolerance_rad"]:
             self.get_logger().info(f"arrived, {off.max():.2g} rad or m from the last point at most")
             raise SystemExit(0)
@@ -81,7 +81,7 @@ class TrajectorySender(GuardedNode):
     def _lacks(self) -> str:
         if missing := self._joints.missing():
             return f"joint_states does not tell of {', '.join(missing)}"
-        if not abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["stale_s"]:
+        if not abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["timeout_s"]:
             return "joint_states: nothing was heard of late"
         if not self._trajectory.get_subscription_count():
             return f"nobody listens to {self._trajectory.topic_name}: remap it to the controller's topic"

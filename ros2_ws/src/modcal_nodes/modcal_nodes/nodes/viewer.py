@@ -180,7 +180,7 @@ class Viewer(GuardedNode):
             return
         try:
             self._arm.joint_state(message)
-            self._joints.hear(message, self._now(), self._chosen["stale_s"])
+            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
             if not self._joints.missing():
                 self._approach.update(self._joints.position)
         except ModcalError as error:
@@ -251,7 +251,7 @@ class Viewer(GuardedNode):
     def _present(self, joints: JointsHeard) -> Conditions:
         """The moment that is now; raises BadCommand for joints that are not known now."""
         now = self._now()
-        joints.require_fresh(now, self._chosen["stale_s"])
+        joints.require_fresh(now, self._chosen["timeout_s"])
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         needs = self._robot.correction.needs if self._robot else ()
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()

@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from modcal_core.errors import ModcalError
 from modcal_core.planning.returns import RETURNS
+from modcal_nodes.ros.aliases import said_under_old_name
 from modcal_nodes.ros.guarded import GuardedNode
 
 
@@ -40,7 +41,7 @@ RECORDER = {
         "Those of the topics that may be missing without a word.",
     ),
     "patience_s": Parameter(5.0, "Seconds after which a topic that is not heard is complained of.", 0.1, 3600.0),
-    "least_free_mb": Parameter(
+    "min_free_mb": Parameter(
         200.0, "Free space on the disk below which the bag is closed and the recorder ends [MB].", 0.0, 1e12
     ),
 }  # fmt: skip
@@ -63,12 +64,12 @@ CALIBRATOR = {
     "after_change": Parameter(
         20, "Stations since a change after which the diagnosis is opened again; 0: when asked.", 0, 100_000
     ),
-    "wandering": Parameter([""], "Places that may creep with time: base, tool or joints; empty: none."),
-    "wander_m": Parameter(1e-6, "How far they creep in a second, a standard deviation [m].", 0.0, 1e-2),
-    "wander_rad": Parameter(1e-6, "How far they turn in a second, a standard deviation [rad].", 0.0, 1e-2),
-    "memory_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
-    "most_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
-    "silent_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "process_noise_places": Parameter([""], "Places that may creep with time: base, tool or joints; empty: none."),
+    "process_noise_m": Parameter(1e-6, "How far they creep in a second, a standard deviation [m].", 0.0, 1e-2),
+    "process_noise_rad": Parameter(1e-6, "How far they turn in a second, a standard deviation [rad].", 0.0, 1e-2),
+    "buffer_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
+    "max_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
+    "silence_timeout_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
     "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
 }
 
@@ -78,8 +79,8 @@ CORRECTOR = {
     "target": Parameter("tip", "What poses are of: tip (the tip link) or tool (what the tracker saw)."),
     "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
     "horizon_s": Parameter(0.1, "Time that a setpoint of a stream is given [s].", 0.005, 2.0),
-    "stale_s": Parameter(0.1, "Age at which joint states, and desired poses of a stream, are too old [s].", 0.01, 2.0),
-    "goal_stale_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
+    "timeout_s": Parameter(0.1, "Age at which joint states and poses of a stream are too old [s].", 0.01, 2.0),
+    "goal_timeout_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
     "joint_speed_rad_s": Parameter(0.5, "Speed of turning joints that no command exceeds [rad/s].", 0.001, 10.0),
     "joint_speed_m_s": Parameter(0.1, "Speed of sliding joints that no command exceeds [m/s].", 0.0001, 5.0),
     "tolerance_m": Parameter(1e-6, "Predicted miss above which a pose is refused [m].", 1e-9, 1e-3),
@@ -99,9 +100,9 @@ ARTICULATION_ESTIMATOR = {
     "tip": Parameter("", "Link that holds the handle; empty: the link behind most joints that are heard."),
     "rate_hz": Parameter(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
     "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
-    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
     "tolerance_m": Parameter(4e-3, "How well a model must predict to be trusted [m].", 1e-4, 0.05),
-    "ahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
+    "lookahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
     "still_m": Parameter(3e-3, "What a pulled handle moves by in a second while it counts as stuck [m].", 1e-4, 0.05),
     "pull_n": Parameter(15.0, "Force beyond that of the beginning from which somebody pulls [N].", 0.5, 500.0),
     "tool_mass": Parameter(
@@ -207,31 +208,31 @@ IMPEDANCE_SETPOINT = {
     "goal": Parameter(0.0, "How far to open it [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
     "goal_rad": Parameter(1.0472, "How far to open what turns [rad].", 0.01, 3.0),
     "goal_m": Parameter(0.3, "How far to open what slides [m].", 0.005, 2.0),
-    "exploring_m_s": Parameter(0.03, "Speed of the pull while the way is unknown [m/s].", 0.001, 0.2),
+    "exploration_speed_m_s": Parameter(0.03, "Speed of the pull while the way is unknown [m/s].", 0.001, 0.2),
     "speed_m_s": Parameter(0.06, "Speed once it is known [m/s].", 0.001, 0.5),
-    "explore_m": Parameter(0.25, "Longest way that is gone unknown [m].", 0.01, 1.0),
+    "max_exploration_m": Parameter(0.25, "Longest way that is gone unknown [m].", 0.01, 1.0),
     "mass": Parameter([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
     "damping": Parameter([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
     "stiffness": Parameter([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
     "stack_stiffness": Parameter([3000.0, 200.0], "What a stiff stack is asked for, way and turning [N/m; N m/rad]."),
     "blend_s": Parameter(0.5, "How long other gains take to come in [s].", 0.0, 10.0),
-    "slow_force_n": Parameter(15.0, "Force from which the pace falls [N].", 0.1, 500.0),
-    "slow_moment_nm": Parameter(6.0, "The same of the moment [N m].", 0.01, 100.0),
-    "stand_force_n": Parameter(35.0, "Force at which it stands [N].", 0.2, 500.0),
-    "stand_moment_nm": Parameter(14.0, "The same of the moment [N m].", 0.02, 100.0),
-    "most_force_n": Parameter(50.0, "Force at which the pull ends at once [N].", 1.0, 500.0),
-    "most_moment_nm": Parameter(20.0, "The same of the moment [N m].", 0.1, 100.0),
-    "most_speed_m_s": Parameter(0.25, "No setpoint moves the tool faster [m/s].", 0.001, 2.0),
-    "most_acceleration_m_s2": Parameter(2.5, "Nor changes its speed faster [m/s2].", 0.01, 50.0),
-    "most_turning_rad_s": Parameter(1.5, "No setpoint turns the tool faster [rad/s].", 0.01, 10.0),
-    "most_turning_rad_s2": Parameter(15.0, "Nor changes that faster [rad/s2].", 0.1, 300.0),
-    "most_displacement_m": Parameter(0.1, "No setpoint lies farther from where the tool is [m].", 0.001, 1.0),
-    "most_turn_rad": Parameter(0.5, "No setpoint is turned farther from it [rad].", 0.01, 3.0),
+    "slowdown_force_n": Parameter(15.0, "Force from which the pace falls [N].", 0.1, 500.0),
+    "slowdown_moment_nm": Parameter(6.0, "The same of the moment [N m].", 0.01, 100.0),
+    "stop_force_n": Parameter(35.0, "Force at which it stands [N].", 0.2, 500.0),
+    "stop_moment_nm": Parameter(14.0, "The same of the moment [N m].", 0.02, 100.0),
+    "max_force_n": Parameter(50.0, "Force at which the pull ends at once [N].", 1.0, 500.0),
+    "max_moment_nm": Parameter(20.0, "The same of the moment [N m].", 0.1, 100.0),
+    "max_speed_m_s": Parameter(0.25, "No setpoint moves the tool faster [m/s].", 0.001, 2.0),
+    "max_acceleration_m_s2": Parameter(2.5, "Nor changes its speed faster [m/s2].", 0.01, 50.0),
+    "max_angular_speed_rad_s": Parameter(1.5, "No setpoint turns the tool faster [rad/s].", 0.01, 10.0),
+    "max_angular_acceleration_rad_s2": Parameter(15.0, "Nor changes that faster [rad/s2].", 0.1, 300.0),
+    "max_displacement_m": Parameter(0.1, "No setpoint lies farther from where the tool is [m].", 0.001, 1.0),
+    "max_rotation_rad": Parameter(0.5, "No setpoint is turned farther from it [rad].", 0.01, 3.0),
     "joint_speed_rad_s": Parameter(1.5, "Speed of turning joints that no setpoint exceeds [rad/s].", 0.001, 10.0),
     "joint_speed_m_s": Parameter(0.3, "Speed of sliding joints that no setpoint exceeds [m/s].", 0.0001, 5.0),
     "joint_acceleration_rad_s2": Parameter(15.0, "How fast that speed may change [rad/s2].", 0.01, 200.0),
     "joint_acceleration_m_s2": Parameter(3.0, "The same of sliding joints [m/s2].", 0.001, 100.0),
-    "least_gain": Parameter(0.02, "Smallest gain of the joints that is not taken for singular [m; rad].", 1e-4, 1.0),
+    "min_gain": Parameter(0.02, "Smallest gain of the joints that is not taken for singular [m; rad].", 1e-4, 1.0),
     "tool_mass": Parameter(0.0, "Mass beyond the force sensor, where it is known [kg]; 0: only the tare.", 0.0, 100.0),
     "tool_centre": Parameter([0.0, 0.0, 0.0], "Its centre, in the sensor's frame [m]."),
     "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
@@ -239,9 +240,11 @@ IMPEDANCE_SETPOINT = {
     "wrench_by_tool": Parameter(False, "Whether the sensor says what the tool does, not what is done to it."),
     "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
     "servo_lag_s": Parameter(0.03, "How far setpoints that move steadily are ahead of the arm [s].", 0.0, 1.0),
-    "hand_n_m": Parameter(15e3, "Stiffness of arm, hand and object at a hard stop, as believed [N/m].", 100.0, 1e6),
+    "contact_stiffness_n_m": Parameter(
+        15e3, "Stiffness of arm, hand and object at a hard stop, as believed [N/m].", 100.0, 1e6
+    ),
     "tare_s": Parameter(0.5, "How long the tool is weighed [s].", 0.1, 10.0),
-    "stale_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
+    "timeout_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
     "patience_s": Parameter(1.0, "How long a pull waits for an input that is late before it ends [s].", 0.0, 60.0),
     "rate_hz": Parameter(250.0, "Setpoints a second [Hz].", 10.0, 1000.0),
     "horizon_s": Parameter(0.02, "When a trajectory's point is to be reached [s].", 0.001, 1.0),
@@ -263,7 +266,7 @@ ACCELERATION_LIMITS = {
     "damping": Parameter([""], "Viscous friction that is not the URDF's, as joint=value [N m s/rad; N s/m]."),
     "rotor": Parameter([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
     "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
-    "stale_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "timeout_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
     "rate_hz": Parameter(50.0, "Bounds are published at most this often [Hz].", 0.1, 250.0),
 }
 
@@ -276,7 +279,7 @@ VIEWER = {
     ),
     "full_colour_m": Parameter(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
     "stations": Parameter(60, "How many of the last stations are shown.", 1, 1000),
-    "stale_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
+    "timeout_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
     "rate_hz": Parameter(5.0, "How often the pictures are drawn anew [Hz].", 0.1, 30.0),
 }
 
@@ -293,38 +296,40 @@ TRAJECTORY_SENDER = {
     "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
     "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
     "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
-    "stale_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
     "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
 }
 
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
-    "recorder": (RECORDER, "patience_s least_free_mb"),
+    "recorder": (RECORDER, "patience_s min_free_mb"),
     "calibrator": (
         CALIBRATOR,
-        "out effects seed clock_limit_s accept first_solve after_change most_stations silent_s",
+        "out effects seed clock_limit_s accept first_solve after_change max_stations silence_timeout_s",
     ),
     "corrector": (
         CORRECTOR,
-        "target stream horizon_s stale_s goal_stale_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
+        "target stream horizon_s timeout_s goal_timeout_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
         "switch_step_rad blend_s rate_hz",
     ),
-    "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz stale_s ahead_m pull_n"),
+    "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz timeout_s lookahead_m pull_n"),
     "impedance_setpoint": (
         IMPEDANCE_SETPOINT,
-        "mode direction goal goal_rad goal_m exploring_m_s speed_m_s explore_m mass damping stiffness stack_stiffness "
-        "blend_s slow_force_n slow_moment_nm stand_force_n stand_moment_nm most_force_n most_moment_nm most_speed_m_s "
-        "most_acceleration_m_s2 most_turning_rad_s most_turning_rad_s2 most_displacement_m most_turn_rad "
-        "joint_speed_rad_s joint_speed_m_s joint_acceleration_rad_s2 joint_acceleration_m_s2 least_gain gravity "
-        "servo_lag_s hand_n_m tare_s patience_s horizon_s "
-        "base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool cutoff_hz stale_s rate_hz",
+        "mode direction goal goal_rad goal_m exploration_speed_m_s speed_m_s max_exploration_m mass damping "
+        "stiffness stack_stiffness blend_s slowdown_force_n slowdown_moment_nm stop_force_n stop_moment_nm "
+        "max_force_n max_moment_nm max_speed_m_s max_acceleration_m_s2 max_angular_speed_rad_s "
+        "max_angular_acceleration_rad_s2 max_displacement_m max_rotation_rad joint_speed_rad_s joint_speed_m_s "
+        "joint_acceleration_rad_s2 joint_acceleration_m_s2 min_gain gravity servo_lag_s contact_stiffness_n_m "
+        "tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool "
+        "cutoff_hz timeout_s rate_hz",
     ),
     "acceleration_limits": (
         ACCELERATION_LIMITS,
-        "payload_kg payload_centre_m payload_inertia method torque_share torque friction damping rotor gravity stale_s",
+        "payload_kg payload_centre_m payload_inertia method torque_share torque friction damping rotor gravity "
+        "timeout_s",
     ),
-    "viewer": (VIEWER, "arrow_scale full_colour_m stale_s"),
+    "viewer": (VIEWER, "arrow_scale full_colour_m timeout_s"),
     "simulated_cell": (
         SIMULATED_CELL,
         "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
@@ -345,7 +350,10 @@ DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
-    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
+    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy.
+
+    A value under a name of release 0.1 counts, and is warned of (:mod:`aliases`).
+    """
     for name, parameter in parameters.items():
         descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
@@ -355,7 +363,8 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
             else:
                 span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
                 descriptor.floating_point_range = [span]
-        node.declare_parameter(name, parameter.default, descriptor)
+        old = said_under_old_name(node, name)
+        node.declare_parameter(name, parameter.default if old is None else old, descriptor)
 
 
 def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:

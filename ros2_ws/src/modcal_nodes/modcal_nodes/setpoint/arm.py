@@ -46,17 +46,17 @@ def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
     return Limits(
         joint_speed=np.where(turning, chosen["joint_speed_rad_s"], chosen["joint_speed_m_s"]),
         joint_acceleration=np.where(turning, chosen["joint_acceleration_rad_s2"], chosen["joint_acceleration_m_s2"]),
-        speed=chosen["most_speed_m_s"],
-        acceleration=chosen["most_acceleration_m_s2"],
-        turning=chosen["most_turning_rad_s"],
-        turning_acceleration=chosen["most_turning_rad_s2"],
-        force=chosen["most_force_n"],
-        moment=chosen["most_moment_nm"],
-        displacement=chosen["most_displacement_m"],
-        turn=chosen["most_turn_rad"],
-        stale=chosen["stale_s"],
+        speed=chosen["max_speed_m_s"],
+        acceleration=chosen["max_acceleration_m_s2"],
+        turning=chosen["max_angular_speed_rad_s"],
+        turning_acceleration=chosen["max_angular_acceleration_rad_s2"],
+        force=chosen["max_force_n"],
+        moment=chosen["max_moment_nm"],
+        displacement=chosen["max_displacement_m"],
+        turn=chosen["max_rotation_rad"],
+        stale=chosen["timeout_s"],
         period=1.0 / chosen["rate_hz"],
-        gain=chosen["least_gain"],
+        gain=chosen["min_gain"],
     )
 
 
@@ -65,12 +65,13 @@ def task(chosen: dict[str, Any]) -> Task:
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
     for what in ("force_n", "moment_nm"):
-        slow, stand, most = (chosen[f"{name}_{what}"] for name in ("slow", "stand", "most"))
-        if not slow < stand <= most:
+        names = [f"{name}_{what}" for name in ("slowdown", "stop", "max")]
+        slow, stop, most = (chosen[name] for name in names)
+        if not slow < stop <= most:
             raise BadTable(
-                f"slow_{what} {slow:g}, stand_{what} {stand:g}, most_{what} {most:g}",
+                ", ".join(f"{name} {chosen[name]:g}" for name in names),
                 "must rise from the first to the last",
-                "mend them",
+                "change them",
             )
     goal = chosen["goal"]
     out = Task(
@@ -78,9 +79,9 @@ def task(chosen: dict[str, Any]) -> Task:
         goal_rad=goal or chosen["goal_rad"],
         goal_m=goal or chosen["goal_m"],
         mode=chosen["mode"],
-        exploring=chosen["exploring_m_s"],
+        exploring=chosen["exploration_speed_m_s"],
         speed=chosen["speed_m_s"],
-        explore=chosen["explore_m"],
+        explore=chosen["max_exploration_m"],
         mass=_three("mass", chosen),
         damping=_three("damping", chosen),
         stiffness=_three("stiffness", chosen),
@@ -90,10 +91,10 @@ def task(chosen: dict[str, Any]) -> Task:
         servo_lag=chosen["servo_lag_s"],
         down=_vector("gravity", chosen),
         patience=Patience(
-            slow=(chosen["slow_force_n"], chosen["slow_moment_nm"]),
-            most=(chosen["stand_force_n"], chosen["stand_moment_nm"]),
-            last=chosen["most_force_n"],
-            hand=chosen["hand_n_m"],
+            slow=(chosen["slowdown_force_n"], chosen["slowdown_moment_nm"]),
+            most=(chosen["stop_force_n"], chosen["stop_moment_nm"]),
+            last=chosen["max_force_n"],
+            hand=chosen["contact_stiffness_n_m"],
         ),
         patience_s=chosen["patience_s"],
     )
