@@ -14,7 +14,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.effects.candidates import vocabulary
+from modcal_core.effects.registry import candidates
 from modcal_core.online.estimator import Estimator
 from modcal_core.online.watch import Watch
 
@@ -63,8 +63,8 @@ def diagnosis() -> Iterator[Row]:
     fit = identify(start, samples, choose_parameters(start, views_of(samples)).parameters)
 
     def scan() -> int:
-        at = fit.model.circumstances(samples)
-        effects = list(vocabulary(at))
+        at = fit.model.drivers(samples)
+        effects = list(candidates(at))
         Scanner(effects, at).evidence(fit, np.random.default_rng(0))
         return len(effects)
 

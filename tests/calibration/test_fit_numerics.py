@@ -168,7 +168,7 @@ def test_derivatives_of_a_move_by_any_angle(place: str) -> None:
         return np.asarray((root @ T)[:, :3, 3].T.ravel())
 
     model = start.with_effects((effect.with_values(x),))
-    around = model.circumstances(samples)
+    around = model.drivers(samples)
     view = View.of(model, samples, around)
     J = np.stack([view.moved_by(terms)[: 3 * len(samples)] for terms in all_columns(model.effects, around)], axis=1)
     assert_jacobian(predicted, J, x)

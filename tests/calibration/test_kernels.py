@@ -33,7 +33,7 @@ def compare(model: Model, samples: Samples, seed: int) -> None:
     turned = (own * rng.uniform(0.5, 2.0, len(samples)))[samples.is_pose]
     weight = np.concatenate([np.tile(own, 3), np.tile(turned, 3)])
     assert is_serial(model, samples, parameters)
-    plain = PlainSystem(model, parameters, samples, model.circumstances(samples))
+    plain = PlainSystem(model, parameters, samples, model.drivers(samples))
     quick = SerialSystem(model, parameters, samples)
     a, b = plain.residuals(values), quick.residuals(values)
     assert np.abs(a.position - b.position).max() < 1e-12

@@ -12,7 +12,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
-from modcal_core.effects.driver_limits import Held
+from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluate import evaluate
@@ -35,7 +35,7 @@ BY_TIME = Effect("drift", "elbow_joint", LENGTH, "time", Shape("ramp", RAMP)).st
 def situation(count: int = 60, seed: int = 1) -> Samples:
     made = record(seed, count)
     heat = SignalTrack("temperature:arm", made.samples.stamps, np.linspace(20.0, 40.0, count)[:, None])
-    effort = -Model(CHAIN, ("tracker",), np.eye(4)[None], np.eye(4)).circumstances(made.samples).payload[:, 5].T * 10.0
+    effort = -Model(CHAIN, ("tracker",), np.eye(4)[None], np.eye(4)).drivers(made.samples).payload[:, 5].T * 10.0
     return replace(made.samples, signals=(heat,), effort=effort)
 
 
@@ -44,7 +44,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
     samples = replace(situation(), clock=clock)
 
     nominal = Model(CHAIN, ("tracker",), se3.exp(RNG.normal(size=6))[None], se3.exp([0.05, 0, 0.1, 0, 0.3, 0]))
-    nominal = replace(nominal, arm=replace(nominal.circumstances(samples).arm, inertias=inertias))
+    nominal = replace(nominal, arm=replace(nominal.drivers(samples).arm, inertias=inertias))
     model = nominal.with_effects((effect,))
     T = model.predict_samples(samples)
     samples = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3])
@@ -86,7 +86,7 @@ def test_a_missing_driver_is_named_with_its_cost(effect: Effect, lost: object, w
 
 def test_gravity_stands_in_for_measured_effort() -> None:
     calibration, samples = frozen(BY_EFFORT, INERTIAS)
-    gravity = calibration.calibrated.circumstances(samples).gravity[:, 5].T
+    gravity = calibration.calibrated.drivers(samples).gravity[:, 5].T
     model = calibration.calibrated
     T = model.predict_samples(replace(samples, effort=-gravity))
     recorded = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3], effort=np.full_like(samples.effort, np.nan))
@@ -110,14 +110,14 @@ def test_an_older_file_names_a_cost_too() -> None:
 
 
 def test_time_goes_on_for_a_session_and_stands_still_days_later() -> None:
-    held = Held((100.0, 200.0))
+    held = DriverLimits((100.0, 200.0))
     t = np.array([0.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 1e9])
     assert held.time(t).tolist() == [100.0, 100.0, 150.0, 200.0, 250.0, 300.0, 250.0, 200.0, 200.0]
     fine = np.linspace(0.0, 600.0, 6001)
     assert np.abs(np.diff(held.time(fine))).max() < 0.11, "a command never jumps"
     assert held.value("temperature:arm", t).tolist() == t.tolist()
-    assert Held(ranges={"x": (1.0, 2.0)}).value("x", np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
-    warm = Held(ranges={"temperature:arm": (20.0, 30.0)})
+    assert DriverLimits(ranges={"x": (1.0, 2.0)}).value("x", np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
+    warm = DriverLimits(ranges={"temperature:arm": (20.0, 30.0)})
     # for as far again as was seen
     assert warm.value("temperature:arm", np.array([5.0, 15.0, 25.0, 39.0, 60.0])).tolist() == [
         10.0,
@@ -139,7 +139,7 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
     report = evaluate(calibration, later, RNG)
     size = report.size_mm("final")
     assert size is not None
-    assert size.max < 2.0
+    assert size.max < 2.0 + 1e-9  # temperatures are continued for exactly as far again
     assert any("held beyond what was recorded" in note for note in report.notes)
 
 

@@ -20,7 +20,7 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.correction.compensation import compensate
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
-from modcal_core.effects.drivers import Arm
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
@@ -49,7 +49,7 @@ def true_model(*effects: Effect, chain: Chain | None = None, seed: int = 0) -> M
     chain = ur10() if chain is None else chain
     off = np.r_[[5e-4] * 3, [1e-3] * 3] * rng.standard_normal((chain.n + 1, 6))
     tool = se3.transform(so3.exp([0.3, 0.1, -0.2]), [0.05, 0.03, 0.12])
-    weighed = Arm(chain, inertias() if chain.n == 6 else None)
+    weighed = NominalArm(chain, inertias() if chain.n == 6 else None)
     return Model(
         chain.with_origins(chain.origins @ se3.exp(off)), ("tracker",), se3.exp(rng.normal(size=(1, 6))), tool,
         tuple(effects), weighed,
@@ -265,7 +265,7 @@ def test_efforts_follow_the_weight_to_where_the_arm_goes(rng: np.random.Generato
     load = Correction(calibration_of(true_model(by_load)))
     assert model.arm is not None
     weight = Conditions.at_rest(q, T0).samples(ur10(), q[None], model.arm)
-    torque = model.circumstances(weight).gravity[:, 5, 0]
+    torque = model.drivers(weight).gravity[:, 5, 0]
     at = replace(Conditions.at_rest(q, T0), effort=-torque)
     T = Correction(calibration_of(model)).pose(there, at)
     assert np.abs(T - load.pose(there, Conditions.at_rest(there, T0))).max() < 1e-12

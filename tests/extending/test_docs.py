@@ -10,7 +10,7 @@ from types import SimpleNamespace as Message
 import numpy as np
 
 from modcal_core.articulation.added import AddedModel, Guarded
-from modcal_core.effects.registry import AddedEffect
+from modcal_core.effects.family import Family
 from modcal_msgs_py.added_topics import AddedTopic, Joints
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,7 +25,7 @@ def test_the_examples_run() -> None:
     effect, topic, moving = ({}, {}, {})  # type: tuple[dict[str, object], dict[str, object], dict[str, object]]
     for program, names in zip(blocks("python"), (effect, topic, moving), strict=True):
         exec(compile(program, "docs/extending.md", "exec"), names)
-    assert isinstance(effect["EFFECT"], AddedEffect)
+    assert isinstance(effect["FAMILY"], Family)
     added = topic["TOPIC"]
     assert isinstance(added, AddedTopic)
     (said,) = added.take(Message(data=[0.1] * 6))

@@ -12,9 +12,9 @@ import pytest
 pytestmark = pytest.mark.slow
 
 PACKAGE = """
-from modcal_core.effects.registry import AddedEffect, AddedShape
+from modcal_core.effects.family import Family
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.shapes import Shape, ShapeKind
 from modcal_msgs_py.added_topics import AddedTopic
 import numpy as np
 
@@ -28,18 +28,18 @@ ADDED = {added}
 """
 SCANNED = """
 from cells import record, ur10
-from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.drivers import NominalArm, Drivers
 from modcal_core.effects.effect import columns
-from modcal_core.effects.candidates import vocabulary
-at = Circumstances(record(1, 20).samples, Arm(ur10()))
-print([columns(e, at)[0][0].size.shape for e in vocabulary(at) if e.family == "bend"])
+from modcal_core.effects.registry import candidates
+at = Drivers(record(1, 20).samples, NominalArm(ur10()))
+print([columns(e, at)[0][0].size.shape for e in candidates(at) if e.family == "bend"])
 """
 GOOD = {
     "yields": "bend",
     "driver": "position:elbow_joint",
     "shape": "bent",
     "basis": "(x**2)[None]",
-    "added": 'AddedEffect("bend", candidates, {"bent": AddedShape(bent)})',
+    "added": 'Family("bend", candidates, {"bent": ShapeKind(bent)})',
 }
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -65,21 +65,21 @@ def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({"added": "3"}, "entry point bend of modcal.effects: names a int: name an AddedEffect"),
-        ({"added": 'AddedEffect("drift", candidates)'}, "entry point bend of modcal.effects: family drift is taken"),
+        ({"added": "3"}, "entry point bend of modcal.effects: names a int: name a Family"),
+        ({"added": 'Family("drift", candidates)'}, "entry point bend of modcal.effects: family drift is taken"),
         (
-            {"added": 'AddedEffect("bend", candidates, {"sine": AddedShape(bent)})'},
+            {"added": 'Family("bend", candidates, {"sine": ShapeKind(bent)})'},
             "entry point bend of modcal.effects: shape sine is taken",
         ),
         (
-            {"added": 'AddedEffect("bend", candidates, drivers={"time": bent})'},
+            {"added": 'Family("bend", candidates, drivers={"time": bent})'},
             "entry point bend of modcal.effects: driver time is taken",
         ),
         ({"yields": "other"}, "effect bend: yields one of family other"),
         ({"shape": "crooked"}, "effect bend at elbow_joint: no shape crooked"),
         ({"driver": "mood:elbow_joint"}, "effect bend at elbow_joint: no driver mood:elbow_joint"),
-        ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): mend the package that brings it"),
-        ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: mend the package that brings it"),
+        ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): fix the package that brings it"),
+        ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: fix the package that brings it"),
     ],
 )
 def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line: str) -> None:

@@ -7,12 +7,14 @@ import pytest
 from cells import slider_arm, ur10
 from diagnosis.test_diagnosis import CAUSES, recorded
 
+from modcal_core.effects.curve import rhythm
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.registry import family
 from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
-from modcal_core.report.effect_sizes import parameters, rhythm
+from modcal_core.report.effect_sizes import parameters
 from modcal_core.report.findings import Finding
-from modcal_core.report.sentences import story
 
 CHAIN, SLIDER = ur10(), slider_arm()
 X = np.linspace(-2.0, 2.0, 4096)
@@ -31,6 +33,10 @@ def test_a_rhythm_is_a_line_that_stands_out() -> None:
     assert rhythm(X, np.sin(101.0 * X), deviation=0.5) is None, "no larger than its own uncertainty"
     narrow = np.linspace(0.0, 0.5, 4096)
     assert rhythm(narrow, np.sin(20.0 * narrow)) is None, "fewer than three periods were seen"
+
+
+def story(name: str, *entry: object) -> str:
+    return family(name).sentence(ReportEntry(*entry))  # type: ignore[arg-type]
 
 
 def sizes(chain: object, *effect: object, values: tuple[float, ...]) -> dict[str, tuple[float, float, str]]:

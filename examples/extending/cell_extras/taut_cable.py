@@ -1,4 +1,4 @@
-"""An effect: a cable along the arm hangs loose until a joint has turned so far, and from there on pulls at it.
+"""A family of effects: a cable along the arm hangs loose until a joint has turned so far, and from there on pulls.
 
 place: the joint. direction: about its axis. driver: its own position. shape: nothing up to ``slack``, then a straight
 line. Its amplitude is the turn that the pull makes, in rad per rad beyond ``slack``; ``slack`` is fitted with it.
@@ -11,10 +11,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.registry import AddedEffect, AddedShape, Setting
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.family import Family
+from modcal_core.effects.shapes import Setting, Shape, ShapeKind
 
 _ROUNDING = 0.02  # rad; a cable does not become taut within nothing, and what is fitted must be smooth
 
@@ -25,17 +26,22 @@ def taut(x: NDArray[np.float64], settings: Mapping[str, float]) -> NDArray[np.fl
     return 0.5 * (beyond + np.sqrt(beyond**2 + _ROUNDING**2))[None]
 
 
-def candidates(at: Circumstances) -> Iterator[Effect]:
+def candidates(drivers: Drivers) -> Iterator[Effect]:
     """Every joint, with the cable becoming taut somewhere in the inner part of what it has moved through."""
-    for j, name in enumerate(at.arm.chain.names):
-        low, high = np.percentile(at.samples.q[:, j], [20.0, 80.0])
+    for j, name in enumerate(drivers.arm.chain.names):
+        low, high = np.percentile(drivers.samples.q[:, j], [20.0, 80.0])
         for slack in np.linspace(low, high, 7) if high - low > 0.2 else ():
             yield Effect("taut_cable", name, AXIS, f"position:{name}", Shape("taut", {"slack": float(slack)}))
 
 
-EFFECT = AddedEffect(
-    family="taut_cable",
-    candidates=candidates,
-    shapes={"taut": AddedShape(taut, size=1, refined={"slack": Setting(expected=0.5, unit="rad")})},
-    story="is pulled at by a cable that becomes taut",
+def sentence(entry: ReportEntry) -> str:
+    """What a technician should know of it."""
+    return f"{entry.place} is pulled at by a cable that becomes taut"
+
+
+FAMILY = Family(
+    "taut_cable",
+    candidates,
+    shapes={"taut": ShapeKind(taut, refined={"slack": Setting(expected=0.5, unit="rad")})},
+    sentence=sentence,
 )

@@ -33,7 +33,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
 from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
-from modcal_core.effects.candidates import load_since
+from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings
 from modcal_core.report.notes import instrument_notes
@@ -101,7 +101,7 @@ def calibrate(
     # what is left: where it comes from, an effect for it, and again
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
     if look_for_effects:
-        suspects = (lambda at: ()) if changed is None else partial(load_since, moment=changed)
+        suspects = (lambda at: ()) if changed is None else partial(payload.since, time=changed)
         diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))

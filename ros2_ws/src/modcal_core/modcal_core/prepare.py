@@ -12,8 +12,7 @@ from modcal_core.calibration.identify import identify
 from modcal_core.calibration.own_statement import own_statement, together_stated
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.effects.effect import JOINTS, Effect
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.families import latency
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
@@ -186,7 +185,7 @@ def _delays(samples: Samples, chain: Mechanism) -> Array:
             continue
         few = samples.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))])
         few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int))
-        late = Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")).started(np.zeros(1))
+        late = latency.late().started(np.zeros(1))
         try:
             located = fit_cell(chain, few, Cell()).model
             choice = choose_parameters(located, views_of(few))

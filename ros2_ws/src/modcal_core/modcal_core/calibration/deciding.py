@@ -20,7 +20,7 @@ from modcal_core.calibration.parameters import View as Seen
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, all_columns, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry.so3 import Array
@@ -129,7 +129,7 @@ def _rows(
     spread: Spread,
 ) -> tuple[Array, Array, Array]:
     """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
-    at = Circumstances(samples, model.arm or model.circumstances(samples).arm)
+    at = Drivers(samples, model.arm or model.drivers(samples).arm)
     view = View.of(model.with_effects(()), samples, at)
     moved = np.sum([a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0)
     zero = np.zeros(len(parameters))

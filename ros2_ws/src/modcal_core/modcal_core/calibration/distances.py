@@ -134,7 +134,7 @@ def _between_stations(
 ) -> tuple[float, Array]:
     assert known.ends is not None
     now = model_at(model, parameters, values)
-    at = model.circumstances(known.ends)
+    at = model.drivers(known.ends)
     view = View.of(now, known.ends, at)
     gap = view.f.p[-1][:, 1] - view.f.p[-1][:, 0]
     length = max(float(np.linalg.norm(gap)), 1e-9)

@@ -30,7 +30,7 @@ from modcal_core.calibration.noise import (
 )
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.system import system_of
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -175,7 +175,7 @@ def _minimum(
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
-    around = start.circumstances(samples)
+    around = start.drivers(samples)
     centre, prior = priors(fitted, parameters, around)
     known = np.diag(prior**-2.0)
     values = np.concatenate([begin, *(e.values for e in fitted)])
@@ -233,7 +233,7 @@ def _minimum(
     return _Minimum(values, H, H_data, weights, spread, iteration, ended or begun or length <= FITTED)
 
 
-def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Circumstances) -> tuple[Array, Array]:
+def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Drivers) -> tuple[Array, Array]:
     """Where each value is expected and how far from there: geometry at zero, effects at nothing, settings as found."""
     centre, prior = [np.zeros(len(parameters))], [np.array([p.prior_std for p in parameters])]
     for effect in effects:

@@ -27,7 +27,7 @@ import numpy as np
 from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import READING, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -129,14 +129,14 @@ def linearise(
     values: Array,
     samples: Samples,
     jacobian: bool = True,
-    circumstances: Circumstances | None = None,
+    drivers: Drivers | None = None,
 ) -> Linearised:
     """Residuals of the samples, and derivatives, with the parameters at these values about the given model.
 
     values: those of the parameters, and behind them, where given, those of the model's effects; the derivatives come in
-    the same order. circumstances: of the samples, where they are known already.
+    the same order. drivers: of the samples, where they are known already.
     """
-    at = circumstances or model.circumstances(samples)
+    at = drivers or model.drivers(samples)
     now = model_at(model, parameters, values)
     view = View.of(now, samples, at)
     if not jacobian:
@@ -196,8 +196,8 @@ class View:
     _units: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, now: Model, samples: Samples, at: Circumstances) -> View:
-        """What these samples show of this model, given their circumstances."""
+    def of(cls, now: Model, samples: Samples, at: Drivers) -> View:
+        """What these samples show of this model, given their drivers."""
         N = len(samples)
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
         # readings from the root, (3, N)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modcal_core.calibration.instruments import Instrument
-from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, motion
 from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
@@ -36,7 +36,7 @@ class Model:
     T_frame_base: Array
     T_tip_tool: Array
     effects: tuple[Effect, ...] = ()
-    arm: Arm | None = None
+    arm: NominalArm | None = None
     instruments: tuple[Instrument, ...] = ()
     leaders: tuple[int, ...] = ()
 
@@ -56,15 +56,15 @@ class Model:
         """Poses of the tool, (N, 4, 4), as the readings of these samples should show them, effects included."""
         if not self.effects:
             return self.predict(samples.q, samples.frame)
-        twists, scale = motion(self.effects, self.circumstances(samples))
+        twists, scale = motion(self.effects, self.drivers(samples))
         T_root_tool = tool_frames(self.chain, self.T_tip_tool, samples.q, twists).transform(-1)
         T = (self.T_frame_base @ self.chain.T_base_root)[samples.frame] @ T_root_tool
         T[:, :3, 3] *= scale[:, None]
         return T
 
-    def circumstances(self, samples: Samples) -> Circumstances:
+    def drivers(self, samples: Samples) -> Drivers:
         """The drivers at these samples."""
-        return Circumstances(samples, self.arm or Arm(self.chain))
+        return Drivers(samples, self.arm or NominalArm(self.chain))
 
     @property
     def serial(self) -> Chain:
@@ -86,4 +86,4 @@ class Model:
 def place_model(chain: Mechanism, frames: tuple[str, ...], inertias: Inertias | None = None) -> Model:
     """A model with base and tool where nothing is known of them yet: at the frames' and the tip's origins."""
     eye = np.eye(4)
-    return Model(chain, frames, np.tile(eye, (len(frames), 1, 1)), eye, arm=Arm(chain, inertias))
+    return Model(chain, frames, np.tile(eye, (len(frames), 1, 1)), eye, arm=NominalArm(chain, inertias))

@@ -7,9 +7,9 @@ a small error exp(e), so to first order
 
 and each recording tells a part of δ (:mod:`~modcal_core.calibration.recording_evidence`). A *module* error belongs to a
 serial number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are
-taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a number,
-are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares over all
-assemblies at once:
+taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a
+number, are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares
+over all assemblies at once:
 
     (Σ_prior⁻¹ + Σ_a B_aᵀ Λ'_a B_a) x = Σ_a B_aᵀ Λ'_a δ_a.
 

@@ -47,7 +47,7 @@ def _add(
 ) -> None:
     """Add what one block of samples says."""
     P = len(parameters)
-    at = start.circumstances(part)
+    at = start.drivers(part)
     now = model_at(start, parameters, values)
     view = View.of(now, part, at)
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])

@@ -31,6 +31,7 @@ from modcal_core.calibration.score import errors, outlying, squared_misses
 from modcal_core.calibration.setups import Setup, Sights, Stretches, stretches
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
+from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
@@ -183,13 +184,12 @@ class _Search:
         orientations = bool(self.samples.is_pose.all())
         effects = []
         for k, move in reversed(list(enumerate(moves))):
-            shape = Shape("until", {"at": move.at})
             if move.what != "tool":
-                effects.append(Effect("step", "base", ALL, "time", shape).with_values(base[k + 1] - base[k]))
+                effects.append(step.moved("base", ALL, move.at).with_values(base[k + 1] - base[k]))
             if move.what != "base":
                 turn = ALL if orientations else SHIFT
                 change = (tool[k + 1] - tool[k])[: 6 if orientations else 3]
-                effects.append(Effect("step", "tool", turn, "time", shape).with_values(change))
+                effects.append(step.moved("tool", turn, move.at).with_values(change))
         return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
 
     def fit(self, start: Model, samples: Samples, tolerance: float = _TOLERANCE) -> Fit:
@@ -314,22 +314,19 @@ def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
     """A base or a tool that drifts or settles."""
     low, high = float(samples.stamps.min()), float(samples.stamps.max())
     shapes = [
-        Shape("polynomial", {"degree": 4.0, "low": low, "high": high}),
+        drift.slow_curve(low, high),
         Shape("settle", {"since": low, "tau": _SETTLING * (high - low)}),
     ]
     turn = ALL if samples.is_pose.all() else SHIFT
     for place in sorted(places):
         for shape in shapes:
-            yield (Effect("drift", place, turn if place == "tool" else ALL, "time", shape),)
+            yield (drift.drifting(place, turn if place == "tool" else ALL, shape),)
 
 
 def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
     """Joints that err with their position, about their axis and across it."""
     for name in joints:
-        waves = [Shape("turn", {"cycles": float(k)}) for k in range(1, _WAVES + 1)]
-        across = [Effect("axis_wobble", name, ACROSS, f"position:{name}", wave) for wave in waves]
-        along = [Effect("gear_harmonic", name, AXIS, f"position:{name}", wave) for wave in waves]
-        yield tuple([*along, *across])
+        yield (*gear_harmonic.whole(name, _WAVES), *axis_wobble.whole(name, _WAVES))
 
 
 def _amplitudes(effect: Effect) -> int:

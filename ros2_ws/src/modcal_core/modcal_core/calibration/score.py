@@ -77,7 +77,7 @@ def errors(model: Model, samples: Samples) -> Errors:
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
     gap, lever = samples.position - T[:, :3, 3], None
     if model.instruments:
-        sights = View.of(model, samples, model.circumstances(samples)).sights
+        sights = View.of(model, samples, model.drivers(samples)).sights
         if sights is not None:
             lever = sights.lever
             gap[sights.rows] = (sights.residual * lever[sights.rows]).T

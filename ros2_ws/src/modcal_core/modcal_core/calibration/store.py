@@ -15,8 +15,9 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.effects.driver_limits import Held, Usual
-from modcal_core.effects.drivers import Arm
+from modcal_core.calibration.usual import Usual
+from modcal_core.effects.driver_limits import DriverLimits
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import require_known
 from modcal_core.effects.shapes import Shape
@@ -82,9 +83,9 @@ class Calibration:
         return fingerprint(self.nominal.chain)
 
     @property
-    def held(self) -> Held:
+    def driver_limits(self) -> DriverLimits:
         """Where the drivers of its effects stop."""
-        return Held(self.watched, self.clock, self.ranges)
+        return DriverLimits(self.watched, self.clock, self.ranges)
 
     def usual_of(self, effect: int) -> Usual | None:
         """What the effect with this number was on average, where that was kept."""
@@ -177,7 +178,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
     try:
         nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
-        arm = Arm(nominal.chain, _inertias_from_data(data.get("arm")))
+        arm = NominalArm(nominal.chain, _inertias_from_data(data.get("arm")))
         effects = tuple(_effect_from_data(e) for e in data["effects"])
         nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
         geometric = replace(_model_from_data(data["geometric"]), arm=arm)
@@ -317,7 +318,7 @@ def _uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
     return Uncertainty(parameters, covariance)
 
 
-def _arm_to_data(arm: Arm | None) -> dict[str, Any] | None:
+def _arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
     """The bodies of the nominal arm, which loads are computed from."""
     if arm is None or arm.inertias is None:
         return None

@@ -12,7 +12,7 @@ from modcal_core.calibration.linearise import Linearised, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -43,15 +43,13 @@ class PlainSystem:
 
     quick_gradient = False
 
-    def __init__(self, start: Model, parameters: Sequence[Parameter], samples: Samples, around: Circumstances) -> None:
-        """around: the circumstances of the samples."""
+    def __init__(self, start: Model, parameters: Sequence[Parameter], samples: Samples, around: Drivers) -> None:
+        """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
 
     def residuals(self, values: Array) -> Linearised:
         """Residuals, without derivatives."""
-        return linearise(
-            self._start, self._parameters, values, self._samples, jacobian=False, circumstances=self._around
-        )
+        return linearise(self._start, self._parameters, values, self._samples, jacobian=False, drivers=self._around)
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
@@ -68,7 +66,7 @@ class PlainSystem:
         return np.asarray(self._last * float(row_weight.sum()))
 
 
-def system_of(start: Model, parameters: Sequence[Parameter], samples: Samples, around: Circumstances) -> System:
+def system_of(start: Model, parameters: Sequence[Parameter], samples: Samples, around: Drivers) -> System:
     """The equations of these samples, by the quickest way that knows this model."""
     if is_serial(start, samples, parameters):
         return SerialSystem(start, parameters, samples)

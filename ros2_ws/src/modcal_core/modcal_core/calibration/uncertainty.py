@@ -51,7 +51,7 @@ def uncertainty(
     """
     P = len(parameters)
     values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
-    around = model.circumstances(samples)
+    around = model.drivers(samples)
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
     H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.spread, samples))
     if distances:

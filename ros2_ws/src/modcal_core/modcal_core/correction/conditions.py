@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.effects.drivers import Arm
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import POSE, SignalTrack
@@ -47,7 +47,7 @@ class Conditions:
         approach = np.where(np.abs(way) > TRAVEL, np.sign(way), self.approach)
         return Conditions(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
 
-    def samples(self, chain: Chain, postures: Array, arm: Arm) -> Samples:
+    def samples(self, chain: Chain, postures: Array, arm: NominalArm) -> Samples:
         """Samples of postures (N, n) under these conditions, for a model to predict.
 
         What the actuators would have to exert there is what they exert now, but for the difference in weight.

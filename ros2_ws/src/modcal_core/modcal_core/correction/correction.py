@@ -2,8 +2,8 @@
 
 *In the base link* means that of the calibrated arm written with the least change to its drawing (see
 :mod:`modcal_core.calibration.canonical`): where the base stands in the tracker, and what turns or slides the first
-joint as a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame* has no
-such freedom: it is what that instrument would show.
+joint as a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame*
+has no such freedom: it is what that instrument would show.
 
 Of the effects, those of the arm move the tip; a tool that was bumped moves the tool only; a base or tracker that
 drifts, and a tracker's scale, show in tracker frames only; a tracker's delay shows in no true pose.
@@ -21,7 +21,7 @@ from modcal_core.calibration.canonical import passing_directions
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.conditions import Conditions
-from modcal_core.effects.drivers import Arm, Circumstances
+from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import JOINTS, READING, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
@@ -41,7 +41,7 @@ class Correction:
         self.calibration = calibration
         self.model = calibration.calibrated
         self.chain = self.model.serial
-        self._arm = replace(self.model.arm or Arm(calibration.nominal.chain), held=calibration.held)
+        self._arm = replace(self.model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
         true = [e for e in self.model.effects if e.direction != JOINTS]
         self._of_arm = tuple(e for e in true if e.place not in ("base", "tool", "tracker"))
         self._of_tool = tuple(e for e in true if e.place == "tool")
@@ -150,14 +150,14 @@ class Correction:
     def unwatched(self, stamp: float) -> bool:
         """Whether something depends on time and this is longer past the calibration than it lasted, or before it."""
         timed = any(e.driver == "time" for e in (*self._of_arm, *self._of_tool, *self._of_cell))
-        return timed and bool(self.calibration.held.time(np.array(stamp)) != stamp)
+        return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
-    def _around(self, postures: Array, at: Conditions) -> Circumstances:
+    def _around(self, postures: Array, at: Conditions) -> Drivers:
         signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
         samples = replace(at, signals=signals).samples(self.chain, postures, self._arm)
-        return Circumstances(samples, self._arm)
+        return Drivers(samples, self._arm)
 
-    def _behind(self, T_base_tip: Array, around: Circumstances, target: Target) -> Array:
+    def _behind(self, T_base_tip: Array, around: Drivers, target: Target) -> Array:
         """Poses of the target, (N, 4, 4)."""
         if target == "tip":
             return T_base_tip

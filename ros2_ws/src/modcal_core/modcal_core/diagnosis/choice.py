@@ -13,14 +13,13 @@ import numpy as np
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects.candidates import plainness
 from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects.family import FREE
+from modcal_core.effects.registry import complexity, family
 
 _TIE = 2.0  # in −log10 p
 _NEARLY = 0.93  # share of a free shape's explanation
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
-_MOST_KG = 100.0
 _PLAINLY_MORE = 1.3
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MOST_NAMED = 12
@@ -54,8 +53,8 @@ def choose(
     allowed = np.array([e.key not in refused for e in evidence.effects])
     if not (allowed & (evidence.score > 0.0)).any():
         return None
-    plain = allowed & np.array([plainness(e) < 2 for e in evidence.effects])
-    if incumbent is not None and plainness(incumbent) < 2 and plain.any():
+    plain = allowed & np.array([complexity(e) < FREE for e in evidence.effects])
+    if incumbent is not None and complexity(incumbent) < FREE and plain.any():
         allowed = plain  # a plain cause is not given up for a free shape
     score = np.where(allowed, evidence.score, -1.0)
     tie = _TIE * evidence.inflation
@@ -72,7 +71,7 @@ def choose(
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
     chosen = evidence.effects[best]
-    if chosen.shape.kind == "several" and not is_weight(scanner.amplitudes(fit, chosen)):
+    if not family(chosen.family).plausible(chosen.started(scanner.amplitudes(fit, chosen))):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
     rivals = _rivals(evidence, best, alike)
     names = tuple(effect.label for effect in rivals)
@@ -83,21 +82,16 @@ def choose(
     return Choice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
 
 
-def is_weight(amplitudes: Array) -> bool:
-    """Whether what joint and payload give way by stand for a mass that an arm can carry."""
-    return 0.0 < float(amplitudes[1] / amplitudes[0]) < _MOST_KG if amplitudes[0] else False
-
-
 def _simplicity(effect: Effect) -> tuple[float, ...]:
     """Less is plainer: the kind of cause, its amplitudes, and whether it asks for many cycles where few would do."""
     cycles = effect.shape.settings.get("cycles", 0.0)
-    return plainness(effect), effect.shape.size, round(cycles / _RHYTHM)
+    return complexity(effect), effect.shape.size, round(cycles / _RHYTHM)
 
 
 def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
-    """A joint's whole curve over its own position, where that explains plainly more than the best single line."""
+    """A family's whole curve over the same driver, where that explains plainly more than the best single line."""
     line = evidence.effects[best]
-    if line.family != "gear_harmonic" or line.shape.kind == "spline":
+    if line.shape.is_free:
         return best
     for i, effect in enumerate(evidence.effects):
         if effect.shape.kind == "spline" and effect.key == line.key and allowed[i]:

@@ -1,4 +1,4 @@
-"""What the rest of a model depends on: which joint, tool, base or instrument, and in which of its circumstances.
+"""What the rest of a model depends on: which joint, tool, base or instrument, and on which driver.
 
 Where the verdict is open, a person has to know where to look, whether or not an effect exists for what is wrong. A
 *place* is what errs: a joint about its axis, a link in all directions, tool, base, or the instrument. A *driver* is
@@ -77,7 +77,7 @@ def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | No
     if samples.stations < _LEAST or not isinstance(model.chain, Chain) or model.instruments:
         return None
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
-    view = View.of(model, samples, model.circumstances(samples))
+    view = View.of(model, samples, model.drivers(samples))
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
     residual = _drawn_in((residual * weight)[:, rows])
@@ -158,7 +158,7 @@ class _Builder:
 
     def __init__(self, model: Model, samples: Samples, view: View) -> None:
         self.model, self.samples, self.view = model, samples, view
-        self.at = model.circumstances(samples)
+        self.at = model.drivers(samples)
         self.chain = model.serial
         self.N = len(samples)
         self.one = np.ones((1, self.N))
@@ -186,10 +186,10 @@ class _Builder:
             yield self._pair(who, f"the order of the stations: {name} changed on the way", axis, self.order)
             others = [self._waves(i, 1) for i in range(chain.n) if i != j]
             yield self._pair(who, "the positions of the other joints", axis, np.concatenate(others))
-            loads = [self.at.driver(f"{kind}:{name}") for kind in self._loads()]
+            loads = [self.at.values(f"{kind}:{name}") for kind in self._loads()]
             yield self._pair(who, f"the load of {name}", axis, _curves(np.stack(loads)))
             for signal in self.at.signal_names()[:_MOST_SIGNALS]:
-                number = _curves(self.at.driver(signal)[None])
+                number = _curves(self.at.values(signal)[None])
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", axis, number)
             every = [(place, d) for d in range(6)]
             yield self._pair(f"{who} across its axis too", f"the position of {name} itself", every, self._waves(j, 2))
@@ -204,7 +204,7 @@ class _Builder:
         name, q = self.chain.names[j], self.samples.q[:, j]
         numbers = [("", np.ones(self.N))]
         if self.at.arm.weighed:
-            load = self.at.driver(f"load:{name}")
+            load = self.at.values(f"load:{name}")
             numbers.append((", as large as its load", load / max(float(np.abs(load).max()), 1e-12)))
         angle = np.arange(6, _CYCLES + 1)[:, None] * q
         for how, number in numbers:
@@ -229,7 +229,7 @@ class _Builder:
             yield self._pair(who, "the order of the stations", where, self.order)
             yield self._pair(who, "how the joints arrived", where, self.came)
             for signal in self.at.signal_names()[:_MOST_SIGNALS]:
-                number = _curves(self.at.driver(signal)[None])
+                number = _curves(self.at.values(signal)[None])
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", where, number)
         yield self._pair("the tool", "how it is turned against gravity", tool, gravity)
         yield self._pair("the tool", "how it is turned against gravity", tool, np.sign(gravity))

@@ -26,7 +26,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import View, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, Effect, columns, length_direction, place_index
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
@@ -79,7 +79,7 @@ class _Explained:
 class Scanner:
     """Candidates at certain samples, set up once and weighed against the residual of any fit."""
 
-    def __init__(self, effects: Sequence[Effect], at: Circumstances) -> None:
+    def __init__(self, effects: Sequence[Effect], at: Drivers) -> None:
         """effects: the candidates. at: the samples they are looked for on."""
         self.at = at
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
@@ -89,7 +89,7 @@ class Scanner:
             together = numbers[None]
             if len(alike) > 1:
                 cycles = np.array([e.shape.settings["cycles"] for e in alike])
-                together = periodic(alike[0].shape.kind, cycles, at.driver(alike[0].driver))
+                together = periodic(alike[0].shape.kind, cycles, at.values(alike[0].driver))
             members = groups.setdefault(keys, ([], []))
             members[0].extend(alike)
             members[1].append(together)
@@ -153,7 +153,7 @@ class Scanner:
             along = length_direction(self.at.arm.chain, k)
             key: Key = (k, LENGTH)
             self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
-            basis = effect.shape.basis(self.at.driver(effect.driver, effect.lag))
+            basis = effect.shape.basis(self.at.values(effect.driver, effect.lag))
             return (key,) * len(basis), basis
         key = (terms[0][0].place, effect.direction + effect.driver)
         self._composed[key] = [(t.place, t.direction, t.size) for t in terms[0]]
@@ -292,11 +292,11 @@ class _Space:
     against: dict[Key, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, fit: Fit, at: Circumstances) -> _Space:
+    def of(cls, fit: Fit, at: Drivers) -> _Space:
         samples = at.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
-        now = linearise(fit.model, fit.parameters, values, samples, circumstances=at)
+        now = linearise(fit.model, fit.parameters, values, samples, drivers=at)
         view = View.of(fit.model, samples, at)
         J = np.empty((6, len(samples), len(now.J)))  # of a frozen model without effects nothing is fitted
         for p, row in enumerate(now.J):

@@ -16,9 +16,8 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects.candidates import vocabulary
-from modcal_core.effects.effect import ALL, AXIS, Effect
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.families import unknown
+from modcal_core.effects.registry import candidates
 from modcal_core.measurements.samples import Samples
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
@@ -31,11 +30,9 @@ def located(fit: Fit, samples: Samples) -> Choice | None:
     Constant errors are looked for where the fit has no parameters of its own.
     """
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SCANNED)).astype(int))
-    at = fit.model.circumstances(samples.select(rows))
-    names = at.arm.chain.names
-    constant = [Effect("unknown", place, ALL, "constant", Shape("linear")) for place in ("base", "tool")]
-    constant += [Effect("unknown", name, AXIS, "constant", Shape("linear")) for name in names]
-    scanner = Scanner([*vocabulary(at), *(constant if not fit.parameters else ())], at)
+    at = fit.model.drivers(samples.select(rows))
+    constant = () if fit.parameters else unknown.constants(at)
+    scanner = Scanner([*candidates(at), *constant], at)
     if not scanner.enough(fit):
         return None
     evidence = scanner.evidence(fit)

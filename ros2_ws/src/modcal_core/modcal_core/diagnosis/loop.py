@@ -1,6 +1,6 @@
 """Find what the model lacks, add it, and go on until the rest is noise.
 
-Each round scans the vocabulary on everything but the held-out set, picks the plainest effect that explains what can be
+Each round scans the candidates on everything but the held-out set, picks the plainest effect that explains what can be
 explained, fits it together with all others to *train*, and keeps it only if it also predicts *explain*, which that fit
 has not seen. An effect that later becomes needless is taken out; one that another explains better is exchanged.
 """
@@ -18,15 +18,14 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.diagnosis.choice import Choice, choose, is_weight
+from modcal_core.diagnosis.choice import Choice, choose
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import LEAST_GAIN, joint_size, needless
-from modcal_core.effects.candidates import vocabulary
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.registry import candidates, family
 from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 
@@ -38,7 +37,6 @@ _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searchi
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3
 _MOST_REFUSED_OF_MANY = 1  # where each one costs seconds; with none, one that ties by chance ends the search
-_SURE = 5.0  # standard deviations from which a mass is believed
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
 
@@ -91,17 +89,17 @@ def diagnose(
     rng: np.random.Generator,
     distances: Sequence[AnyDistance] = (),
     progress: Callable[[str], None] = lambda _: None,
-    suspects: Callable[[Circumstances], Iterable[Effect]] = lambda _: (),
+    suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: (),
     known: Sequence[Cause] = (),
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
-    suspects: what to look for besides the vocabulary. known: causes of the effects that the fit has already; they stay.
+    suspects: what to look for besides the candidates. known: causes of the effects that the fit has already; they stay.
     """
     both = train.join(explain)
     both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
-    at = fit.model.circumstances(both)
-    scanner = Scanner([*vocabulary(at), *suspects(at)], at)
+    at = fit.model.drivers(both)
+    scanner = Scanner([*candidates(at), *suspects(at)], at)
     search = _Search(
         fit,
         scanner,
@@ -187,7 +185,7 @@ class _Search:
         return identify(start, self.train, fit.parameters, self.distances, tolerance=_TOLERANCE, begin=self.fit.values)
 
     def _exchange(self) -> None:
-        """Weigh every earlier effect against the vocabulary again, with the later ones known."""
+        """Weigh every earlier effect against the candidates again, with the later ones known."""
         for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
             without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
@@ -203,7 +201,7 @@ class _Search:
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
-        while self._without_payload():
+        while self._made_plainer():
             pass
         while True:
             size = [
@@ -230,16 +228,13 @@ class _Search:
                 size[i] = max(size[i], joint_size(effects, i, known))
         return size
 
-    def _without_payload(self) -> bool:
-        """Whether a payload was found to be nothing that an arm could carry, and its joint's compliance left alone."""
+    def _made_plainer(self) -> bool:
+        """Whether an effect was found not to be needed in full, and its family's plainer one put in its place."""
         effects = self.fit.model.effects
         for i, effect in enumerate(effects):
-            if effect.family != "payload" or effect.shape.kind != "several":
-                continue
-            if abs(effect.values[1]) < _SURE * effect.std[1] or not is_weight(effect.values):
-                plain = Effect("compliance", effect.place, effect.direction, f"load:{effect.place}", Shape("linear"))
-                started = plain.started(effect.values[:1])
-                self.fit = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
+            plain = family(effect.family).plainer(effect)
+            if plain is not None:
+                self.fit = self._refit(self.fit, (*effects[:i], plain, *effects[i + 1 :]))
                 self.causes[i] = replace(self.causes[i], effect=plain)
                 self._stale = True
                 return True

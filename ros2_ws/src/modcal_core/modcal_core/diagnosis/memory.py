@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.effects.drivers import Circumstances
+from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -51,7 +51,7 @@ def slipped(samples: Samples, loads: Array) -> Array:
     return ahead(samples, loads / size, LOADS).reshape(-1, len(samples))
 
 
-def moments_on_base(at: Circumstances) -> Array:
+def moments_on_base(at: Drivers) -> Array:
     """Moments about the base's x and y, of a weight at the tip and, where it is known, of the arm, (2 or 4, N)."""
     loads = [at.payload[0, d] for d in (3, 4)]
     if at.arm.weighed:

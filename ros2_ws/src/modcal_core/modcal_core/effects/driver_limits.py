@@ -9,22 +9,15 @@ whose driver a recording lacks altogether is replaced by what it was on average.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
-
-if TYPE_CHECKING:
-    from modcal_core.effects.effect import Effect
-
-OUTSIDE = ("effort", "temperature", "signal", "time")  # kinds of drivers that postures and URDF do not tell
 
 
 @dataclass(frozen=True)
-class Held:
+class DriverLimits:
     """watched: first and last stamp [s] of the recording, None where unknown. clock: whether stamps are times; an order
     of rows stands still at its middle. ranges: smallest and largest value of temperatures and signals by name.
     """
@@ -52,25 +45,3 @@ class Held:
         low, high = self.ranges[name]
         beyond = high - low if name.startswith("temperature:") else 0.0
         return np.clip(x, low - beyond, high + beyond)
-
-
-@dataclass(frozen=True)
-class Usual:
-    """What an effect was while it was calibrated. mean: of its basis functions, (b,). cost: mean square [m²] by which
-    the tool is off where the effect is held at that.
-    """
-
-    mean: Array
-    cost: float
-
-
-def outside_drivers(effect: Effect) -> tuple[str, ...]:
-    """The parts of the effect's driver that a recording may lack."""
-    return tuple(part for part in effect.driver.split(",") if part.partition(":")[0] in OUTSIDE)
-
-
-def averaged(effect: Effect, mean: Array) -> Effect:
-    """A constant effect of the same place and directions, as large as this one with its basis at the mean (b,)."""
-    amplitudes = effect.amplitudes.reshape(-1, len(mean)) @ mean
-    plain = replace(effect, driver="constant", shape=Shape("linear"))
-    return plain.with_values(amplitudes)

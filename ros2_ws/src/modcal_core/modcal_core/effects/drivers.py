@@ -3,18 +3,19 @@
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``. Three more are ways to know a load and are reported as
 ``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip, and
-``moment:J`` the two components across the axis. Packages may add more.
+``moment:J`` the two components across the axis. A family may bring more.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from modcal_core.effects.driver_limits import Held
-from modcal_core.effects.registry import added_driver
+from modcal_core.effects.driver_limits import DriverLimits
+from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
@@ -29,14 +30,14 @@ _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise
 
 
 @dataclass(frozen=True)
-class Arm:
-    """The nominal arm that loads are computed from. inertias: None where the description states no mass. held: where
+class NominalArm:
+    """The nominal arm that loads are computed from. inertias: None where the description states no mass. limits: where
     time, temperatures and signals stop, of a frozen model; None while it is fitted.
     """
 
     chain: Mechanism
     inertias: Inertias | None = None
-    held: Held | None = None
+    limits: DriverLimits | None = None
 
     @property
     def weighed(self) -> bool:
@@ -52,32 +53,24 @@ def public_driver(driver: str) -> str:
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class Drivers:
     """Drivers at N samples. A driver that the samples do not carry is zero: the effect is then not applied."""
 
     samples: Samples
-    arm: Arm
+    arm: NominalArm
 
     def __len__(self) -> int:
         return len(self.samples)
 
-    def driver(self, name: str, lag: float = 0.0) -> Array:
+    def values(self, name: str, lag: float = 0.0) -> Array:
         """The driver (N,), or its components (c, N). lag: [s] by which a recorded signal's effect follows it."""
-        kind, _, of = name.partition(":")
         if "," in name:
-            return np.stack([self.driver(part, lag) for part in name.split(",")])
-        if kind == "constant":
-            return np.ones(len(self))
-        if kind == "time":
-            return self.samples.stamps if self.arm.held is None else self.arm.held.time(self.samples.stamps)
-        if kind == "velocity":
-            return np.nan_to_num(self.samples.velocity.T)
-        if kind == "reading":
-            return np.ones(len(self))
-        if kind in ("position", "direction", "effort", "load", "payload", "moment"):
-            return self._of_joint(kind, self.samples.names.index(of))
-        if added := added_driver(kind):
-            return np.asarray(added(self, of), dtype=float)
+            return np.stack([self.values(part, lag) for part in name.split(",")])
+        kind, _, of = name.partition(":")
+        if kind in SIGNALS:
+            return self._signal(name, lag)
+        if found := KINDS.get(kind) or _brought(kind):
+            return np.asarray(found(self, of), dtype=float)
         return self._signal(name, lag)
 
     def signal_names(self) -> tuple[str, ...]:
@@ -99,27 +92,89 @@ class Circumstances:
         """Weight of 1 kg at the tip, (n, 6, N)."""
         return payload_wrench(self.arm.chain, self.samples.q)
 
-    def _of_joint(self, kind: str, j: int) -> Array:
-        row = 5 if self.arm.chain.revolute[j] else 2
-        if kind == "position":
-            return self.samples.q[:, j]
-        if kind == "direction":
-            return self.samples.approach[:, j]
-        if kind == "effort":
-            return np.nan_to_num(self.samples.effort[:, j])
-        if kind == "moment":
-            return self.gravity[j, 3:5]
-        return (self.gravity if kind == "load" else self.payload)[j, row]
-
     def _signal(self, name: str, lag: float) -> Array:
         for track in self.samples.signals:
             if track.name == name:
                 order = np.argsort(track.stamps, kind="stable")
                 t, x = track.stamps[order], track.values[order, 0]
-                x = x if self.arm.held is None else self.arm.held.value(name, x)
+                x = x if self.arm.limits is None else self.arm.limits.value(name, x)
                 keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
                 return delayed(t[keep], x[keep], lag, self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
         return np.zeros(len(self))
+
+
+DriverKind = Callable[[Drivers, str], Array]  # of the drivers and of what stands behind the colon, (N,)
+
+
+def _ones(drivers: Drivers, _: str) -> Array:
+    return np.ones(len(drivers))
+
+
+def _time(drivers: Drivers, _: str) -> Array:
+    stamps, limits = drivers.samples.stamps, drivers.arm.limits
+    return stamps if limits is None else limits.time(stamps)
+
+
+def _velocity(drivers: Drivers, _: str) -> Array:
+    """Of all joints, (n, N)."""
+    return np.asarray(np.nan_to_num(drivers.samples.velocity.T))
+
+
+def _position(drivers: Drivers, joint: str) -> Array:
+    return drivers.samples.q[:, _column(drivers, joint)]
+
+
+def _direction(drivers: Drivers, joint: str) -> Array:
+    return drivers.samples.approach[:, _column(drivers, joint)]
+
+
+def _effort(drivers: Drivers, joint: str) -> Array:
+    return np.asarray(np.nan_to_num(drivers.samples.effort[:, _column(drivers, joint)]))
+
+
+def _load(drivers: Drivers, joint: str) -> Array:
+    j = _column(drivers, joint)
+    return drivers.gravity[j, _along(drivers, j)]
+
+
+def _payload(drivers: Drivers, joint: str) -> Array:
+    j = _column(drivers, joint)
+    return drivers.payload[j, _along(drivers, j)]
+
+
+def _moment(drivers: Drivers, joint: str) -> Array:
+    """Across the joint's axis, (2, N)."""
+    return drivers.gravity[_column(drivers, joint), 3:5]
+
+
+def _column(drivers: Drivers, joint: str) -> int:
+    return drivers.samples.names.index(joint)
+
+
+def _along(drivers: Drivers, j: int) -> int:
+    """The component of a wrench that a joint carries along its axis or about it."""
+    return 5 if drivers.arm.chain.revolute[j] else 2
+
+
+KINDS: Mapping[str, DriverKind] = {
+    "constant": _ones,
+    "time": _time,
+    "velocity": _velocity,
+    "reading": _ones,
+    "position": _position,
+    "direction": _direction,
+    "load": _load,
+    "effort": _effort,
+    "payload": _payload,
+    "moment": _moment,
+}
+SIGNALS = ("temperature", "signal")  # kinds that are found among the recorded tracks, by their whole name
+
+
+def _brought(kind: str) -> DriverKind | None:
+    """The kind of this name that a family brings, None where none does."""
+    found = (getattr(source, "drivers", {}).get(kind) for _, source in brought())
+    return next((driver for driver in found if driver is not None), None)
 
 
 def delayed(t: Array, x: Array, lag: float, at: Array) -> Array:
@@ -147,5 +202,5 @@ def _slope(t: Array, x: Array) -> Array:
     sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.ones_like(u), u, y, u * u, u * y)]
     first, last = np.searchsorted(t, t - half), np.searchsorted(t, t + half, side="right")
     n, st, sx, stt, stx = (s[last] - s[first] for s in sums)
-    spread = n * stt - st * st
-    return np.where(spread > 1e-9, (n * stx - st * sx) / np.maximum(spread, 1e-9), 0.0)
+    width = n * stt - st * st
+    return np.where(width > 1e-9, (n * stx - st * sx) / np.maximum(width, 1e-9), 0.0)

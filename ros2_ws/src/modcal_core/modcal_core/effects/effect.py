@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.effects.drivers import Circumstances, public_driver
+from modcal_core.effects.drivers import Drivers, public_driver
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS, local_twists
@@ -21,6 +21,7 @@ from modcal_core.robots.delta import ARMS
 from modcal_core.robots.mechanism import Mechanism
 
 READING = -1  # the place of what scales readings: behind everything
+STEPS = ("step", "until")  # shapes of what happens at one time
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
@@ -99,7 +100,7 @@ class Effect:
         return self.with_values(np.r_[amplitudes, [self.shape.settings[name] for name in self.refined]])
 
 
-def columns(effect: Effect, at: Circumstances) -> list[list[Term]]:
+def columns(effect: Effect, at: Drivers) -> list[list[Term]]:
     """For each amplitude of the effect its terms, at unit size."""
     chain = at.arm.chain
     if effect.direction == JOINTS:
@@ -107,7 +108,7 @@ def columns(effect: Effect, at: Circumstances) -> list[list[Term]]:
     if effect.driver == "velocity":
         j = chain.names.index(effect.place)
         return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, at)[j])]]
-    x = at.driver(effect.driver, effect.lag)
+    x = at.values(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
@@ -119,7 +120,7 @@ def columns(effect: Effect, at: Circumstances) -> list[list[Term]]:
     ]
 
 
-def shape_columns(effect: Effect, at: Circumstances) -> Iterator[list[Term]]:
+def shape_columns(effect: Effect, at: Drivers) -> Iterator[list[Term]]:
     """For each refined setting its terms: the change of the whole effect per unit of the setting."""
     amplitudes = effect.amplitudes
     for name in effect.refined:
@@ -136,7 +137,7 @@ def shape_columns(effect: Effect, at: Circumstances) -> Iterator[list[Term]]:
         ]
 
 
-def all_columns(effects: Iterable[Effect], at: Circumstances) -> list[list[Term]]:
+def all_columns(effects: Iterable[Effect], at: Drivers) -> list[list[Term]]:
     """Terms of every value of all effects: amplitudes, then refined settings, effect by effect.
 
     A place that the effects turn by much is seen from the turned frame: there each direction has a term along all six.
@@ -160,7 +161,7 @@ def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:
     return [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
 
 
-def motion(effects: Iterable[Effect], at: Circumstances) -> tuple[dict[int, Array], Array]:
+def motion(effects: Iterable[Effect], at: Drivers) -> tuple[dict[int, Array], Array]:
     """What the effects do together: twists (6, N) by place, and the factor (N,) that readings are scaled by."""
     twists: dict[int, Array] = {}
     scale = np.ones(len(at))
@@ -175,7 +176,7 @@ def motion(effects: Iterable[Effect], at: Circumstances) -> tuple[dict[int, Arra
     return twists, scale
 
 
-def prior_stds(effect: Effect, at: Circumstances) -> Array:
+def prior_stds(effect: Effect, at: Drivers) -> Array:
     """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest."""
     out = []
     for terms in columns(effect, at):
@@ -192,8 +193,8 @@ def prior_stds(effect: Effect, at: Circumstances) -> Array:
 
 
 def is_move(effect: Effect) -> bool:
-    """Whether an effect is a move of base or tool at one moment."""
-    return effect.family == "step" and effect.place in ("base", "tool") and effect.shape.kind in ("step", "until")
+    """Whether an effect is a move of base or tool at one time."""
+    return effect.place in ("base", "tool") and effect.driver == "time" and effect.shape.kind in STEPS
 
 
 def is_large_move(effect: Effect) -> bool:
@@ -241,7 +242,7 @@ def length_direction(chain: Mechanism, k: int) -> Array:
     return along / size if size > 1e-3 else np.zeros(3)
 
 
-def _delay(effect: Effect, at: Circumstances) -> Array:
+def _delay(effect: Effect, at: Drivers) -> Array:
     """Motion of the joints (n, N) per second that the readings are late: back along their course, to second order."""
     delay = float(effect.values[0]) if len(effect.values) else 0.0
     return -np.nan_to_num(at.samples.velocity.T) + 0.5 * delay * at.samples.acceleration.T

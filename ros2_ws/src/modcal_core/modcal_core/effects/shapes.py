@@ -1,135 +1,201 @@
 """How an effect follows its driver: a few functions of one number, linear in their amplitudes.
 
-A shape has settings that are not linear (cycles a turn, the moment of a step, a time constant). They are found by
-scanning; the ones in :data:`REFINED` are then fitted together with everything else.
+A shape has settings that are not linear (cycles a turn, the time of a step, a time constant). They are found by
+scanning; those that its kind calls *refined* are then fitted together with everything else. :data:`KINDS` has the kinds
+that families share; a family may bring more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.effects.registry import added_shape, basis_of
+from modcal_core.effects.sources import brought
+from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 
-REFINED = {"sine": ("cycles",), "double": ("cycles",), "settle": ("tau",), "hardening": ("beta",), "lagged": ("lag",)}
+Settings = Mapping[str, float]
 SPLINE_DEGREE = 3
 PERIODIC = ("sine", "turn", "double")
+WHOLE_CYCLES = 3  # up to here an error repeats a whole number of times a turn: encoders, eccentric gears
 _FINE = 32  # of a long list of cycles, that are products of one wave with few others
 
 
 @dataclass(frozen=True)
-class Shape:
-    """kind: one of linear, lagged, several, since, hardening, turn, sine, double, sign, ramp, step, until, settle,
-    spline, polynomial and waves, or one that a package adds. settings: by name, see ``basis``.
+class Setting:
+    """A number of a shape. expected: how far a refined one may lie from where the scan found it before its prior minds
+    (a standard deviation); None for half of its value. unit, name: as in reports, "" for the setting's own name.
     """
 
+    expected: float | None = None
+    unit: str = "1"
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class ShapeKind:
+    """One way to follow a driver.
+
+    basis(x, settings): its functions (size, N) at drivers x (N,), or (c, N) where the driver names c separated by
+    commas. size: how many functions, or how to tell from the settings. refined: the settings that are fitted, by name;
+    basis must be smooth in them. fixed: settings that stay where the scan found them and that reports show.
+    """
+
+    basis: Callable[[Array, Settings], Array]
+    size: int | Callable[[Settings], int] = 1
+    refined: Mapping[str, Setting] = field(default_factory=dict)
+    fixed: Mapping[str, Setting] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """kind: one of :data:`KINDS`, or one that a family brings. settings: by name."""
+
     kind: str
-    settings: Mapping[str, float] = field(default_factory=dict)
+    settings: Settings = field(default_factory=dict)
+
+    @property
+    def of_kind(self) -> ShapeKind:
+        """What is known of its kind. Raises BadTable for a kind that nobody knows."""
+        found = KINDS.get(self.kind) or _brought(self.kind)
+        if found is None:
+            raise BadTable(f"shape {self.kind}", "is not known", "install the package that brings it")
+        return found
 
     @property
     def size(self) -> int:
         """Number of basis functions."""
-        if self.kind == "spline":
-            return int(self.settings["count"])
-        if self.kind == "polynomial":
-            return int(self.settings["degree"])
-        if self.kind == "waves":
-            order = int(self.settings["order"])
-            return 2 * (order + order * (order + 1) + order * order)
-        if added := added_shape(self.kind):
-            return added.size
-        return {"sine": 2, "turn": 2, "several": 2, "double": 4}.get(self.kind, 1)
+        size = self.of_kind.size
+        return size if isinstance(size, int) else size(self.settings)
 
     @property
     def refined(self) -> tuple[str, ...]:
         """Names of the settings that are fitted with the amplitudes."""
-        if added := added_shape(self.kind):
-            return tuple(added.refined)
-        return REFINED.get(self.kind, ())
+        return tuple(self.of_kind.refined)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it is a curve that takes nearly any course, rather than the law of one cause."""
+        return self.kind in FREE
 
     def expected(self, name: str) -> float:
         """How far a refined setting may lie from its value before its prior minds."""
-        if added := added_shape(self.kind):
-            return added.refined[name].expected
-        return 0.5 if name == "cycles" else max(0.5 * abs(self.settings[name]), 1e-3)
+        stated = self.of_kind.refined[name].expected
+        return max(0.5 * abs(self.settings[name]), 1e-3) if stated is None else stated
 
-    def with_settings(self, settings: Mapping[str, float]) -> Shape:
+    def with_settings(self, settings: Settings) -> Shape:
         """The same kind of shape with some settings changed."""
         return Shape(self.kind, {**self.settings, **settings})
 
     def basis(self, x: Array) -> Array:
-        """Basis functions (b, N) at drivers x (N,); ``several``, ``since`` and ``waves`` take two drivers (2, N).
+        """Basis functions (b, N) at drivers x (N,), or (c, N) for a kind that follows c drivers.
 
-        linear: x. lagged: x, a signal that was delayed by ``lag`` already. several: each of the drivers. since: the
-        first driver, from the time ``at`` on, the second being time. hardening: the y with y + beta y³ = x / scale, as
-        a spring gives way that gets stiffer. turn, sine: sin and cos of ``cycles`` a turn, a small whole number that
-        stays or one that is fitted. double: the same and twice as many cycles. sign: ±1. ramp: x − since. step: 0
-        before ``at``, 1 from then on. until: the same less 1, so that what holds in the end needs no effect. settle:
-        exp(−(x − since) / tau). spline: ``count`` cubic B-splines between ``low`` and ``high``, fading to nothing
-        outside. polynomial: powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held outside. waves:
-        sines and cosines of all sums of up to ``order`` turns of either driver.
+        Raises BadTable when those of a kind that is not of the house are not that, or not finite.
         """
-        s = self.settings
-        if self.kind in ("linear", "lagged"):
-            return x[None]
-        if self.kind == "several":
-            return x
-        if self.kind == "since":
-            return (x[0] * (x[1] >= s["at"]))[None]
-        if self.kind == "hardening":
-            root = np.sqrt(3.0 * max(s["beta"], 1e-6))
-            return (2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None]
-        if self.kind in PERIODIC:
-            return periodic(self.kind, np.array([s["cycles"]]), x)[0]
-        if self.kind == "sign":
-            return np.sign(x)[None]
-        if self.kind == "ramp":
-            return (x - s["since"])[None]
-        if self.kind == "step":
-            return (x >= s["at"]).astype(float)[None]
-        if self.kind == "until":
-            return -(x < s["at"]).astype(float)[None]
-        if self.kind == "settle":
-            return np.exp(-np.clip((x - s["since"]) / max(s["tau"], 1e-9), -50.0, 700.0))[None]
-        if self.kind == "spline":
-            return self._splines(x)
-        if self.kind == "polynomial":
-            u = np.clip((2.0 * x - s["low"] - s["high"]) / max(s["high"] - s["low"], 1e-12), -1.0, 1.0)
-            return np.stack([u ** (k + 1) for k in range(int(s["degree"]))])
-        if self.kind == "waves":
-            return self._waves(x)
-        if added := added_shape(self.kind):
-            return basis_of(self.kind, added, x, s)
-        raise ValueError(f"no shape '{self.kind}'")
+        kind = self.of_kind
+        if self.kind in KINDS:
+            return kind.basis(x, self.settings)
+        out = np.asarray(kind.basis(x, self.settings), dtype=float)
+        wanted = (self.size, x.shape[-1])
+        if out.shape != wanted or not np.isfinite(out).all():
+            limit = f"is {out.shape}, not {wanted}" if out.shape != wanted else "is not finite"
+            raise BadTable(f"shape {self.kind} at {dict(self.settings)}", limit, "fix the package that brings it")
+        return out
 
-    def _splines(self, x: Array) -> Array:
-        count, low, high = int(self.settings["count"]), self.settings["low"], self.settings["high"]
-        step = (high - low) / (count - SPLINE_DEGREE)
-        # counted in knots from the first centre; beyond the last knot every function is zero: nothing is claimed where
-        # nothing was seen
-        at = np.clip((x - low) / step + 1.0, -3.0, count + 2.0)
-        unknown = np.isnan(at)
-        at = np.where(unknown, 0.0, at)
-        knot = np.floor(at)
-        u = at - knot
-        v = 1.0 - u
-        near = (v**2 * v / 6.0, 2.0 / 3.0 - u**2 * (1.0 - 0.5 * u), 2.0 / 3.0 - v**2 * (1.0 - 0.5 * v), u**2 * u / 6.0)
-        # only the four functions about a driver are not zero there
-        out = np.zeros((count + 10, len(x)))
-        first, column = knot.astype(int) + 4, np.arange(len(x))
-        for i, value in enumerate(near):
-            out[first + i, column] = value
-        out[:, unknown] = np.nan
-        return out[5 : count + 5]
 
-    def _waves(self, x: Array) -> Array:
-        order = int(self.settings["order"])
-        turns = [(a, b) for a in range(order + 1) for b in range(-order, order + 1) if a > 0 or b > 0]
-        phase = np.stack([a * x[0] + b * x[1] for a, b in turns])
-        return np.concatenate([np.sin(phase), np.cos(phase)])
+def _brought(kind: str) -> ShapeKind | None:
+    """The kind of this name that a family brings, None where none does."""
+    found = (getattr(source, "shapes", {}).get(kind) for _, source in brought())
+    return next((shape for shape in found if shape is not None), None)
+
+
+def linear(x: Array, _: Settings) -> Array:
+    """The driver itself. Of ``lagged`` it is a signal that was delayed by the setting ``lag`` already."""
+    return x[None]
+
+
+def several(x: Array, _: Settings) -> Array:
+    """Each of the drivers."""
+    return x
+
+
+def since(x: Array, s: Settings) -> Array:
+    """The first driver, from the time ``at`` on, the second being time."""
+    return np.asarray((x[0] * (x[1] >= s["at"]))[None])
+
+
+def hardening(x: Array, s: Settings) -> Array:
+    """The y with y + beta y³ = x / scale, as a spring deflects that gets stiffer."""
+    root = np.sqrt(3.0 * max(s["beta"], 1e-6))
+    return np.asarray((2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None])
+
+
+def sign(x: Array, _: Settings) -> Array:
+    """±1."""
+    return np.asarray(np.sign(x)[None])
+
+
+def ramp(x: Array, s: Settings) -> Array:
+    """x − since."""
+    return np.asarray((x - s["since"])[None])
+
+
+def step(x: Array, s: Settings) -> Array:
+    """0 before ``at``, 1 from then on."""
+    return np.asarray((x >= s["at"]).astype(float)[None])
+
+
+def until(x: Array, s: Settings) -> Array:
+    """A step less 1, so that what holds in the end needs no effect."""
+    return np.asarray(-(x < s["at"]).astype(float)[None])
+
+
+def settle(x: Array, s: Settings) -> Array:
+    """exp(−(x − since) / tau)."""
+    return np.asarray(np.exp(-np.clip((x - s["since"]) / max(s["tau"], 1e-9), -50.0, 700.0))[None])
+
+
+def polynomial(x: Array, s: Settings) -> Array:
+    """Powers to ``degree`` of x scaled to ±1 over ``low`` … ``high`` and held outside."""
+    u = np.clip((2.0 * x - s["low"] - s["high"]) / max(s["high"] - s["low"], 1e-12), -1.0, 1.0)
+    return np.stack([u ** (k + 1) for k in range(int(s["degree"]))])
+
+
+def splines(x: Array, s: Settings) -> Array:
+    """``count`` cubic B-splines between ``low`` and ``high``, fading to nothing outside."""
+    count, low, high = int(s["count"]), s["low"], s["high"]
+    step = (high - low) / (count - SPLINE_DEGREE)
+    # counted in knots from the first centre; beyond the last knot every function is zero: nothing is claimed where
+    # nothing was seen
+    at = np.clip((x - low) / step + 1.0, -3.0, count + 2.0)
+    unknown = np.isnan(at)
+    at = np.where(unknown, 0.0, at)
+    knot = np.floor(at)
+    u = at - knot
+    v = 1.0 - u
+    near = (v**2 * v / 6.0, 2.0 / 3.0 - u**2 * (1.0 - 0.5 * u), 2.0 / 3.0 - v**2 * (1.0 - 0.5 * v), u**2 * u / 6.0)
+    # only the four functions about a driver are not zero there
+    out = np.zeros((count + 10, len(x)))
+    first, column = knot.astype(int) + 4, np.arange(len(x))
+    for i, value in enumerate(near):
+        out[first + i, column] = value
+    out[:, unknown] = np.nan
+    return out[5 : count + 5]
+
+
+def waves(x: Array, s: Settings) -> Array:
+    """Sines and cosines of all sums of up to ``order`` turns of either of two drivers."""
+    order = int(s["order"])
+    turns = [(a, b) for a in range(order + 1) for b in range(-order, order + 1) if a > 0 or b > 0]
+    phase = np.stack([a * x[0] + b * x[1] for a, b in turns])
+    return np.concatenate([np.sin(phase), np.cos(phase)])
+
+
+def _wave_count(s: Settings) -> int:
+    order = int(s["order"])
+    return 2 * (order + order * (order + 1) + order * order)
 
 
 def periodic(kind: str, cycles: Array, x: Array) -> Array:
@@ -150,3 +216,35 @@ def _turns(cycles: Array, x: Array) -> Array:
     fine = np.exp(1j * (step * np.arange(_FINE))[:, None] * x)
     coarse = np.exp(1j * cycles[::_FINE, None] * x)
     return np.asarray((coarse[:, None] * fine).reshape(-1, len(x))[: len(cycles)])
+
+
+def _of_cycles(kind: str, size: int, *, refined: bool) -> ShapeKind:
+    """sin and cos of ``cycles`` a turn, a number that stays or one that is fitted; of 4 functions twice as many too."""
+    cycles = {"cycles": Setting(0.5, name="cycles_per_turn")}
+
+    def basis(x: Array, s: Settings) -> Array:
+        return np.asarray(periodic(kind, np.array([s["cycles"]]), x)[0])
+
+    return ShapeKind(basis, size, cycles if refined else {}, {} if refined else cycles)
+
+
+_AT = {"at": Setting(unit="s")}
+KINDS: Mapping[str, ShapeKind] = {
+    "linear": ShapeKind(linear),
+    "lagged": ShapeKind(linear, refined={"lag": Setting(unit="s")}),
+    "several": ShapeKind(several, 2),
+    "since": ShapeKind(since, fixed=_AT),
+    "hardening": ShapeKind(hardening, refined={"beta": Setting()}),
+    "turn": _of_cycles("turn", 2, refined=False),
+    "sine": _of_cycles("sine", 2, refined=True),
+    "double": _of_cycles("double", 4, refined=True),
+    "sign": ShapeKind(sign),
+    "ramp": ShapeKind(ramp),
+    "step": ShapeKind(step, fixed=_AT),
+    "until": ShapeKind(until, fixed=_AT),
+    "settle": ShapeKind(settle, refined={"tau": Setting(unit="s", name="time_constant")}),
+    "spline": ShapeKind(splines, lambda s: int(s["count"])),
+    "polynomial": ShapeKind(polynomial, lambda s: int(s["degree"])),
+    "waves": ShapeKind(waves, _wave_count),
+}
+FREE = ("spline", "polynomial", "waves")

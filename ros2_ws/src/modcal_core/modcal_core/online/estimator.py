@@ -68,7 +68,7 @@ class Wander:
         samples = general_samples(model, views, each=max(12, -(-len(parameters) // len(views))))
         bare = model.with_effects(())
         J = linearise(bare, parameters, np.zeros(len(parameters)), samples).J
-        seen = Seen.of(bare, samples, bare.circumstances(samples))
+        seen = Seen.of(bare, samples, bare.drivers(samples))
         moved = [seen.unit_column(place_index(place, model.chain), d) for place in self.places for d in range(6)]
         ways = np.zeros((count, len(moved)))
         ways[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
@@ -170,7 +170,7 @@ class Estimator:
 
     def _take_priors(self, sample: Samples) -> None:
         """The priors of a batch fit, which depend on the drivers at hand for the effects only."""
-        centre, prior = priors(self.start.effects, self.parameters, self.start.circumstances(sample))
+        centre, prior = priors(self.start.effects, self.parameters, self.start.drivers(sample))
         self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
         self._unprimed = False
 

@@ -53,7 +53,7 @@ class Frozen:
         """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
         if not self._model.effects:
             return self._of_geometry(sample)
-        at = self._model.circumstances(sample)
+        at = self._model.drivers(sample)
         twists, scale = motion(self._model.effects, at)
         f = frames(self._chain, sample.q, twists)
         T_root_place = np.concatenate([f.transform(k) for k in range(len(f.p))])

@@ -80,7 +80,7 @@ def station_rows(
     """
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
-    view = View.of(model, samples, model.circumstances(samples))
+    view = View.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
     turning = model.chain.revolute
@@ -103,7 +103,7 @@ def position_rows(model: Model, parameters: Sequence[Parameter], q: Array, noise
     """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
-    view = View.of(model, samples, model.circumstances(samples))
+    view = View.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     turning = model.chain.revolute
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)

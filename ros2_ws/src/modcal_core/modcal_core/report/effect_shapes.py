@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.effects.curve import curve
 from modcal_core.effects.effect import AXIS, JOINTS, LENGTH, RADIAL, Effect
+from modcal_core.effects.sizes import component_names
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.figures import label, small, thinned
-from modcal_core.report.findings import component_names, curve
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
 from modcal_core.report.report import Report
@@ -24,7 +25,7 @@ def effect_shapes(report: Report) -> tuple[Chart, ...]:
     for finding in report.effects:
         drawn = tuple(e for e in finding.effects if _is_curve(e) and e.driver == finding.effects[0].driver)
         if drawn and report.model is not None:
-            driver = report.model.circumstances(report.samples).driver(drawn[0].driver, drawn[0].lag)
+            driver = report.model.drivers(report.samples).values(drawn[0].driver, drawn[0].lag)
             for component in range(len(component_names(drawn[0]))):
                 out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
     return tuple(out)

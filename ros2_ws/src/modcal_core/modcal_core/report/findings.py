@@ -21,16 +21,14 @@ from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.diagnosis.loop import Diagnosis
 from modcal_core.effects.effect import ALL, AXIS, Effect, is_large_move, is_move
-from modcal_core.effects.registry import added_effects
-from modcal_core.measurements.posture_order import joints_instead
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.families import outliers
+from modcal_core.effects.registry import family
+from modcal_core.effects.sizes import Quantity
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.effect_sizes import Quantity, at_tool, parameters
-from modcal_core.report.effect_sizes import component_names as component_names
-from modcal_core.report.effect_sizes import curve as curve
-from modcal_core.report.sentences import story
+from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.verdict.contributions import resampled
 
-_UNDECIDED = 0.05  # of the usual load, below which its sign is not sure
 _MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
 _MOST_SEEN = 500  # samples at which the size at the tool is taken
 
@@ -75,14 +73,8 @@ class Finding:
     @property
     def sentence(self) -> str:
         """What a technician should know of it."""
-        added = added_effects().get(self.family)
-        told = story(self.family, self.place, self.direction, self.driver, self.parameters)
-        said = f"{self.place} {added.story}" if added and added.story else told
-        if self.family == "step" and (joints := [n for n in self.same_as if " by position:" in n]):
-            said = (
-                f"either {said}, or {joints[0].partition(' by position:')[2]} errs with its position: "
-                "the stations before and after differ in it, and posture and time cannot be told apart"
-            )
+        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
+        said = family(self.family).sentence(entry)
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
         return f"{said}; {self._gain}{moved}."
 
@@ -123,7 +115,7 @@ def findings(
         same = dict.fromkeys(
             name
             for e, c in zip(effects, causes, strict=True)
-            for name in (*_link_name(e, shipped), *_posture(e, samples), *c.same_as)
+            for name in (*_link_name(e, shipped), *family(e.family).same_as(e, samples), *c.same_as)
         )
         before, after, gain, interval = _worth(diagnosis.fit.model, known, numbers, scored)
         first = effects[0]
@@ -142,7 +134,7 @@ def findings(
                 sampled=min(c.sampled for c in causes),
             )
         )
-    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _known_side(shipped, samples)
+    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
@@ -174,22 +166,11 @@ def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
     return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
 
 
-def _posture(effect: Effect, samples: Samples) -> tuple[str, ...]:
-    """Errors of joints that may be what a step is, where the order of the stations correlates with their positions."""
-    if effect.family != "step":
-        return ()
-    return joints_instead(samples, effect.shape.settings["at"])
-
-
-def _known_side(model: Model, samples: Samples) -> np.ndarray:
-    """False where it cannot be said on which side of its backlash a joint rests, (N,): unmoved, or hardly loaded."""
-    known = np.ones(len(samples), bool)
-    at = model.circumstances(samples)
-    for effect in model.effects:
-        if effect.family == "backlash":
-            side = at.driver(effect.driver)
-            known &= np.abs(side) > _UNDECIDED * np.sqrt(np.mean(side**2))
-    return known
+def _certain(model: Model, samples: Samples) -> np.ndarray:
+    """False where it cannot be said how an effect acts, (N,), so that what is far off there need not be wrong."""
+    drivers = model.drivers(samples)
+    known = [family(effect.family).certain(effect, drivers) for effect in model.effects]
+    return np.all([np.ones(len(samples), bool), *known], axis=0)
 
 
 def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, ...]:
@@ -198,7 +179,9 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
     with_them, without_them = (_rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
     by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
-    return (Finding("outliers", "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without_them),)
+    return (
+        Finding(outliers.NAME, "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without_them),
+    )
 
 
 def _rms(missed: Errors) -> float:

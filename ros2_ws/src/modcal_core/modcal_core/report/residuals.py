@@ -71,9 +71,9 @@ def axes_of(report: Report) -> list[Against]:
     time = Against("time", "time, min", (scored.stamps - report.samples.stamps.min()) / 60.0)
     heat = []
     if report.model is not None:
-        at = report.model.circumstances(scored)
+        at = report.model.drivers(scored)
         names = [name for name in at.signal_names() if name.startswith("temperature:")][:_MOST_TEMPERATURES]
-        heat = [Against(name, f"temperature of {name.partition(':')[2]}, °C", at.driver(name)) for name in names]
+        heat = [Against(name, f"temperature of {name.partition(':')[2]}, °C", at.values(name)) for name in names]
     return [*joints, time, *heat]
 
 

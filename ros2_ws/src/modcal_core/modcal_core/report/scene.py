@@ -77,7 +77,7 @@ def _in_base(model: Model, samples: Samples, errors: Errors, rows: np.ndarray, i
 
 def _arms(model: Model, samples: Samples) -> list[Array]:
     """The polylines of the robot, (N, k, 3) each, in its base; the last ends at the tool."""
-    twists = motion(model.effects, model.circumstances(samples))[0] if model.effects else {}
+    twists = motion(model.effects, model.drivers(samples))[0] if model.effects else {}
     f = tool_frames(model.chain, model.T_tip_tool, samples.q, twists)
     T = model.chain.T_base_root
     p = np.moveaxis(f.p, -1, 0) @ T[:3, :3].T + T[:3, 3]  # (N, places, 3)

@@ -89,7 +89,7 @@ def _where(report: Report) -> str:
 
 def _before(report: Report) -> list[tuple[str, str]]:
     """Stages to compare with, and what they are called."""
-    named = report.searched is None or any(effect.family != "outliers" for effect in report.effects)
+    named = report.searched is None or any(finding.effects for finding in report.effects)
     return [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
 
 

@@ -98,7 +98,7 @@ class _Builder:
 
     def __init__(self, model: Model, samples: Samples, weight: Array) -> None:
         self.samples, self.weight = samples, weight
-        self.at = model.circumstances(samples)
+        self.at = model.drivers(samples)
         self.view = View.of(model, samples, self.at)
         chain = model.chain
         self.chain = chain
@@ -190,7 +190,7 @@ class _Builder:
         for name, place, axis in zip(self.samples.names, self.places, self.axis, strict=True):
             numbers: list[Array] = []
             for kind in kinds:
-                torque = self.at.driver(f"{kind}:{name}")
+                torque = self.at.values(f"{kind}:{name}")
                 numbers += [torque, np.sign(torque)] if kind == "effort" else [torque]
             parts.append(self._times([(place, axis)], _standard(np.stack(numbers))))
             if self._moves(place):
@@ -203,7 +203,7 @@ class _Builder:
         names = self.at.signal_names()[:_MOST_SIGNALS]
         if not names:
             return None
-        x = np.stack([self.at.driver(name) for name in names])
+        x = np.stack([self.at.values(name) for name in names])
         design = np.concatenate([np.ones((1, x.shape[1])), self.samples.q.T])
         beyond = x - (x @ np.linalg.pinv(design)) @ design
         small = beyond.std(axis=1) < 1e-9 * np.maximum(np.abs(x).max(axis=1), 1e-300)
@@ -225,7 +225,7 @@ class _Builder:
         numbers = [self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
         if self.at.arm.weighed:  # teeth and pins bend under load
             for j, (name, axis) in enumerate(zip(self.chain.names, axes, strict=True)):
-                load = _standard(self.at.driver(f"load:{name}")[None])
+                load = _standard(self.at.values(f"load:{name}")[None])
                 if load.any():
                     motions.append(self._motions([axis]) * load)
                     numbers.append(self._waves(j, _LOADED_WAVES))

@@ -12,8 +12,8 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
-from modcal_core.effects.driver_limits import averaged, outside_drivers
-from modcal_core.effects.drivers import Arm
+from modcal_core.calibration.usual import averaged, outside_drivers
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.grounds import NotApplied
@@ -30,7 +30,7 @@ class Applied:
 
 def applicable(calibration: Calibration, samples: Samples) -> Applied:
     """The calibrated model for these samples."""
-    arm = replace(calibration.calibrated.arm or Arm(calibration.nominal.chain), held=calibration.held)
+    arm = replace(calibration.calibrated.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
     model = replace(calibration.calibrated, arm=arm)
     effects: list[Effect] = []
     left: list[NotApplied] = []
@@ -49,7 +49,7 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
             cost = _all_together(calibration, samples) if usual is None else usual.cost
             left.append(NotApplied(effect.label, why, 1e6 * cost))
     model = model.with_effects(tuple(effects))
-    return Applied(model, tuple(left), (*_notes(left, stood_in), *_held_note(model, calibration, samples)))
+    return Applied(model, tuple(left), (*_notes(left, stood_in), *_limits_note(model, calibration, samples)))
 
 
 def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str | None:
@@ -96,22 +96,22 @@ def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _held_note(model: Model, calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+def _limits_note(model: Model, calibration: Calibration, samples: Samples) -> tuple[str, ...]:
     """Sentences where time, temperatures or signals go beyond what was recorded."""
     parts = {part for e in model.effects for part in outside_drivers(e)}
     beyond: list[str] = []
     continued: list[str] = []
-    held = calibration.held
-    if "time" in parts and calibration.watched and (held.time(samples.stamps) != samples.stamps).any():
+    limits = calibration.driver_limits
+    if "time" in parts and calibration.watched and (limits.time(samples.stamps) != samples.stamps).any():
         first, last = calibration.watched
         hours = max(float(samples.stamps.max()) - last, first - float(samples.stamps.min())) / 3600.0
         beyond.append(f"time ({hours:.1f} h away)")
     for track in samples.signals:
-        if track.name not in parts or track.name not in held.ranges:
+        if track.name not in parts or track.name not in limits.ranges:
             continue
-        x, (low, high) = track.values[:, 0], held.ranges[track.name]
+        x, (low, high) = track.values[:, 0], limits.ranges[track.name]
         said = f"{track.name.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g}, here {x.min():.3g} … {x.max():.3g})"
-        if (held.value(track.name, x) != x).any():
+        if (limits.value(track.name, x) != x).any():
             beyond.append(said)
         elif x.min() < low or x.max() > high:
             continued.append(said)

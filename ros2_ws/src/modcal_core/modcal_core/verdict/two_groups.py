@@ -73,7 +73,7 @@ def two_groups(case: Case) -> TwoGroups | None:
     if len(rows) < _LEAST or not isinstance(chain, Chain) or not is_direct(case.samples.kinds):
         return None
     samples = case.samples.select(rows)
-    view = View.of(case.model, samples, case.model.circumstances(samples))
+    view = View.of(case.model, samples, case.model.drivers(samples))
     weight = weights(case.spread, samples)
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation

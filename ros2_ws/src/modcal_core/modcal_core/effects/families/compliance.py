@@ -1,0 +1,79 @@
+"""A joint that deflects under its load, or a bearing that tilts under the moment across its axis.
+
+The deflection is the load times a compliance [rad/(N m), m/N], or that of a spring that gets stiffer. Loads are those
+of gravity and, where the actuators report them, their torques; without masses a compliance is known per kilogram only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import ACROSS, AXIS, Effect
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.family import Family, complexity_of_joint
+from modcal_core.effects.observable import loads
+from modcal_core.effects.shapes import Shape
+from modcal_core.effects.sizes import Sizes, unit_of, value
+from modcal_core.robots.mechanism import Mechanism
+
+NAME = "compliance"
+HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
+
+
+def candidates(drivers: Drivers) -> Iterator[Effect]:
+    """Every joint whose load varies, as a linear spring and as ones that get stiffer; every bearing, linear."""
+    for j, name in enumerate(drivers.arm.chain.names):
+        for driver, load in loads(drivers, j).items():
+            yield Effect(NAME, name, AXIS, driver, Shape("linear"))
+            scale = float(np.sqrt(np.mean(load**2)))
+            for beta in HARDENINGS:
+                yield Effect(NAME, name, AXIS, driver, Shape("hardening", {"scale": scale, "beta": beta}))
+        if drivers.arm.weighed and drivers.arm.chain.revolute[j]:
+            yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
+
+
+def of_joint(joint: str, compliance: float) -> Effect:
+    """A linear spring [rad/(N m), m/N] about one joint's axis, loaded by gravity."""
+    return Effect(NAME, joint, AXIS, f"load:{joint}", Shape("linear")).started(np.array([compliance]))
+
+
+def sizes(effect: Effect, chain: Mechanism) -> Sizes:
+    """Compliance and, where masses are known, stiffness; how much a spring hardens."""
+    unit = unit_of(effect, chain)
+    load = "N m" if unit == "rad" else "N"
+    # an actuator's torque is the opposite of the load that it holds
+    sign = -1.0 if effect.driver.startswith("effort:") else 1.0
+    hardens = effect.shape.kind == "hardening"
+    scale = effect.shape.settings["scale"] if hardens else 1.0
+    v, s, _ = value(effect)
+    v, s = sign * v / scale, s / scale
+    if effect.driver.startswith("payload:"):  # a stiffness needs a mass, and none is known
+        out: Sizes = {"compliance_times_mass": (v, s, f"kg {unit}/({load})")}
+    else:
+        out = {"compliance": (v, s, f"{unit}/({load})")}
+        if v:
+            out["stiffness"] = (1.0 / abs(v), s / v**2, f"{load}/{unit}")
+    if hardens:
+        first, beta, std = sign * float(effect.values[0]), sign * float(effect.values[1]), float(effect.std[1])
+        out["hardening"] = (beta / first**2, std / first**2, f"1/{unit}^2")
+    return out
+
+
+def sentence(entry: ReportEntry) -> str:
+    """Stiffness, or compliance per newton that one kilogram exerts."""
+    if "compliance_times_mass" in entry.sizes:
+        size, _, unit = entry.sizes["compliance_times_mass"]
+        angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
+        return (
+            f"{entry.place} deflects under load by {1e6 * abs(size):.3g} {angle} per {per} that 1 kg at the tip "
+            "exerts; the description states no masses, so no stiffness is known"
+        )
+    part = "bearing tilts" if entry.direction == ACROSS else "joint deflects"
+    stiffness, _, unit = entry.sizes.get("stiffness", (float("inf"), 0.0, "N m/rad"))
+    return f"{entry.place}'s {part} under load, stiffness {stiffness:.3g} {unit}"
+
+
+FAMILY = Family(NAME, candidates, complexity=complexity_of_joint, sizes=sizes, sentence=sentence)

@@ -1,0 +1,80 @@
+"""What repeats with the turns of a gear, a motor or an encoder: a wave in the joint's own position, or a whole curve.
+
+A few whole cycles a turn come from encoders and eccentric gears; many, with a number that is found, from the teeth or
+the wave of a gear. Where the recording is dense enough the whole curve is drawn, whatever it is made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.family import USUAL, Family, complexity_of_joint
+from modcal_core.effects.observable import moving_joints
+from modcal_core.effects.shapes import WHOLE_CYCLES, Shape
+from modcal_core.geometry.so3 import Array
+
+NAME = "gear_harmonic"
+MOST_CYCLES = 400.0  # a turn: twice a ratio of 200
+FINE_STEP = 0.05  # rad between the functions of a curve, which needs a dense recording
+STATIONS_PER_FUNCTION = 6
+
+
+def candidates(drivers: Drivers) -> Iterator[Effect]:
+    """Every joint that turned, with every number of cycles that its range can tell apart; then curves."""
+    for j, name in moving_joints(drivers):
+        if drivers.arm.chain.revolute[j]:
+            yield from whole(name, WHOLE_CYCLES)
+            for cycles in cycle_grid(float(np.ptp(drivers.samples.q[:, j]))):
+                yield _wave(name, "sine", float(cycles))
+                if cycles <= 0.5 * MOST_CYCLES:  # strain wave gears err twice in each turn of their wave as well
+                    yield _wave(name, "double", float(cycles))
+    for j, name in moving_joints(drivers):
+        low, high = float(drivers.samples.q[:, j].min()), float(drivers.samples.q[:, j].max())
+        count = round((high - low) / FINE_STEP) + 3
+        if drivers.arm.chain.revolute[j] and drivers.samples.stations > STATIONS_PER_FUNCTION * count:
+            shape = Shape("spline", {"low": low, "high": high, "count": float(count)})
+            yield Effect(NAME, name, AXIS, f"position:{name}", shape)
+
+
+def whole(joint: str, most: int) -> Iterator[Effect]:
+    """Waves of 1, 2, … ``most`` cycles a turn."""
+    for cycles in range(1, most + 1):
+        yield _wave(joint, "turn", float(cycles))
+
+
+def cycle_grid(joint_range: float) -> Array:
+    """Cycles a turn, close enough that none is missed over this range [rad]."""
+    step = float(np.clip(0.3 * 2.0 * np.pi / joint_range, 0.15, 0.5))
+    return np.arange(WHOLE_CYCLES + 1.0, MOST_CYCLES + step, step)
+
+
+def complexity(effect: Effect) -> int:
+    """A gear's curve is believed sooner than any other free shape: teeth make one."""
+    return USUAL if effect.shape.kind == "spline" else complexity_of_joint(effect)
+
+
+def sentence(entry: ReportEntry) -> str:
+    """How often a turn and how much, or the RMS of a curve and its rhythm where it has one."""
+    sizes = entry.sizes
+    if "amplitude" in sizes:
+        lines = sum(name.startswith("cycles_per_turn") for name in sizes)
+        more = f", with {lines - 1} more such lines" if lines > 1 else ""
+        cycles = sizes["cycles_per_turn"][0]
+        size = entry.thousandths("amplitude")
+        return f"{entry.place}'s gear or encoder error repeats {cycles:.4g} times a turn with {size}{more}"
+    said = f"{entry.place} has an error of {entry.thousandths('amplitude_rms')} RMS"
+    if "cycles_per_turn" in sizes:
+        return f"{said} that repeats about {sizes['cycles_per_turn'][0]:.3g} times a turn"
+    return f"{said}, a curve over the joint's position"
+
+
+def _wave(joint: str, kind: str, cycles: float) -> Effect:
+    return Effect(NAME, joint, AXIS, f"position:{joint}", Shape(kind, {"cycles": cycles}))
+
+
+FAMILY = Family(NAME, candidates, complexity=complexity, sentence=sentence)

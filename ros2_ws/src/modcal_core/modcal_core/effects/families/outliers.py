@@ -1,0 +1,16 @@
+"""Single readings that are plainly wrong. They are found before the scan and left out; no effect stands for them."""
+
+from __future__ import annotations
+
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.family import Family, no_candidates
+
+NAME = "outliers"
+
+
+def sentence(entry: ReportEntry) -> str:
+    """How many stations."""
+    return f"{entry.sizes['stations'][0]:.0f} stations are plainly wrong and were left out"
+
+
+FAMILY = Family(NAME, no_candidates, sentence=sentence)

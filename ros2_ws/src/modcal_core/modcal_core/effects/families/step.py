@@ -1,0 +1,53 @@
+"""A tool that was bumped, a tracker or an arm that was moved, a joint that slipped: a constant error up to one time.
+
+What holds in the end is geometry; so the effect is what was different before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.entry import ReportEntry, over_time
+from modcal_core.effects.family import Family
+from modcal_core.effects.observable import base_and_tool, breaks
+from modcal_core.effects.shapes import Shape
+from modcal_core.measurements.posture_order import joints_instead
+from modcal_core.measurements.samples import Samples
+
+NAME = "step"
+_BY_POSITION = " by position:"
+
+
+def candidates(drivers: Drivers) -> Iterator[Effect]:
+    """Base, tool and every joint, at every time between stations."""
+    places = [*base_and_tool(drivers), *((name, AXIS) for name in drivers.arm.chain.names)]
+    for time in breaks(drivers):
+        for place, direction in places:
+            yield moved(place, direction, float(time))
+
+
+def moved(place: str, direction: str, time: float) -> Effect:
+    """A place that was elsewhere until a time [s]."""
+    return Effect(NAME, place, direction, "time", Shape("until", {"at": time}))
+
+
+def same_as(effect: Effect, samples: Samples) -> tuple[str, ...]:
+    """Errors of joints that may be what it is, where the order of the stations correlates with their positions."""
+    return joints_instead(samples, effect.shape.settings["at"])
+
+
+def sentence(entry: ReportEntry) -> str:
+    """How far and when; and the joint that may err instead."""
+    said = over_time(entry)
+    joints = [name.partition(_BY_POSITION)[2] for name in entry.same_as if _BY_POSITION in name]
+    if not joints:
+        return said
+    return (
+        f"either {said}, or {joints[0]} errs with its position: "
+        "the stations before and after differ in it, and posture and time cannot be told apart"
+    )
+
+
+FAMILY = Family(NAME, candidates, sentence=sentence, same_as=same_as)

@@ -1,0 +1,83 @@
+"""Errors that have no name yet: any free shape of any driver, at the place where it explains most.
+
+They are the last resort: where a named cause explains nearly as much, the named one is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
+from modcal_core.effects.family import FREE, Family
+from modcal_core.effects.observable import base_and_tool, moving_joints, signals
+from modcal_core.effects.shapes import Shape
+
+NAME = "unknown"
+SMOOTH = 7  # functions in a smooth curve
+DEGREE = 3.0  # of a curve over a signal
+ORDER = 2.0  # turns of two joints together
+STATIONS_PER_FUNCTION = 2.5
+
+
+def candidates(drivers: Drivers) -> Iterator[Effect]:
+    """Curves over the position of one joint, over those of two, and over any recorded signal."""
+    yield from _of_position(drivers)
+    yield from _of_two_positions(drivers)
+    yield from _of_signals(drivers)
+
+
+def constants(drivers: Drivers) -> Iterator[Effect]:
+    """Constant errors of base, tool and joints: geometry, which a fit takes up and a frozen model does not."""
+    for place in ("base", "tool"):
+        yield Effect(NAME, place, ALL, "constant", Shape("linear"))
+    for name in drivers.arm.chain.names:
+        yield Effect(NAME, name, AXIS, "constant", Shape("linear"))
+
+
+def complexity(_: Effect) -> int:
+    """Whatever has a name is plainer."""
+    return FREE
+
+
+def _of_position(drivers: Drivers) -> Iterator[Effect]:
+    """Any smooth dependence of a joint, or of the tilt of its axis, on the position of any joint."""
+    for i, driver in moving_joints(drivers):
+        low, high = float(drivers.samples.q[:, i].min()), float(drivers.samples.q[:, i].max())
+        shape = Shape("spline", {"low": low, "high": high, "count": float(SMOOTH)})
+        for name in drivers.arm.chain.names:
+            yield Effect(NAME, name, AXIS, f"position:{driver}", shape)
+            yield Effect(NAME, name, ACROSS, f"position:{driver}", shape)
+
+
+def _of_two_positions(drivers: Drivers) -> Iterator[Effect]:
+    """Any smooth dependence of a joint on the positions of two joints together."""
+    shape = Shape("waves", {"order": ORDER})
+    if drivers.samples.stations < STATIONS_PER_FUNCTION * shape.size:
+        return
+    moving = [name for _, name in moving_joints(drivers)]
+    for name in drivers.arm.chain.names:
+        for a, first in enumerate(moving):
+            for second in moving[a + 1 :]:
+                # the joint itself is named first, where it is one of the two
+                pair = (second, first) if second == name else (first, second)
+                yield Effect(NAME, name, AXIS, f"position:{pair[0]},position:{pair[1]}", shape)
+
+
+def _of_signals(drivers: Drivers) -> Iterator[Effect]:
+    """Any recorded number that the error correlates with, whatever its topic."""
+    places = [*base_and_tool(drivers), *((name, AXIS) for name in drivers.arm.chain.names)]
+    for signal in signals(drivers, temperatures=False):
+        x = drivers.values(signal)
+        if np.ptp(x) <= 1e-12:
+            continue
+        bent = Shape("polynomial", {"degree": DEGREE, "low": float(x.min()), "high": float(x.max())})
+        for place, direction in places:
+            yield Effect(NAME, place, direction, signal, Shape("linear"))
+            if direction == AXIS:
+                yield Effect(NAME, place, direction, signal, bent)
+
+
+FAMILY = Family(NAME, candidates, complexity=complexity)

@@ -1,0 +1,101 @@
+"""What a recording lets one look for: joints that moved, loads that vary, times between stations, what may grow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import ALL, AXIS, LENGTH, SHIFT, length_direction
+from modcal_core.effects.shapes import Shape
+from modcal_core.geometry.so3 import Array
+
+LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
+LEAST_SPEED = 1e-3  # rad/s or m/s
+MOST_BREAKS = 160
+LEAST_SIDE = 4  # stations on either side of a step
+MOST_SIGNALS = 40
+WARM_UPS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # time constants, as shares of the recording
+
+
+def moving_joints(drivers: Drivers) -> list[tuple[int, str]]:
+    """Number and name of each joint that moved."""
+    q = drivers.samples.q
+    return [(j, name) for j, name in enumerate(drivers.arm.chain.names) if np.ptp(q[:, j]) > LEAST_RANGE]
+
+
+def in_motion(drivers: Drivers) -> bool:
+    """Whether readings were taken while joints moved."""
+    return bool(np.abs(np.nan_to_num(drivers.samples.velocity)).max(initial=0.0) > LEAST_SPEED)
+
+
+def varies(x: Array) -> bool:
+    """Whether a load is more than a constant."""
+    return bool(np.ptp(x) > 1e-3 * max(float(np.abs(x).max()), 1e-3))
+
+
+def loads(drivers: Drivers, j: int) -> dict[str, Array]:
+    """The load of a joint in the ways it is known and varies, by driver, (N,) each.
+
+    By gravity, failing masses by 1 kg at the tip; and as the actuator reports it.
+    """
+    name = drivers.arm.chain.names[j]
+    out = {}
+    for kind in ("load" if drivers.arm.weighed else "payload", "effort"):
+        if kind == "effort" and not np.isfinite(drivers.samples.effort[:, j]).all():
+            continue
+        load = drivers.values(f"{kind}:{name}")
+        if varies(load):
+            out[f"{kind}:{name}"] = load
+    return out
+
+
+def both_signs(x: Array) -> bool:
+    """Whether a number is positive at some samples and negative at others, often enough to compare the two."""
+    return bool(min((x > 0).mean(), (x < 0).mean()) > 0.05)
+
+
+def base_and_tool(drivers: Drivers) -> list[tuple[str, str]]:
+    """Place and directions in which base and tool can be seen to move: of readings without orientation a shift."""
+    return [("base", ALL), ("tool", ALL if drivers.samples.is_pose.any() else SHIFT)]
+
+
+def growing(drivers: Drivers) -> list[tuple[str, str]]:
+    """Places and directions in which something may grow or creep: every link along itself, every joint, three ways."""
+    out: list[tuple[str, str]] = []
+    chain = drivers.arm.chain
+    for k, name in enumerate(chain.names, chain.first_place):
+        if k:
+            out += [(name, d) for d in ("x", "y", "z")]
+            if length_direction(chain, k).any():
+                out.append((name, LENGTH))
+        out.append((name, AXIS))
+    return out
+
+
+def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:
+    """Names of recorded temperatures, or of all other recorded signals."""
+    return [n for n in drivers.signal_names() if n.startswith("temperature:") == temperatures][:MOST_SIGNALS]
+
+
+def span(drivers: Drivers) -> tuple[float, float] | None:
+    """First and last stamp [s], None where no time passes."""
+    low, high = float(drivers.samples.stamps.min()), float(drivers.samples.stamps.max())
+    return (low, high) if high > low else None
+
+
+def warm_ups(drivers: Drivers) -> list[Shape]:
+    """Settling since the beginning, with time constants from a small part of the recording to all of it."""
+    within = span(drivers)
+    if within is None:
+        return []
+    length = within[1] - within[0]
+    return [Shape("settle", {"since": within[0], "tau": share * length}) for share in WARM_UPS]
+
+
+def breaks(drivers: Drivers) -> Array:
+    """Times between stations at which something may have happened [s]."""
+    stamps = np.unique(drivers.samples.stamps)
+    between = 0.5 * (stamps[1:] + stamps[:-1])[LEAST_SIDE - 1 : -LEAST_SIDE or None]
+    if len(between) <= MOST_BREAKS:
+        return np.asarray(between)
+    return np.asarray(between[np.linspace(0, len(between) - 1, MOST_BREAKS).astype(int)])

@@ -1,0 +1,90 @@
+"""A family is one file, in the house as in a package: the same file is found in both, and enters in the same way."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+
+FILE = """
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.family import PLAIN, Family
+from modcal_core.effects.shapes import Setting, Shape, ShapeKind
+from modcal_core.effects.sizes import value
+import numpy as np
+
+def candidates(drivers):
+    for name in drivers.arm.chain.names:
+        yield Effect("stick", name, AXIS, f"slip:{name}", Shape("bent", {"sharp": 2.0}))
+
+FAMILY = Family(
+    "stick",
+    candidates,
+    shapes={"bent": ShapeKind(lambda x, s: np.tanh(s["sharp"] * x)[None], refined={"sharp": Setting(0.5)})},
+    drivers={"slip": lambda drivers, joint: drivers.values(f"position:{joint}") ** 2},
+    complexity=lambda effect: PLAIN,
+    sizes=lambda effect, chain: {"slip": value(effect, 0, 1e3, "mrad")},
+    sentence=lambda entry: f"{entry.place} sticks by {entry.sizes['slip'][0]:g} mrad",
+)
+"""
+# The columns that the scan looks at, and what a report says, by the functions that everything else calls.
+PROGRAM = """
+import json, sys
+import numpy as np
+if sys.argv[1:]:
+    from modcal_core.effects import families as house
+    house.__path__.append(sys.argv[1])
+from cells import record, ur10
+from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.effect import columns, prior_stds
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.registry import candidates, complexity, families, family, require_known
+
+drivers = Drivers(record(1, 20).samples, NominalArm(ur10()))
+found = [e for e in candidates(drivers) if e.family == "stick"]
+effect = found[2].with_values([3e-4, 2.5], [1e-5, 0.1])
+require_known(effect)
+x = drivers.samples.q[:, 2]
+(term,) = columns(effect, drivers)[0]
+sizes = family("stick").sizes(effect, ur10())
+print(json.dumps(dict(
+    families=list(families()), count=len(found), complexity=complexity(effect),
+    right=bool(np.allclose(term.size, np.tanh(2.5 * x**2), atol=1e-15)), priors=prior_stds(effect, drivers).tolist(),
+    said=family("stick").sentence(ReportEntry(effect.place, "axis", effect.public_driver, sizes)))))
+"""
+
+
+def told(folder: Path, *arguments: str, path: tuple[str, ...] = ()) -> dict[str, Any]:
+    paths = os.pathsep.join([*path, str(ROOT / "tests"), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def test_one_file_is_a_family_in_the_house_and_in_a_package(tmp_path: Path) -> None:
+    house, package = tmp_path / "house", tmp_path / "package"
+    info = package / "stick-1.0.dist-info"
+    for folder in (house, info):
+        folder.mkdir(parents=True)
+    (house / "stick.py").write_text(FILE)
+    (package / "stick.py").write_text(FILE)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stick\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[modcal.effects]\nstick = stick:FAMILY\n")
+
+    inside = told(tmp_path, str(house))
+    assert inside["families"][-1] == "stick"  # behind those of the list, which decide between equals
+    assert (inside["count"], inside["complexity"], inside["right"]) == (6, 0, True)
+    assert inside["said"] == "elbow_joint sticks by 0.3 mrad"
+    assert inside["priors"][1] == 0.5
+    assert told(tmp_path, path=(str(package),)) == inside
