@@ -44,6 +44,7 @@ def placed(samples: Samples, T: Array, rows: np.ndarray) -> Samples:
     return replace(samples, position=position, R=np.where(rows[:, None, None], T[:, :3, :3], samples.R))
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
     assert disagreement(clean, CHAIN) is None
     rng = np.random.default_rng(0)
@@ -65,6 +66,7 @@ def test_another_order_of_quaternions_from_some_station_on(clean: Samples) -> No
     assert (said.stations, said.of) == (35, 80)
 
 
+@pytest.mark.slow
 def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
     T = se3.transform(clean.R, clean.position)
     rows = np.random.default_rng(3).random(80) < 0.4
@@ -95,6 +97,7 @@ def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> N
     assert words in said
 
 
+@pytest.mark.slow
 def test_the_refusal_names_it(clean: Samples) -> None:
     with pytest.raises(BadRecording, match="elbow_joint is reported as standing still"):
         calibrate(with_joint(clean, ELBOW, np.zeros(80)), CHAIN, np.random.default_rng(0), look_for_effects=False)

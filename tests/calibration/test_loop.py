@@ -120,6 +120,7 @@ def test_mistakes_in_pairing_are_named(spoil: object, offender: str) -> None:
         calibrate(samples_of(ur10(), wrong, T), ur10(), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_the_description_of_a_left_arm_for_a_right_one() -> None:
     """What a mirror shows of the arm is what the arm of the mirrored description does."""
     made = record(6, 80)

@@ -71,6 +71,7 @@ def test_without_a_stated_deviation_the_usual_one_is_taken(made: Recorded) -> No
     assert report.rejected == 0
 
 
+@pytest.mark.slow
 def test_both_errors_of_a_calibration(made: Recorded) -> None:
     """10 % shifted: the fit leaves them out, and says what the error is with them."""
     bad = np.random.default_rng(1).random(COUNT) < 0.1
@@ -86,6 +87,7 @@ def test_both_errors_of_a_calibration(made: Recorded) -> None:
     np.testing.assert_array_equal(result.report.wrong, bad)
 
 
+@pytest.mark.slow
 def test_almost_half_shifted_is_no_small_error(made: Recorded) -> None:
     """Where it cannot be said which half is wrong, none is left out."""
     bad = np.random.default_rng(1).random(COUNT) < 0.45

@@ -21,6 +21,7 @@ def fitted(samples: Samples) -> Fit:
     return identify(start, samples, choose_parameters(start, views_of(samples)).parameters)
 
 
+@pytest.mark.slow
 def test_what_is_left_counts_what_the_parameters_took() -> None:
     # 18 poses give 108 rows for 30 parameters: without their degrees of freedom the spread would come out at 0.85
     fits = [fitted(record(seed, 18).samples) for seed in range(40)]

@@ -30,6 +30,7 @@ from modcal_nodes.simulation.world import World
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"
 
 
+@pytest.mark.slow
 def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) -> None:
     for name in ("five_joints", "five_joints_aim"):
         assert run(["assemble", str(EXAMPLES / f"{name}.yaml"), "--out", str(tmp_path / name)]) == 0

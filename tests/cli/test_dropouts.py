@@ -34,6 +34,7 @@ def plain(c: Cell) -> list[Message]:
     return [*forms.joints(c), *forms.described(c), *forms.readings(c)]
 
 
+@pytest.mark.slow
 def test_everything_that_happens_in_a_cell_at_once(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Dropped, counted and said, and the result is that of the same bag without these messages."""
     q, poses = c.q.copy(), c.poses.copy()
@@ -73,6 +74,7 @@ def test_too_little_left_is_refused_with_how_much(c: Cell, tmp_path: Path, capfd
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> None:
     """Two candidates: no choice is made; stated, both ways give the same."""
     moved = se3.exp([0.3, 0.0, 0.1, 0.0, 0.2, 0.0])
@@ -102,6 +104,7 @@ def test_a_cell_file_that_states_nothing_sensible(
     assert capfd.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +128,7 @@ def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     assert stated["status"] == "open"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [forms.TRANSFORM, forms.WITH_COVARIANCE])
 def test_an_instrument_on_the_tool_is_found_to_be_inverse(kind: str, c: Cell, tmp_path: Path) -> None:
     def seen(T: Array) -> Array:
@@ -138,6 +142,7 @@ def test_an_instrument_on_the_tool_is_found_to_be_inverse(kind: str, c: Cell, tm
     assert report["error_mm"]["final"]["rms"] < 0.5
 
 
+@pytest.mark.slow
 def test_the_makers_hash_is_kept_or_asked_for(c: Cell, tmp_path: Path) -> None:
     bag = forms.write(tmp_path / "bag", plain(c))
     calibrated(bag)

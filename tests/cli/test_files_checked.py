@@ -160,6 +160,7 @@ def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return keys_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
 
 
+@pytest.mark.slow
 def test_a_calibration_without_a_key(calibration: dict[str, Any]) -> None:
     """Without any one of its keys it is read, where the key is optional, or refused by name; nothing else."""
 

@@ -69,6 +69,7 @@ def test_nothing_is_cut_where_a_clock_was_set_back() -> None:
     assert mcap_read._border(back) is None
 
 
+@pytest.mark.slow
 def test_a_piece_without_a_station_is_passed_over(bag: Path) -> None:
     (whole,) = read_pieces(bag, None)
     blind = replace(whole, recording=replace(whole.recording, readings=()))

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 PEAK, MEAN, ABORT = 40.0, 12.0, 60.0  # N
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
-TASK = Task(direction=BACK)
+TASK = Task(direction=BACK, goal_rad=math.radians(40.0), goal_m=0.2)  # by then the model is followed at full speed
 LIMITS = limits()
 
 
@@ -47,9 +47,9 @@ def assert_smooth(done: Pulled) -> None:
 
 
 SCENES = {
-    "door": (Toy(door(0.4)), 0.14, math.radians(60.0)),
-    "narrow door, hinged on the other side": (Toy(door(0.25, -1.0), friction=2.0, seed=1), 0.14, math.radians(60.0)),
-    "drawer": (Toy(drawer(), friction=6.0, spring=10.0, inertia=4.0, seed=2), 0.07, 0.3),
+    "door": (Toy(door(0.4)), 0.14, TASK.goal_rad),
+    "narrow door, hinged on the other side": (Toy(door(0.25, -1.0), friction=2.0, seed=1), 0.14, TASK.goal_rad),
+    "drawer": (Toy(drawer(), friction=6.0, spring=10.0, inertia=4.0, seed=2), 0.07, TASK.goal_m),
 }
 
 
@@ -93,7 +93,7 @@ def test_what_is_locked_is_left_alone() -> None:
     assert_smooth(done)
 
 
-@pytest.mark.parametrize("delay", [2, 10, 20])
+@pytest.mark.parametrize("delay", [2, 20])
 def test_a_hard_stop_is_met_below_the_limit(delay: int) -> None:
     """As stiff as is believed, heard 8 to 80 ms late, at full speed: no more than the last force that may be."""
     hard = Toy(drawer(), friction=6.0, last=0.15, stiffness=np.array([15e3] * 3 + [600.0] * 3), delay=delay)

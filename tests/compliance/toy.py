@@ -18,7 +18,7 @@ from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward
-from modcal_core.robots.posture import pose_and_jacobian, pose_error
+from modcal_core.robots.posture import joint_motions, pose_error, posture_frames
 from modcal_core.robots.urdf import read_chain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,7 +80,6 @@ class Toy:
         self._rng = np.random.default_rng(self.seed)
         self.handle = self.truth.pose(0.0)
         self._e, self._missing = np.zeros(6), np.zeros(6)
-        self._J = pose_and_jacobian(PANDA, self.q)[1]
         self._twist = self.truth.twist()
 
     def step(self) -> None:
@@ -88,7 +87,7 @@ class Toy:
         h = PERIOD / _SUBSTEPS
         for _ in range(_SUBSTEPS):
             self.q = self.q + (self.command - self.q) * (h / (self.servo_lag + h))
-            S, self._J = pose_and_jacobian(PANDA, self.q)
+            S = posture_frames(PANDA, self.q)[1]
             # from where the servo would have the tool to where it is, seen from the tool
             e = pose_error(S, self.handle)
             self._missing = e
@@ -115,7 +114,8 @@ class Toy:
 
     def reading(self) -> tuple[Array, Array]:
         """(joint positions, raw wrench of the sensor) of now: encoders see where the weld holds the tool."""
-        q = self.q + self._J.T @ np.linalg.solve(self._J @ self._J.T, self._missing)
+        J = np.concatenate(joint_motions(PANDA, *posture_frames(PANDA, self.q)), axis=1).T
+        q = self.q + J.T @ np.linalg.solve(J @ J.T, self._missing)
         w = self.contact + self.weight + self.noise * np.r_[np.ones(3), 0.02 * np.ones(3)] * self._rng.normal(size=6)
         return q, w
 
@@ -163,7 +163,7 @@ def pull(
             belief.trusted = True
             if belief.model is None or (revise and rng is not None and k % 50 == 0):
                 belief.model = _revised(given, revise, rng) if revise and rng is not None else given
-        answer = operation.tick(now, pose_and_jacobian(PANDA, q)[0], sensor, Joints(q, stamp), belief)
+        answer = operation.tick(now, posture_frames(PANDA, q)[1], sensor, Joints(q, stamp), belief)
         phases.append(operation.phase)
         if isinstance(answer, Stop):
             stop = answer

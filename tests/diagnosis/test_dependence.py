@@ -60,6 +60,7 @@ def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
     assert "how it is turned against gravity, as an error of the tool" in text
 
 
+@pytest.mark.slow
 def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
     ahead = play(made.samples, (0.8,))[2, 0]
     text = said(with_error(made, 2, 8e-4 * ahead))
@@ -89,6 +90,7 @@ def test_play_follows_only_beyond_its_width(made: Recorded) -> None:
     assert ahead == pytest.approx([0.0, 0.5, 1.0, 0.6, -1.0])
 
 
+@pytest.mark.slow
 def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Recorded) -> None:
     inner = np.flatnonzero(made.samples.q[:, 1] < 1.0)
     frozen = calibrate(made.samples.select(inner), CHAIN, np.random.default_rng(0), KNOWN, look_for_effects=False)

@@ -33,6 +33,7 @@ def moved(samples: Samples, step: Array) -> Samples:
     return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
 
 
+@pytest.mark.slow
 def test_a_joint_that_was_adjusted_is_named() -> None:
     second = visited(3, 60)
     q = second.q.copy()

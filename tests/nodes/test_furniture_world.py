@@ -60,6 +60,7 @@ def test_the_arm_begins_at_rest_with_the_closed_handle_in_its_hand(kind: str, gr
     assert np.abs(made.joints()[1]).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["door", "drawer", "screw"])
 def test_the_handle_moves_as_drawn(kind: str) -> None:
     """MuJoCo's hinge and slide against the exponential of the twist that they were drawn from."""

@@ -17,6 +17,7 @@ from modcal_nodes.calibrating.state import State, read_state, write_state
 from modcal_nodes.io.results import calibration_files
 
 
+@pytest.mark.slow
 def test_state_comes_back(tmp_path: Path) -> None:
     cell = record(3, 60)
     track = SignalTrack("temperature:arm", np.arange(5.0), np.arange(5.0)[:, None], "/temperature")

@@ -11,7 +11,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.online.stream import Stream
 
 START = 1.7e9
-RATES = (20.0, 50.0, 80.0, 125.0, 250.0, 500.0, 1000.0)
+FAST = pytest.param(1000.0, marks=pytest.mark.slow)  # Hz; most of these tests' time
+RATES = (20.0, 50.0, 80.0, 125.0, 250.0, FAST)
 
 
 def truth(t: np.ndarray | float) -> np.ndarray:
@@ -48,7 +49,7 @@ def test_readings_in_motion_are_paired_at_every_rate(rate: float) -> None:
     assert off(samples) < (3e-5 if rate < 40.0 else 1e-6)
 
 
-@pytest.mark.parametrize("rate", [125.0, 250.0, 1000.0])
+@pytest.mark.parametrize("rate", [125.0, FAST])
 @pytest.mark.parametrize("gap", [0.012, 0.03, 0.06, 0.09, 0.2])
 def test_a_gap_in_the_joint_states_costs_at_most_the_readings_in_it(rate: float, gap: float) -> None:
     joints = np.arange(0.0, 34.0, 1.0 / rate)

@@ -49,6 +49,7 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
     assert set(documented) == found
 
 
+@pytest.mark.slow
 def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     (program,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
     data = to_json_data(warm_cell())

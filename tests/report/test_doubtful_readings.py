@@ -75,6 +75,7 @@ def test_topics_that_repeat_themselves_are_named() -> None:
     assert "joint positions stand still over 4 stations" in said(replace(made.samples, q=q))
 
 
+@pytest.mark.slow
 def test_readings_computed_before_the_joints_were_rounded() -> None:
     exact = record(5, 100).exact
     step = np.radians(1e-3)
@@ -83,11 +84,13 @@ def test_readings_computed_before_the_joints_were_rounded() -> None:
     assert said(replace(measured, q=step * np.round(measured.q / step))) == ""
 
 
+@pytest.mark.slow
 def test_positions_rounded_to_the_size_of_the_error() -> None:
     made = record(6, 100)
     assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
 
 
+@pytest.mark.slow
 def test_joints_rounded_to_the_size_of_the_error() -> None:
     """MuJoCo's readings are of where the arm stood; all joints, or one, are written with too few digits."""
     samples = record(6, 100).samples
@@ -109,6 +112,7 @@ def test_the_zeros_of_a_socket_are_not_rounded() -> None:
     assert coarse(Errors(np.full((40, 3), 3e-3), np.empty((0, 3))), rounded) == ()
 
 
+@pytest.mark.slow
 def test_readings_in_a_plane() -> None:
     made = record(7, 60)
     with pytest.raises(BadRecording, match="coordinate z of the readings"):

@@ -54,6 +54,7 @@ def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Result]) -> None:
         assert [n for n in names[1:] if not n.startswith("effect:")] == order
 
 
+@pytest.mark.slow
 def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Result]) -> None:
     """The cheap refit against a whole one."""
     from modcal_core.calibration.identify import identify

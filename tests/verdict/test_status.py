@@ -54,6 +54,7 @@ def test_a_stated_position_alone_says_nothing_of_orientation() -> None:
     )
 
 
+@pytest.mark.slow
 def test_more_than_was_stated_is_open() -> None:
     stated = Stated(repeatability_mm=0.01, instrument_mm=0.01, repeatability_deg=0.01, instrument_deg=0.01)
     judged = verdict_of(visited(3, 80, 0), stated)
@@ -87,6 +88,7 @@ def test_orientation_alone_can_be_open() -> None:
     assert all("Orientation" in said for said in judged.open_because)
 
 
+@pytest.mark.slow
 def test_readings_of_a_mixed_up_orientation_are_never_calm() -> None:
     """Every third quaternion conjugated: large orientation residuals on a sound position."""
     samples = visited(7, 100, 8)
@@ -120,6 +122,7 @@ def test_every_ground_is_named() -> None:
     assert judge(replace(case, wrong=wrong)).status == "open"
 
 
+@pytest.mark.slow
 def test_an_arm_that_does_not_repeat_is_questioned_unless_it_was_stated() -> None:
     samples = visited(1, 80, 8, noise_m=8e-4, noise_rad=1e-3)
     loose, stated = verdict_of(samples), verdict_of(samples, Stated(repeatability_mm=1.4))

@@ -37,6 +37,7 @@ def bent(made: Recorded, q: Array, tool: Array | None = None) -> Samples:
     return replace(seen, position=seen.position + noise)
 
 
+@pytest.mark.slow
 def test_a_bit_that_an_encoder_lost(made: Recorded) -> None:
     """The reported position lacks the bit; the arm stands where it stands."""
     samples = made.samples
@@ -57,6 +58,7 @@ def test_a_tracker_that_looks_with_either_face(made: Recorded) -> None:
     assert float(apart[1]) == pytest.approx(0.6, rel=0.1)  # the geometry takes up a part
 
 
+@pytest.mark.slow
 def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
     seat = np.random.default_rng(2).random(120) < 0.4
     step = np.where(seat[:, None], [4e-4, 0.0, 3e-4, 8e-4, 0.0, 0.0], 0.0)
