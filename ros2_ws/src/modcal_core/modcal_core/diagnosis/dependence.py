@@ -69,8 +69,12 @@ class _Pair:
     columns: Array  # (D, 6, N)
 
 
-def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | None = None) -> Dependence | None:
+def dependence(
+    model: Model, samples: Samples, weight: Array, fitted: Array | None = None, least: float = WORTH_NAMING
+) -> Dependence | None:
     """What the residual of a model depends on most, None where no pair predicts a good part of it.
+
+    least: share of the squares that is a good part.
 
     weight: of the six components, (6, N). fitted: derivatives (P, 6, N) by the parameters that were fitted to these
     samples, None where the model is frozen; constant errors are looked for only then.
@@ -99,7 +103,7 @@ def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | No
         if X.shape[1]:
             share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
             found.append((share, X.shape[1], pair.place, pair.driver))
-    return _named(found) or _by_motion(model, view, residual, weight[:, rows], rows)
+    return _named(found, least) or _by_motion(model, view, residual, weight[:, rows], rows)
 
 
 def _by_motion(model: Model, view: View, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:
@@ -126,9 +130,9 @@ def _by_motion(model: Model, view: View, residual: Array, weight: Array, rows: n
     return Dependence(f"joint {found[0][1]}", "nothing that was recorded", share, rivals)
 
 
-def _named(found: list[tuple[float, int, str, str]]) -> Dependence | None:
+def _named(found: list[tuple[float, int, str, str]], least: float) -> Dependence | None:
     best = max((share for share, *_ in found), default=0.0)
-    if best < WORTH_NAMING:
+    if best < least:
         return None
     share, _, place, driver = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
     rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2] != place]
@@ -174,6 +178,7 @@ def _pairs(model: Model, samples: Samples, view: View, constant: bool) -> Iterat
     """Every place with every driver."""
     builder = _Builder(model, samples, view)
     yield from builder.of_joints(constant)
+    yield from builder.of_all_joints()
     yield from builder.of_ends(constant)
     yield from builder.of_places()
     yield from builder.of_instrument()
@@ -219,6 +224,17 @@ class _Builder:
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", axis, number)
             every = [(place, d) for d in range(6)]
             yield self._pair(f"{who} across its axis too", f"the position of {name} itself", every, self._waves(j, 2))
+
+    def of_all_joints(self) -> Iterator[_Pair]:
+        """Every joint by its own last move, at once: readings that are not of the end of the motion look like that."""
+        chain = self.chain
+        places = [(place_index(name, chain), 5 if chain.revolute[j] else 2) for j, name in enumerate(chain.names)]
+        columns = [
+            self._unit(*where) * number for where, some in zip(places, self.arrived, strict=True) for number in some[:2]
+        ]
+        yield _Pair(
+            "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", np.stack(columns)
+        )
 
     def _loads(self) -> list[str]:
         kinds = ["payload", *(["load"] if self.at.arm.weighed else [])]

@@ -9,11 +9,13 @@ import numpy as np
 
 from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.channels import disagreeing_channel
-from modcal_core.diagnosis.dependence import dependence
+from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
 
+_MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
+_LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
@@ -28,7 +30,9 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
-    found = dependence(case.model, samples, weights(case.spread, samples), fitted)
+    share = judged.predictable_both.share if judged.predictable_both is not None else 1.0
+    least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
+    found = dependence(case.model, samples, weights(case.spread, samples), fitted, least)
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
     if found is not None:
