@@ -32,11 +32,11 @@ def test_it_says_at_once_that_nothing_comes_and_when_it_does(tmp_path: Path, cap
         assert "/joint_states: subscribed for" in said.message
         assert "temperature" not in said.message
         recorder = next(recorder for recorder in pair.node._recorders if recorder.topic == "/joint_states")  # type: ignore[attr-defined]
-        pair.wait(lambda: tape._again >= 2, 5.0)
+        pair.wait(lambda: recorder._again >= 2, 5.0)
         pair.wait(joints.get_subscription_count, 5.0)
         for number in range(20):
             joints.publish(numbered(number))
-        pair.wait(lambda: tape.count == 20, 5.0)  # each once, however often it has subscribed
+        pair.wait(lambda: recorder.count == 20, 5.0)  # each once, however often it has subscribed
         pair.wait(lambda: "/joint_states" not in pair.node._unheard, 5.0)  # type: ignore[attr-defined]
     log = capfd.readouterr().err
     assert "/joint_states: subscribed for 0." in log

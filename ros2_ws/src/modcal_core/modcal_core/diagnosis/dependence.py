@@ -36,6 +36,7 @@ _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
 _MOST_SIGNALS = 20
 _SMALL = 1e-9
+_ALONG = 0.6  # share of the squares along one joint's motion beyond chance, from which that joint is named
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,12 @@ class _Pair:
     columns: Array  # (D, 6, N)
 
 
-def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | None = None) -> Dependence | None:
+def dependence(
+    model: Model, samples: Samples, weight: Array, fitted: Array | None = None, least: float = WORTH_NAMING
+) -> Dependence | None:
     """What the residual of a model depends on most, None where no pair predicts a good part of it.
+
+    least: share of the squares that is a good part.
 
     weight: of the six components, (6, N). fitted: derivatives (P, 6, N) by the parameters that were fitted to these
     samples, None where the model is frozen; constant errors are looked for only then.
@@ -98,12 +103,36 @@ def dependence(model: Model, samples: Samples, weight: Array, fitted: Array | No
         if X.shape[1]:
             share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
             found.append((share, X.shape[1], pair.place, pair.driver))
-    return _named(found)
+    return _named(found, least) or _by_motion(model, view, residual, weight[:, rows], rows)
 
 
-def _named(found: list[tuple[float, int, str, str]]) -> Dependence | None:
+def _by_motion(model: Model, view: View, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:
+    """The joint along whose motion most of the residual (6, N) lies, station by station, whatever it goes with.
+
+    A residual that points anywhere lies along a motion by one part in as many as a reading has components.
+    """
+    size = float(np.sum(residual**2))
+    found: list[tuple[float, str]] = []
+    for j, name in enumerate(model.chain.names):
+        column = view.unit_column(place_index(name, model.chain), 5 if model.chain.revolute[j] else 2)
+        motion = np.zeros((6, len(view.samples)))
+        motion[:3] = column[: 3 * motion.shape[1]].reshape(3, -1)
+        motion[3:, view.pose] = column[3 * motion.shape[1] :].reshape(3, -1)
+        motion = motion[:, rows] * weight
+        along = np.sum(motion * residual, axis=0) ** 2 / np.maximum(np.sum(motion**2, axis=0), 1e-300)
+        found.append((float(along.sum()) / max(size, 1e-300), name))
+    found.sort(reverse=True)
+    chance = 1.0 / max(float(np.mean(np.sum(weight > 0.0, axis=0))), 1.0)
+    share = (found[0][0] - chance) / (1.0 - chance)
+    if share < _ALONG:
+        return None
+    rivals = tuple(f"the same of joint {name}" for one, name in found[1:2] if one > _RIVAL * found[0][0])
+    return Dependence(f"joint {found[0][1]}", "nothing that was recorded", share, rivals)
+
+
+def _named(found: list[tuple[float, int, str, str]], least: float) -> Dependence | None:
     best = max((share for share, *_ in found), default=0.0)
-    if best < WORTH_NAMING:
+    if best < least:
         return None
     share, _, place, driver = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
     rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2] != place]
@@ -149,7 +178,9 @@ def _pairs(model: Model, samples: Samples, view: View, constant: bool) -> Iterat
     """Every place with every driver."""
     builder = _Builder(model, samples, view)
     yield from builder.of_joints(constant)
+    yield from builder.of_all_joints()
     yield from builder.of_ends(constant)
+    yield from builder.of_places()
     yield from builder.of_instrument()
 
 
@@ -193,6 +224,17 @@ class _Builder:
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", axis, number)
             every = [(place, d) for d in range(6)]
             yield self._pair(f"{who} across its axis too", f"the position of {name} itself", every, self._waves(j, 2))
+
+    def of_all_joints(self) -> Iterator[_Pair]:
+        """Every joint by its own last move, at once: readings that are not of the end of the motion look like that."""
+        chain = self.chain
+        places = [(place_index(name, chain), 5 if chain.revolute[j] else 2) for j, name in enumerate(chain.names)]
+        columns = [
+            self._unit(*where) * number for where, some in zip(places, self.arrived, strict=True) for number in some[:2]
+        ]
+        yield _Pair(
+            "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", np.stack(columns)
+        )
 
     def _loads(self) -> list[str]:
         kinds = ["payload", *(["load"] if self.at.arm.weighed else [])]
@@ -239,6 +281,20 @@ class _Builder:
         slip = slipped(self.samples, moments)
         yield self._pair("the base", "what the moment of the arm's weight on it was before (it slips)", base, slip)
 
+    def of_places(self) -> Iterator[_Pair]:
+        """The tool with where it is and how it is turned in the cell, whatever brought it there."""
+        tool = [(self.chain.tool_place, d) for d in range(6)]
+        where = np.concatenate([_unit_spread(self._places()), self._turns()])
+        yield self._pair("the tool (or the target on it)", "where it is and how it is turned in the cell", tool, where)
+
+    def _places(self) -> Array:
+        return np.asarray(self.view.f.p[-1])
+
+    def _turns(self) -> Array:
+        """Elements of the tool's orientation, and their cubes, (18, N)."""
+        R = np.moveaxis(self.view.f.rotation(-1), 0, -1).reshape(9, self.N)
+        return np.concatenate([R, R**3])
+
     def of_instrument(self) -> Iterator[_Pair]:
         """Readings that depend on where the target is, from the instrument's origin."""
         x = self.view.reading  # (3, N), along the root's axes
@@ -270,12 +326,16 @@ class _Builder:
         place = "the place of the target before the tracker"
         for some in (one, [*one, *two, *three]):
             numbers = np.stack(some)
-            yield _Pair(who, place, (numbers[:, None, None] * along[None]).reshape(-1, 6, self.N))
+            yield _Pair(who, place, _along(numbers, along))
+        yield _Pair(who, "how the target is turned", _along(self._turns(), along))
+        steps = self.order[-9::2]
+        scales = np.stack([np.ones_like(r), *one])
+        changed = (steps[:, None] * scales[None]).reshape(-1, self.N)
+        yield _Pair(who, "the order of the stations: their scale or their frame changed", _along(changed, along))
         seen = self.samples.position.T
         angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
         waves = [f(k * a) * r / unit for a in angles for k in range(1, 5) for f in (np.sin, np.cos)]
-        columns = (np.stack(waves)[:, None, None] * along[None]).reshape(-1, 6, self.N)
-        yield _Pair(who, "the direction in which the tracker looks", columns)
+        yield _Pair(who, "the direction in which the tracker looks", _along(np.stack(waves), along))
 
     def _down_in_tool(self) -> Array:
         R = self.view.f.rotation(-1)
@@ -315,6 +375,15 @@ class _Builder:
     def _pair(self, who: str, driver: str, where: list[tuple[int, int]], numbers: Array) -> _Pair:
         unit = np.stack([self._unit(place, direction) for place, direction in where])
         return _Pair(who, driver, (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, self.N))
+
+
+def _along(numbers: Array, along: Array) -> Array:
+    """Columns (c × d, 6, N) of numbers (c, N) along directions (d, 6, 1)."""
+    return np.asarray((numbers[:, None, None] * along[None]).reshape(-1, 6, numbers.shape[-1]))
+
+
+def _unit_spread(x: Array) -> Array:
+    return np.asarray((x - x.mean(axis=1, keepdims=True)) / np.maximum(x.std(axis=1, keepdims=True), _SMALL))
 
 
 def _curves(numbers: Array) -> Array:

@@ -37,6 +37,7 @@ _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searchi
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3
 _MOST_REFUSED_OF_MANY = 1  # where each one costs seconds; with none, one that ties by chance ends the search
+_MOST_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
 
 
@@ -95,9 +96,40 @@ def diagnose(
     """The effects that the fit to *train* lacks, judged on *explain*.
 
     suspects: what to look for besides the candidates. known: causes of the effects that the fit has already; they stay.
+
+    Where the fit rejects more than single wrong readings make up, what it rejects may be the effect that is looked for.
+    Then nothing is rejected while searching, if what is found that way leaves less to be rejected.
     """
+    rest = train, explain, rng, distances, progress, suspects, known
+    many = _rejected(fit)
+    if many > _MOST_SINGLE and not known:
+        whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
+        found = _searched(whole, *rest, reject=False)
+        if found.causes and _rejected(found.fit) <= min(0.5 * many, _MOST_SINGLE):
+            return found
+    return _searched(fit, *rest)
+
+
+def _rejected(fit: Fit) -> float:
+    """Share of the samples that a fit gives no weight."""
+    return float(np.mean(fit.weights == 0.0))
+
+
+def _searched(
+    fit: Fit,
+    train: Samples,
+    explain: Samples,
+    rng: np.random.Generator,
+    distances: Sequence[AnyDistance],
+    progress: Callable[[str], None],
+    suspects: Callable[[Drivers], Iterable[Effect]],
+    known: Sequence[Cause],
+    reject: bool = True,
+) -> Diagnosis:
+    """See :func:`diagnose`. reject: leave out what lies far outside while searching."""
     both = train.join(explain)
-    both = both.select(_evenly(np.flatnonzero(~isolated_outliers(fit, both)), _MOST_SCANNED))
+    alone = isolated_outliers(fit, both) if reject else np.zeros(len(both), bool)
+    both = both.select(_evenly(np.flatnonzero(~alone), _MOST_SCANNED))
     at = fit.model.drivers(both)
     scanner = Scanner([*candidates(at), *suspects(at)], at)
     search = _Search(
@@ -107,6 +139,7 @@ def diagnose(
         explain,
         tuple(distances),
         tuple(known),
+        reject,
     )
     left: Choice | None = None
     refused: set[tuple[str, str, str, str]] = set()
@@ -153,6 +186,7 @@ class _Search:
     explain: Samples
     distances: tuple[AnyDistance, ...]
     known: tuple[Cause, ...] = ()
+    reject: bool = True
 
     def __post_init__(self) -> None:
         self.causes: list[Cause] = list(self.known)
@@ -182,7 +216,15 @@ class _Search:
     def _refit(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
         # about the same start as ever, so that priors keep their meaning
         start = self._geometric.start.with_effects(effects)
-        return identify(start, self.train, fit.parameters, self.distances, tolerance=_TOLERANCE, begin=self.fit.values)
+        return identify(
+            start,
+            self.train,
+            fit.parameters,
+            self.distances,
+            tolerance=_TOLERANCE,
+            begin=self.fit.values,
+            reject=self.reject,
+        )
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the candidates again, with the later ones known."""

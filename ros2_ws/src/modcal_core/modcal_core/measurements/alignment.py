@@ -23,6 +23,8 @@ TRUSTED = 0.6  # correlation from which a lag is believed
 APPLIED = 0.002  # s; a smaller offset is below what this method resolves
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
+_LEAST_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
+_PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
 _FINE = 0.25  # grid steps between the joint states that are looked at, at most
@@ -78,7 +80,7 @@ def align(
 
 
 def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array], Array]) -> ClockOffset | None:
-    """How late the stamps of a reading are, or None when the motion does not tell.
+    """How late the stamps of a reading are, or None when the motion does not tell. Raises BadRecording where they jump.
 
     t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n).
     """
@@ -95,6 +97,14 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
         return None
     seen, moved = _without_leaps(seen), _without_leaps(moved)
     whole = _lag(seen, moved, 0, round(SEARCH / STEP))
+    if (jump := _jump(seen, moved)) is not None:
+        at, seconds = jump
+        raise BadRecording(
+            f"clock of {track.topic} ({track.frame})",
+            f"jumps by {seconds:+.2f} s against the joint states' clock, some {at * len(seen) * STEP:.0f} s after the "
+            "beginning",
+            "keep clocks from being set while recording (PTP or chrony, slewing), and calibrate either part alone",
+        )
     if whole is None or whole[1] < TRUSTED:
         return None
     lag, correlation = whole
@@ -150,6 +160,35 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
     a, b = a[known] - a[known].mean(), b[known] - b[known].mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0.0 else float("nan")
+
+
+def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
+    """Where a clock jumps (share of the recording) and by how much [s]; None where it does not.
+
+    The lags of pieces stand on two levels, one after the other, and each piece fits its own level much better.
+    """
+    count = min(len(seen) * STEP / 30.0, 20.0)
+    if count < 4:
+        return None
+    pieces = np.array_split(np.arange(len(seen)), int(count))
+    found = [_lag(seen[p], moved[p], 0, round(_LONGEST_JUMP / STEP)) for p in pieces]
+    known = [(p, result[0]) for p, result in zip(pieces, found, strict=True) if result and result[1] > TRUSTED]
+    lags = np.array([lag for _, lag in known])
+    if len(known) < 4 or float(np.ptp(lags)) * STEP < _LEAST_JUMP:
+        return None
+    cut = int(np.argmax(np.abs(np.diff(lags)))) + 1
+    levels = np.median(lags[:cut]), np.median(lags[cut:])
+    if abs(levels[1] - levels[0]) * STEP < _LEAST_JUMP:
+        return None
+    astray = 0
+    for k, (p, _) in enumerate(known):
+        own, other = (levels[0], levels[1]) if k < cut else (levels[1], levels[0])
+        here, there = (_correlation(seen[p], moved[p], round(float(level))) for level in (own, other))
+        astray += not here > max(TRUSTED, there + _PLAINLY)
+    if astray > 1:  # the piece that the jump is in
+        return None
+    between = 0.5 * (known[cut - 1][0][-1] + known[cut][0][0])
+    return float(between / len(seen)), float(levels[1] - levels[0]) * STEP
 
 
 def _drift(seen: Array, moved: Array, lag: float) -> float:

@@ -32,6 +32,7 @@ _LOADED_WAVES = 60  # the same of errors that grow with the joint's load
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
 _MOST_NAMED = 6  # signals that a sentence names
 _MOST_SIGNALS = 40
+_CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,14 @@ def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
     for group in (builder.history(), builder.slip(), builder.load(), builder.signals()):
         if group is not None:
             yield group
+
+
+def on_the_way(model: Model, samples: Samples, weight: Array, by_parameters: Array) -> Group:
+    """Parameters of the model, and scales and shears of the readings, that are others from some station on (Chow 1960).
+
+    by_parameters: derivatives of the samples by the parameters, in units of the noise, (K, 6, N).
+    """
+    return _Builder(model, samples, weight).on_the_way(by_parameters)
 
 
 def single_waves(model: Model, samples: Samples, weight: Array) -> tuple[str, Waves]:
@@ -153,6 +162,18 @@ class _Builder:
         if not first and len(self.view.pose):
             parts.append(self._turned(np.stack(waves)))
         return self._group("the order of the stations", parts)
+
+    def on_the_way(self, by_parameters: Array) -> Group:
+        """See the function of this name."""
+        x = self.view.reading
+        x = (x - x.mean(axis=1, keepdims=True)) / max(float(x.std()), 1e-12)
+        scales = np.zeros((3, 3, 6, len(self.samples)))
+        for i in range(3):
+            scales[:, i, i] = x
+        scales = scales.reshape(9, 6, -1) * self.weight
+        rank = _rank(self.samples)
+        parts = [np.where(rank > cut, 1.0, -1.0) * columns for cut in _CUTS for columns in (by_parameters, scales)]
+        return self._group("the order of the stations: parameters of the model, or the readings, changed", parts)
 
     def history(self) -> Group | None:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""

@@ -24,7 +24,7 @@ from modcal_core.calibration.split import block_length
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, derivatives, weights
-from modcal_core.verdict.features import groups, single_waves
+from modcal_core.verdict.features import groups, on_the_way, single_waves
 from modcal_core.verdict.few import Few
 from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
 from modcal_core.verdict.verdict import Share
@@ -77,7 +77,8 @@ def predictable(case: Case) -> Predictable:
     baseline, project = Baseline(layout.flat(free), layout), Projection(layout.flat(free))
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
-    for group in groups(case.model, samples, weight):
+    changed = on_the_way(case.model, samples, weight, J * weight)
+    for group in (*groups(case.model, samples, weight), changed):
         columns = layout.flat(group.columns)
         before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = project(columns)

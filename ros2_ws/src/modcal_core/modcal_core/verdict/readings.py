@@ -25,6 +25,10 @@ _BY_ROUNDING = 1.6  # times what rounding makes: the tool reaches farther than t
 _MOSTLY = 0.5  # of the squared error
 _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
 _REPEATED = 3  # readings in a row that are the same to the last digit
+_PILED, _PILED_SHARE = 5, 0.03  # stations, and share of them, at which a coordinate is the same to the last digit
+_ROUNDED = 0.2  # share of values that occur more than once, from which a column is rounded and repeats by itself
+_MOST_BITS = 16  # binary digits; single precision has 23, which is finer than instruments are
+_FINEST_STEP = 1e-7  # m or rad; what numbers are apart by less is no last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
 
 COMPUTED = "computed from the joints"
@@ -41,6 +45,7 @@ def doubtful(errors: Mapping[str, Errors], scored: Samples, samples: Samples, ch
         *(coarse(errors["final"], scored) if not made else ()),
         *(coarse_joints(errors["final"], scored, samples, chain) if not made else ()),
         *repeated(samples),
+        *cut_off(samples),
         *turned(errors["final"], scored, chain),
     )
 
@@ -100,14 +105,44 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     free = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]  # a socket reads zero
     if free.sum() < _LEAST or not is_direct(samples.kinds):
         return ()
-    step = _step(samples.position[free])
+    position = samples.position[free]
+    step = _step(position) or min(_lattice(column) for column in position.T)
     made, of = step / 2.0, _rms(left.position_norm[free])
-    if not step or not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
+    how = f"{1e3 * step:.3g} mm"
+    if bits := _bits(position):
+        last = 2.0 ** (np.floor(np.log2(np.maximum(np.abs(position), 1e-12))) - bits)
+        by_bits = float(np.sqrt(np.mean(np.sum(last**2, axis=1)) / 12.0))
+        if by_bits > made:
+            made, how = by_bits, f"{bits + 1} binary digits (numbers of low precision)"
+    if not made or not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
         return ()
     return (
-        f"Positions are rounded to {1e3 * step:g} mm, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
+        f"Positions are rounded to {how}, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
         "that are left: that is the export and not the instrument. Write more digits.",
     )
+
+
+def _bits(x: np.ndarray) -> int:
+    """Binary digits after the first that numbers are written with, 0 where they are many."""
+    mantissa, _ = np.frexp(x)
+    for bits in range(4, _MOST_BITS + 1):
+        u = mantissa * 2.0 ** (bits + 1)
+        if np.abs(u - np.round(u)).max() < 1e-6:
+            return bits
+    return 0
+
+
+def _lattice(x: np.ndarray) -> float:
+    """The step that all of some numbers (N,) are apart by multiples of; 0 where it is below :data:`_FINEST_STEP`."""
+    size = 0.0
+    for gap in np.diff(np.unique(x)):
+        a, b = max(size, float(gap)), min(size, float(gap))
+        while b > _FINEST_STEP:
+            a, b = b, abs(a - b * round(a / b))
+        size = a
+        if size < 10.0 * _FINEST_STEP:
+            return 0.0
+    return size
 
 
 def coarse_joints(left: Errors, scored: Samples, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
@@ -140,7 +175,7 @@ def _step_of_joints(q: np.ndarray) -> float:
             u = q / (unit * 10.0**-digits)
             if np.abs(u - np.round(u)).max() < _SAME:
                 return float(unit * 10.0**-digits)
-    return 0.0
+    return _lattice(q) if q.ndim == 1 else 0.0
 
 
 def _step(position: np.ndarray) -> float:
@@ -172,6 +207,43 @@ def repeated(samples: Samples) -> tuple[str, ...]:
                     "two topics repeats what it said before."
                 )
     return tuple(out)
+
+
+def cut_off(samples: Samples) -> tuple[str, ...]:
+    """Coordinates that are exactly the same at many stations, being different to the last digit at the others."""
+    out = []
+    for f, frame in enumerate(samples.frames):
+        rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")))
+        if frame in samples.sockets or len(rows) < _LEAST:
+            continue
+        lost = _same_everywhere(samples.position[rows])
+        if lost is not None:
+            where, count = lost
+            out.append(
+                f"In frame '{frame}' positions are exactly ({', '.join(f'{x:.4g}' for x in where)}) m at {count} of "
+                f"{len(rows)} stations: that is no reading (a lost beam, a default). Leave these stations out."
+            )
+            continue
+        for axis, column in zip("xyz", samples.position[rows].T, strict=True):
+            values, counts = np.unique(column, return_counts=True)
+            most = int(np.argmax(counts))
+            if counts[most] < max(_PILED, _PILED_SHARE * len(rows)) or (np.delete(counts, most) > 1).mean() > _ROUNDED:
+                continue
+            end = "largest" if most == len(values) - 1 else "smallest" if most == 0 else ""
+            which = f", its {end} value: it looks cut off (the end of the instrument's range)" if end else ""
+            out.append(
+                f"In frame '{frame}' coordinate {axis} of the readings is exactly {values[most]:.6g} m at "
+                f"{counts[most]} of {len(rows)} stations{which or ': that is no reading'}. Leave these stations out."
+            )
+    return tuple(out)
+
+
+def _same_everywhere(position: np.ndarray) -> tuple[np.ndarray, int] | None:
+    """The place that several of some positions (N, 3) share to the last digit, and how many; None where none does."""
+    places, counts = np.unique(position, axis=0, return_counts=True)
+    most = int(np.argmax(counts))
+    few = counts[most] < max(_PILED, _PILED_SHARE * len(position))
+    return None if few or (np.delete(counts, most) > 1).mean() > _ROUNDED else (places[most], int(counts[most]))
 
 
 def _in_runs(same: np.ndarray) -> int:

@@ -9,10 +9,14 @@ import numpy as np
 
 from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.channels import disagreeing_channel
-from modcal_core.diagnosis.dependence import dependence
+from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
+
+_MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
+_LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
+_LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
 def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Verdict:
@@ -26,12 +30,45 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
-    found = dependence(case.model, samples, weights(case.spread, samples), fitted)
+    share = judged.predictable_both.share if judged.predictable_both is not None else 1.0
+    least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
+    found = dependence(case.model, samples, weights(case.spread, samples), fitted, least)
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
     if found is not None:
         said.append(f"What is left {found.sentence}.")
+    said += _only_one_kind(judged, case)
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
+
+
+def _only_one_kind(judged: Verdict, case: Case) -> Iterator[str]:
+    """Where positions exceed their floor by more than orientations allow, or the reverse: what cannot be the cause.
+
+    What turns a joint or the base by θ moves the tool by no more than θ times the reach, and turns it by θ.
+    """
+    left = case.errors["final"]
+    if judged.floor_mm is None or judged.floor_deg is None or not len(left.rotation_norm):
+        return
+    moved = 1e-3 * _beyond(1e3 * left.position_norm, judged.floor_mm)
+    turned = np.radians(_beyond(np.degrees(left.rotation_norm), judged.floor_deg))
+    surely_moved, surely_turned = 5e-4 * judged.floor_mm, np.radians(0.5 * judged.floor_deg)
+    reach = case.model.chain.reach()
+    if moved > 2.0 * reach * max(turned, surely_turned):
+        yield (
+            f"Positions miss by {1e3 * moved:.3g} mm beyond their floor and orientations by {np.degrees(turned):.2g}° "
+            "only: a joint or a tilt of the base would turn the tool by more. Look at what moves points alone: the "
+            "target's seat on the tool, what the tracker reads, lengths."
+        )
+    elif turned * _LEAST_LEVER * reach > max(moved, surely_moved):
+        yield (
+            f"Orientations miss by {np.degrees(turned):.3g}° beyond their floor and positions by {1e3 * moved:.2g} mm "
+            "only: a joint far from the tool would move it by more. Look at what turns the tool alone: its seat, the "
+            "target on it, the last joint, how orientations are read."
+        )
+
+
+def _beyond(size: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(float(np.mean(size**2)) - floor**2, 0.0)))
 
 
 def _apart(case: Case) -> Iterator[str]:
