@@ -203,6 +203,7 @@ def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str
                 first[topic] = when
         heard_from.append(first)
     injected = [line.split() for line in (folder / "injected.txt").read_text().splitlines()]
+    # an exception while a message is taken costs that message, and no other
     faults = [float(t) for t, name, *place in injected if name == "recorder" and any("/" in p for p in place)]
     # a publisher takes along what it has not sent yet, and the next one is not matched at once
     anew = [float(line) for line in (folder / "restarts.txt").read_text().split()]
@@ -212,15 +213,28 @@ def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str
             left[topic, key] -= 1
             continue
         lost += 1
-        down = [
-            kill - UNWRITTEN <= when < heard_from[k + 1].get(topic, np.inf) for k, kill in enumerate(recorder.kills)
-        ]
-        if any(down) or when < heard_from[0].get(topic, np.inf):
-            why["while the recorder was down or unmatched, or in its last second"] += 1
+        gap = next(
+            (
+                k
+                for k, kill in enumerate(recorder.kills)
+                if kill - UNWRITTEN <= when < heard_from[k + 1].get(topic, np.inf)
+            ),
+            None,
+        )
+        near = min(faults, key=lambda fault, when=when: abs(fault - when), default=np.inf)
+        if when < heard_from[0].get(topic, np.inf):
+            why["before the first recorder was matched"] += 1
+        elif gap is not None and when < recorder.kills[gap]:
+            why["in the last second before a kill, not written yet"] += 1
+        elif gap is not None and when < recorder.starts[gap + 1]:
+            why["while the recorder was down"] += 1
+        elif gap is not None:
+            why["while the next recorder started, or was not matched yet"] += 1
         elif any(-UNSENT <= when - moment < UNMATCHED for moment in anew):
             why["next to a restart of the publishers"] += 1
-        elif any(0.0 <= fault - when < 0.5 or 0.0 <= when - fault < 0.5 for fault in faults):
-            why["near an exception in one of the recorder's callbacks"] += 1
+        elif abs(near - when) < 0.5:
+            faults.remove(near)
+            why["one each by exceptions in the recorder's callbacks"] += 1
         else:
             why["without an excuse"] += 1
     return len(published), lost, why["without an excuse"], why
