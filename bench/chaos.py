@@ -62,7 +62,10 @@ TOPICS = ("/joint_states", "/tracker/pose")
 
 @dataclass
 class Subject:
-    """A node that is disturbed: its process, when it was killed, and how often it ended by itself."""
+    """A node that is disturbed: its process, when it was killed, and how often it ended by itself.
+
+    downs: when it was seen to be down, for either reason.
+    """
 
     name: str
     words: list[str]
@@ -71,6 +74,7 @@ class Subject:
     log: Path
     popen: subprocess.Popen[bytes] | None = None
     kills: list[float] = field(default_factory=list)
+    downs: list[float] = field(default_factory=list)
     starts: list[float] = field(default_factory=list)
     ended: list[int] = field(default_factory=list)
 
@@ -89,12 +93,14 @@ class Subject:
         """Notice that it has ended by itself, and start it again."""
         if self.popen is not None and self.popen.poll() is not None:
             self.ended.append(self.popen.returncode)
+            self.downs.append(time.monotonic())
             self.start()
 
     def kill(self) -> None:
         """As an operator or the system would, without a word."""
         assert self.popen is not None
         self.kills.append(time.monotonic())
+        self.downs.append(self.kills[-1])
         self.popen.kill()
         self.popen.wait()
 
@@ -210,7 +216,7 @@ def _losses(folder: Path, recorder: Subject) -> Losses:
     bags = [_in_bag(folder / f"bag{k}") for k in range(len(recorder.starts))]
     left = sum(bags, Counter[tuple[int, bytes]]())
     # a recorder hears a topic from the first message of its bag on, until it is killed
-    kills = [*recorder.kills, np.inf]
+    kills = [*recorder.downs, np.inf]
     heard_from: list[dict[int, float]] = []
     silent = 0.0
     for start, kill, bag in zip(recorder.starts, kills, bags, strict=True):
