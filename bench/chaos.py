@@ -15,8 +15,13 @@ import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
+# A process that is killed may take a lock in Fast DDS's shared memory with it; then publishers beside it may stand
+# in publish() for ever, ours and everybody's. Over UDP a process that dies takes nothing along.
+os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 import argparse  # noqa: E402
+import json  # noqa: E402
+import shutil  # noqa: E402
 import signal  # noqa: E402
 import subprocess  # noqa: E402
 import sys  # noqa: E402
@@ -51,12 +56,16 @@ UNWRITTEN = 1.0  # s of messages that a kill may take with it
 UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them
 MOST_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
 CALM_DOWN = 0.25  # share of the time at the end in which the calibrator and the recorder are not killed any more
+UNEXCUSED = "without an excuse"
 TOPICS = ("/joint_states", "/tracker/pose")
 
 
 @dataclass
 class Subject:
-    """A node that is disturbed: its process, when it was killed, and how often it ended by itself."""
+    """A node that is disturbed: its process, when it was killed, and how often it ended by itself.
+
+    downs: when it was seen to be down, for either reason.
+    """
 
     name: str
     words: list[str]
@@ -65,6 +74,7 @@ class Subject:
     log: Path
     popen: subprocess.Popen[bytes] | None = None
     kills: list[float] = field(default_factory=list)
+    downs: list[float] = field(default_factory=list)
     starts: list[float] = field(default_factory=list)
     ended: list[int] = field(default_factory=list)
 
@@ -83,12 +93,14 @@ class Subject:
         """Notice that it has ended by itself, and start it again."""
         if self.popen is not None and self.popen.poll() is not None:
             self.ended.append(self.popen.returncode)
+            self.downs.append(time.monotonic())
             self.start()
 
     def kill(self) -> None:
         """As an operator or the system would, without a word."""
         assert self.popen is not None
         self.kills.append(time.monotonic())
+        self.downs.append(self.kills[-1])
         self.popen.kill()
         self.popen.wait()
 
@@ -154,6 +166,8 @@ def run(folder: Path, seconds: float) -> int:
             relay.kill()
             codes = {subject.name: subject.stop() for subject in every}
         calm.stop(patience=60.0)
+    times = {subject.name: {"starts": subject.starts, "kills": subject.kills} for subject in every}
+    (folder / "times.json").write_text(json.dumps(times))
     return _report(folder, every, codes, answers)
 
 
@@ -163,18 +177,10 @@ def _ended(relay: subprocess.Popen[bytes]) -> None:
         relay.wait(20.0)
     except subprocess.TimeoutExpired:
         print(f"relay {relay.pid} does not end", flush=True)
-        for task in Path(f"/proc/{relay.pid}/task").iterdir():
-            print(
-                task.name,
-                (task / "comm").read_text().strip(),
-                (task / "wchan").read_text(),
-                (task / "stat").read_text()[:60],
-                flush=True,
-            )
         relay.send_signal(signal.SIGUSR1)
-        time.sleep(2.0)
-        relay.send_signal(signal.SIGUSR1)
-        time.sleep(2.0)
+        if debugger := shutil.which("gdb"):
+            subprocess.run([debugger, "-p", str(relay.pid), "-batch", "-ex", "thread apply all bt 12"], check=False)
+        time.sleep(1.0)
 
 
 def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
@@ -194,42 +200,61 @@ def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
                 subject.start()
 
 
-def _losses(folder: Path, recorder: Subject) -> tuple[int, int, int, Counter[str]]:
-    """How many messages were published, how many of them are in no bag, how many of those have no excuse, and where."""
+@dataclass
+class Losses:
+    """What became of the messages that were published. silent: longest from a start to the first message heard [s]."""
+
+    published: int
+    lost: Counter[str]
+    silent: float
+
+
+def _losses(folder: Path, recorder: Subject) -> Losses:
+    """Which messages are in no bag, and why: what the recorder could not have written is told apart from the rest."""
     data = (folder / "relay.bin").read_bytes()
     published = [RECORD.unpack_from(data, at) for at in range(0, len(data) - RECORD.size + 1, RECORD.size)]
     bags = [_in_bag(folder / f"bag{k}") for k in range(len(recorder.starts))]
     left = sum(bags, Counter[tuple[int, bytes]]())
-    # a recorder hears a topic from the first message of its bag on
+    # a recorder hears a topic from the first message of its bag on, until it is killed
+    kills = [*recorder.downs, np.inf]
     heard_from: list[dict[int, float]] = []
-    for bag in bags:
+    silent = 0.0
+    for start, kill, bag in zip(recorder.starts, kills, bags, strict=True):
         first: dict[int, float] = {}
+        sent: dict[int, float] = {}
         for when, topic, key in published:
-            if topic not in first and (topic, key) in bag:
-                first[topic] = when
+            if start <= when < kill:
+                sent.setdefault(topic, when)
+                if topic not in first and (topic, key) in bag:
+                    first[topic] = when
         heard_from.append(first)
+        silent = max([silent, *(min(first.get(topic, kill), kill) - when for topic, when in sent.items())])
     injected = [line.split() for line in (folder / "injected.txt").read_text().splitlines()]
+    # an exception while a message is taken costs that message, and no other
     faults = [float(t) for t, name, *place in injected if name == "recorder" and any("/" in p for p in place)]
     # a publisher takes along what it has not sent yet, and the next one is not matched at once
     anew = [float(line) for line in (folder / "restarts.txt").read_text().split()]
-    lost, why = 0, Counter[str]()
+    why = Counter[str]()
     for when, topic, key in published:
         if left[topic, key] > 0:
             left[topic, key] -= 1
             continue
-        lost += 1
-        down = [
-            kill - UNWRITTEN <= when < heard_from[k + 1].get(topic, np.inf) for k, kill in enumerate(recorder.kills)
-        ]
-        if any(down) or when < heard_from[0].get(topic, np.inf):
-            why["while the recorder was down or unmatched, or in its last second"] += 1
+        k = int(np.searchsorted(recorder.starts, when, side="right")) - 1
+        near = min(faults, key=lambda fault, when=when: abs(fault - when), default=np.inf)
+        if k < 0 or when >= kills[k]:
+            why["while the recorder was down"] += 1
+        elif when < heard_from[k].get(topic, np.inf):
+            why["while the recorder started, or was not matched yet"] += 1
+        elif when >= kills[k] - UNWRITTEN:
+            why["in the last second before a kill, not written yet"] += 1
         elif any(-UNSENT <= when - moment < UNMATCHED for moment in anew):
             why["next to a restart of the publishers"] += 1
-        elif any(0.0 <= fault - when < 0.5 or 0.0 <= when - fault < 0.5 for fault in faults):
-            why["near an exception in one of the recorder's callbacks"] += 1
+        elif abs(near - when) < 0.5:
+            faults.remove(near)
+            why["one each by exceptions in the recorder's callbacks"] += 1
         else:
-            why["without an excuse"] += 1
-    return len(published), lost, why["without an excuse"], why
+            why[UNEXCUSED] += 1
+    return Losses(len(published), why, silent)
 
 
 def _in_bag(folder: Path) -> Counter[tuple[int, bytes]]:
@@ -277,7 +302,9 @@ def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: 
         broken += not good
         table.add_row(what, value, limit, "" if not limit else "ok" if good else "[red]broken")
 
-    for line in (folder / "relay.txt").read_text().splitlines():
+    ended = folder / "relay.txt"
+    row("relay: ended when told to", "yes" if ended.exists() else "no", "yes", ended.exists())
+    for line in ended.read_text().splitlines() if ended.exists() else ():
         count, _, what = line.partition(" ")
         row(f"relay: {what}", count)
     injected = Counter(line.split()[1] for line in (folder / "injected.txt").read_text().splitlines())
@@ -286,11 +313,13 @@ def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: 
         said = ", ".join(map(str, subject.ended)) or "never"
         row(f"{subject.name}: ended by itself", said, "never", not subject.ended)
         row(f"{subject.name}: exit code when told to end", str(codes[subject.name]), "0", codes[subject.name] == 0)
-    published, lost, unexcused, why = _losses(folder, every[0])
-    row("recorder: lost of published", f"{lost} of {published}")
-    for reason, count in sorted(why.items()):
+    losses = _losses(folder, every[0])
+    row("recorder: lost of published", f"{losses.lost.total()} of {losses.published}")
+    unexcused = losses.lost.pop(UNEXCUSED, 0)
+    for reason, count in sorted(losses.lost.items()):
         row(f"recorder: lost {reason}", str(count))
-    row("recorder: lost without an excuse", str(unexcused), "0", unexcused == 0)
+    row(f"recorder: lost {UNEXCUSED}", str(unexcused), "0", unexcused == 0)
+    row("recorder: longest silence after a start", f"{losses.silent:.1f} s")
     for name, answer in answers.items():
         row(f"{name}: solve", answer)
     try:

@@ -199,7 +199,9 @@ def relay(log: str, seed: str) -> None:
     while not ended:
         executor.spin_once()
     made.close()
-    print("relay: written", flush=True)
+    for what, act in (("node", made.node.destroy_node), ("context", rclpy.shutdown)):
+        print(f"relay: ending the {what}", flush=True)
+        act()
 
 
 class Injected(Exception):

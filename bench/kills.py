@@ -71,9 +71,10 @@ def _one(folder: Path, k: int, domain: int, joints: Talker) -> tuple[list[str], 
     warned = next((t - subscribed for t, text in said if "/joint_states: subscribed for" in text), None)
     waits = [float(m[1]) for _, text in said if (m := FIRST.search(text))]
     silent = waits[0] if waits else 0.0
-    holes = numbers[-1] - numbers[0] + 1 - len(set(numbers)) if numbers else -1
+    # a reader that was matched late may be sent the earlier ones after the later ones: first and last by number
+    holes = max(numbers) - min(numbers) + 1 - len(set(numbers)) if numbers else -1
     # what had been published a moment before the kill, and is not there
-    lost = max(joints.before(killed) - 1 - numbers[-1], 0) / RATES["joint_states"] if numbers else 30.0
+    lost = max(joints.before(killed) - 1 - max(numbers), 0) / RATES["joint_states"] if numbers else 30.0
     good = bool(numbers) and holes == 0 and lost <= LAST and (warned is None or warned <= SAID_WITHIN)
     told = "" if warned is None else f"{warned:.2f} s"
     return [f"{silent:.1f} s", told, str(len(numbers)), str(holes), f"{lost:.2f} s"], good

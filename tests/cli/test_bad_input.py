@@ -57,7 +57,7 @@ def scaled(r: Recording, factor: float) -> Recording:
 
 def unnormalised(r: Recording) -> Recording:
     values = r.readings[0].values.copy()
-    values[3, 3:] *= 1.5
+    values[:, 3:] *= 1.5
     return with_reading(r, values=values)
 
 

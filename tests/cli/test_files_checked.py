@@ -144,6 +144,13 @@ def test_a_seed_below_zero(verb: str, tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "--seed" in refused([verb, *source, "--seed", "-1"], capfd)
 
 
+def mappings_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The ways to every mapping, in lists their first entry."""
+    if isinstance(data, dict):
+        return [way, *(here for key, value in data.items() for here in mappings_of(value, (*way, key)))]
+    return mappings_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
+
+
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("calibration")
@@ -158,6 +165,31 @@ def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     if isinstance(data, dict):
         return [here for key, value in data.items() for here in ((*way, key), *keys_of(value, (*way, key)))]
     return keys_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
+
+
+def test_a_key_of_a_calibration_that_nobody_reads(calibration: dict[str, Any]) -> None:
+    """Refused with its path and what is known there; names that are free, and settings of shapes, may be any."""
+    effect = {**dict.fromkeys(("family", "place", "direction", "driver"), "x"), "shape": {"kind": "linear"},
+              "values": [0.0], "std": [0.0], "rivals": []}  # fmt: skip
+    data = {**copy.deepcopy(calibration), "effects": [effect]}
+    data["recorded"].update(ranges={"temperature:a": [1.0, 2.0]}, spread_of={"range": 1e-4})
+    free = {"seen", "frames", "shape", "ranges", "spread_of"}
+    ways = mappings_of(data)
+    assert len(ways) >= 20
+    for way in ways:
+        if way and way[-1] in free:
+            continue
+        spoilt = copy.deepcopy(data)
+        place: Any = spoilt
+        for key in way:
+            place = place[key]
+        place["repeatabilty"] = 1.0
+        with pytest.raises(BadTable, match="unknown key repeatabilty; known are ") as refused:
+            from_data(spoilt, "c.yaml")
+        path = "c.yaml" + "".join(f", entry {key + 1}" if isinstance(key, int) else f": {key}" for key in way)
+        assert refused.value.offender == path
+        assert all(key in refused.value.limit for key in place if key != "repeatabilty")
+    from_data(calibration, "c.yaml")
 
 
 @pytest.mark.slow

@@ -158,6 +158,18 @@ def test_beyond_the_limit_of_force_only_what_goes_back_to_the_tool_passes() -> N
         guard.check(wish(READY), replace(heard(11.1), wrench=pressed), 11.1)
 
 
+def test_while_it_is_let_go_no_wrench_is_needed_but_the_joints_are() -> None:
+    nothing = replace(heard(10.004), wrench=np.full(6, np.nan), wrench_stamp=1.0)
+    guard = opened()
+    with pytest.raises(BadCommand, match="wrench"):
+        guard.check(wish(READY), nothing, 10.004)
+    guard = opened()
+    guard.let_go(10.0)
+    guard.check(wish(READY), nothing, 10.004)
+    with pytest.raises(BadCommand, match="joint_states"):
+        guard.check(wish(READY), replace(nothing, joints_stamp=1.0), 10.008)
+
+
 def test_what_still_moves_away_must_brake() -> None:
     """The limits of acceleration forbid to turn back at once; going on as before is not braking."""
     step = 1e-4 * np.array([0, 0, 0, 0, 0, 0, 1.0])

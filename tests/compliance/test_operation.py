@@ -237,6 +237,17 @@ def test_it_does_not_wait_for_ever() -> None:
     assert isinstance(still.tick(), Stop)  # and stays so
 
 
+def test_where_nothing_is_felt_any_more_it_lets_go() -> None:
+    """The force sensor falls silent with force in the hand; where the arm is, is known: the hand lets go, then ends."""
+    done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, LIMITS), numb=8.0)
+    assert done.stop is not None
+    assert "wrench: nothing of the last" in done.stop.why
+    assert done.forces.max() >= 8.0
+    assert done.forces[-1] < 3.0
+    assert done.phases[-1] == "release"
+    assert_smooth(done)
+
+
 def test_a_blow_ends_it_and_is_not_given_way_to_further_than_it_moves_the_tool() -> None:
     """What is felt, but moves nothing, may be the sensor's fault: the tool stands where it is, and that is the end."""
     still = Still(Operation(PANDA, TASK, LIMITS))

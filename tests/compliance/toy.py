@@ -140,10 +140,11 @@ def pull(
     seconds: float = 40.0,
     revise: float = 0.0,
     rng: np.random.Generator | None = None,
+    numb: float = np.inf,
 ) -> Pulled:
     """Pull until it says stop. trusts: configuration from which the model (default: the truth) is trusted.
 
-    revise: deviation of the point and the axis of the model, anew five times a second [m, rad].
+    numb: force in the hand [N] from which nothing is heard of the wrench any more. revise: deviation of the point and the axis of the model, anew five times a second [m, rad].
     """
     sensor, belief = WrenchSensor([(PANDA.tip, np.eye(4))]), Belief()
     forces, moments, setpoints, phases = [], [], [], []
@@ -158,7 +159,8 @@ def pull(
             toy.step()
             continue
         stamp, q, w = late.popleft()
-        sensor.hear(PANDA.tip, w, stamp, now, 0.1)
+        if toy.peak < numb:
+            sensor.hear(PANDA.tip, w, stamp, now, 0.1)
         if toy.a >= trusts:
             belief.trusted = True
             if belief.model is None or (revise and rng is not None and k % 50 == 0):

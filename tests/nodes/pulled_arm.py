@@ -49,6 +49,7 @@ class PulledArm:
 
     def __init__(self, node: Node, toy: Toy | None = None, trusts: float = 0.14, speaks: bool = True) -> None:
         self.node, self.toy, self.trusts, self.silent = node, toy or Toy(door()), trusts, False
+        self.numb = False  # whether nothing is heard of the wrench
         self.off: Array | None = (
             None  # where a corrector says that the tool is, from where its joints say; None: silent
         )
@@ -112,7 +113,8 @@ class PulledArm:
             q, w = self.toy.reading()
             self.spoke = self.now()
             self.joints.publish(self.state(q))
-            self.wrench.publish(self.felt(w))
+            if not self.numb:
+                self.wrench.publish(self.felt(w))
             self.status.publish(self.told(self.toy.a >= self.trusts))
             if self.off is not None:
                 self.tool.publish(self.corrected(q, self.off))
@@ -184,7 +186,7 @@ class PulledArm:
     def again(self, wait: Wait, toy: Toy) -> None:
         """Another object in the hand, nothing heard of it yet, and the node active and still."""
         self.ask(wait, "stop")
-        self.toy, self.silent, self.off = toy, False, None
+        self.toy, self.silent, self.numb, self.off = toy, False, False, None
         for heard in (self.poses, self.references, self.trajectories, self.wrenches, self.stiffnesses):
             heard.clear()
         self.believe()

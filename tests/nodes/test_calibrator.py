@@ -17,6 +17,9 @@ from nodes.cell import PlayedCell, Said, Wait, call
 from nodes.processes import Process, fresh_domain, listener, running
 from rclpy.node import Node
 
+from modcal_core.measurements.dropouts import BEYOND, ELSEWHEN, IMPLAUSIBLE
+from modcal_core.measurements.dropped import ALONE
+
 pytestmark = pytest.mark.dds
 
 
@@ -140,6 +143,8 @@ def spoiling(fault: str) -> Callable[[int, Any], Any]:
         joints = hasattr(message, "name")
         if fault == "nan" and not joints and i == 5:
             message.pose.position.x = float("nan")
+        if fault == "cannot be":
+            _cannot_be(message, i, joints)
         if fault == "millimetres" and not joints:
             at = message.pose.position
             at.x, at.y, at.z = 1e3 * at.x, 1e3 * at.y, 1e3 * at.z
@@ -148,6 +153,21 @@ def spoiling(fault: str) -> Callable[[int, Any], Any]:
         return message
 
     return spoiled
+
+
+def _cannot_be(message: Any, i: int, joints: bool) -> None:
+    """One of each."""
+    if joints and i == 9:
+        message.position[2] = 1e9
+    elif joints and i == 14:
+        message.header.stamp.sec = 0
+    elif not joints and i == 20:
+        message.pose.position.y = 1e16
+    elif not joints and i == 25:
+        message.pose.orientation.x, message.pose.orientation.w = 0.3, 0.0
+        message.pose.orientation.y = message.pose.orientation.z = 0.0
+    elif not joints and i == 31:
+        message.header.stamp.sec = 2**31 - 1
 
 
 def assert_refused(node: Node, wait: Wait, said: str, out: Path) -> None:
@@ -165,6 +185,26 @@ def test_a_reading_that_is_not_finite_is_left_out_and_said(shared: Shared) -> No
     report = json.loads((shared.out / "report.json").read_text())
     assert report["recording"]["stations"] == STATIONS - 1
     assert any("finite" in note and "1 of 48" in note for note in report["notes"]), report["notes"]
+    assert report["recording"]["dropped"] == {"readings that are not finite": 1}
+
+
+def test_messages_that_cannot_be_are_left_out_counted_and_said_as_of_a_bag(shared: Shared) -> None:
+    begin = shared.again()
+    refused = int(shared.said.value(SAMPLES, "messages refused") or 0)
+    shared.cell.play(stations(begin=begin), spoiling("cannot be"))
+    shared.wait(shared.cell.taken, 60.0)
+    assert call(shared.node, shared.wait, "calibrator/solve").success
+    report = json.loads((shared.out / "report.json").read_text())
+    assert report["recording"]["stations"] == STATIONS - 5
+    assert report["recording"]["dropped"] == {
+        BEYOND: 1,
+        f"joint states {ELSEWHEN}": 1,
+        f"readings {ELSEWHEN}": 1,
+        IMPLAUSIBLE: 2,
+        ALONE: 2,  # whose joint states were left out
+    }
+    assert sum("left out" in note for note in report["notes"]) == 4
+    shared.wait(lambda: int(shared.said.value(SAMPLES, "messages refused")) == refused + 5, 10.0)
 
 
 @pytest.mark.parametrize(("fault", "said"), [("millimetres", "millimetres"), ("degrees", "degrees")])

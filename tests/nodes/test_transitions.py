@@ -98,6 +98,21 @@ def test_in_the_middle_of_a_pull_it_lets_go(cell: Cell, transition: int) -> None
     Witness(arm).look()
 
 
+@pytest.mark.parametrize("numb", [False, True])
+def test_stopped_in_the_middle_of_a_pull_it_lets_go(cell: Cell, numb: bool) -> None:
+    """Whatever is felt: the answer comes when the force is gone, also where the wrench has fallen silent."""
+    arm, wait = cell.arm, cell.wait
+    cell.pull()
+    arm.numb = numb
+    answer = arm.ask(wait, "stop")
+    assert answer.success
+    assert "stopped as asked" in answer.message
+    assert cell.state() == State.PRIMARY_STATE_ACTIVE
+    assert felt(arm) < 3.0
+    Witness(arm).look()
+    assert arm.ask(wait, "stop").message == "nothing was pulled"
+
+
 def test_deactivated_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:
     arm, wait = cell.arm, cell.wait
     cell.pull()

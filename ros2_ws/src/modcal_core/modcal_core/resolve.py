@@ -16,6 +16,7 @@ from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Result, calibrate
+from modcal_core.measurements.dropped import Dropped, together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare_pieces
@@ -31,20 +32,27 @@ _WORTH = 0.9  # of the error before
 
 @dataclass(frozen=True)
 class Heard:
-    """What a node remembers: whole recordings, oldest first, and the samples of those it keeps no more."""
+    """What a node remembers: whole recordings, oldest first, and the samples of those it keeps no more.
+
+    dropped: what was left out of the latter, by reason.
+    """
 
     recordings: tuple[Recording, ...]
     samples: Samples | None = None
+    dropped: Dropped = ()
 
-    def prepared(self, chain: Chain, clock_limit: float, most: int | None = None) -> tuple[Samples, tuple[str, ...]]:
-        """All samples and what to know of them; of more than ``most`` the older ones are thinned.
+    def prepared(
+        self, chain: Chain, clock_limit: float, most: int | None = None
+    ) -> tuple[Samples, tuple[str, ...], Dropped]:
+        """All samples, what to know of them, and what was left out; of more than ``most`` the older ones are thinned.
 
         A recording that holds nothing to use is passed over when there are others. Raises ModcalError.
         """
         pieces = (Piece(recording) for recording in self.recordings)
         prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit, before=self.samples)
         samples = prepared.samples
-        return (samples if most is None else thinned(samples, most)), prepared.notes
+        lost = together([self.dropped, prepared.dropped])
+        return (samples if most is None else thinned(samples, most)), prepared.notes, lost
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,7 @@ class Resolved:
 
 def resolve(job: Job) -> Resolved:
     """Calibrate anew and compare. Raises ModcalError for data that cannot carry a fit."""
-    samples, notes = job.heard.prepared(job.chain, job.clock_limit)
+    samples, notes, lost = job.heard.prepared(job.chain, job.clock_limit)
     rng = np.random.default_rng(job.seed)
     result = calibrate(
         samples,
@@ -99,7 +107,7 @@ def resolve(job: Job) -> Resolved:
         changed=job.changed,
     )
     trace = Trace(date=iso_date(float(samples.stamps.min())))
-    report = replace(result.report, title="live", notes=(*result.report.notes, *notes), trace=trace)
+    report = replace(result.report, title="live", notes=(*result.report.notes, *notes), trace=trace, dropped=lost)
     return Resolved(result, report, _compare(job, result))
 
 

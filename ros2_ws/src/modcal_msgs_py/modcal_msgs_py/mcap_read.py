@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.dropouts import elsewhen
 from modcal_core.measurements.recording import Listed, Piece, Recording
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
@@ -22,7 +23,7 @@ from modcal_msgs_py.choosing import Topics, resolve
 from modcal_msgs_py.fields import KNOWN, fields_of
 from modcal_msgs_py.layout import Bytes, Fields, Layout
 from modcal_msgs_py.mcap_walk import Block
-from modcal_msgs_py.messages import NO_POSITIONS, RecordingBuilder
+from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.topics import ADDED, TRANSFORMS
 
 _LEFT_OUT = (
@@ -123,12 +124,16 @@ class _Border(NamedTuple):
 def _border(recording: Recording) -> _Border | None:
     """Where a piece is to end, with an overlap behind it; None where stamps go back, or it is too short for that."""
     joints = max(recording.joints, key=lambda track: len(track.stamps), default=None)
-    if joints is None or (np.diff(joints.stamps) < 0.0).any() or (np.diff(joints.received) < 0.0).any():
+    if joints is None:
         return None
-    row = int(np.searchsorted(joints.received, joints.received[-1] - OVERLAP))
-    if joints.received[row] - joints.received[0] < 2.0 * OVERLAP:
+    keep = ~elsewhen(joints.stamps)
+    stamps, received = joints.stamps[keep], joints.received[keep]
+    if (np.diff(stamps) < 0.0).any() or (np.diff(received) < 0.0).any():
         return None
-    return _Border(float(joints.stamps[row]), float(joints.received[row]))
+    row = int(np.searchsorted(received, received[-1] - OVERLAP))
+    if received[row] - received[0] < 2.0 * OVERLAP:
+        return None
+    return _Border(float(stamps[row]), float(received[row]))
 
 
 class _Reader:
@@ -184,7 +189,7 @@ class _Reader:
         try:
             self._builder.add_rows(topic, type_name, layout, rows, received)
         except BadRecording as error:
-            self._builder.lose(topic, _why(error), len(rows))
+            self._builder.lose(topic, why_left_out(error), len(rows))
 
     def _row_by_row(self, topic: str, type_name: str, fields: Fields, block: Block, which: NDArray[np.int64]) -> None:
         """Messages whose layouts change from one to the next."""
@@ -221,18 +226,13 @@ class _Reader:
             try:
                 self._builder.add(topic, type_name, message, 1e-9 * int(block.heads["received"][i]))
             except BadRecording as error:
-                self._builder.lose(topic, _why(error))
+                self._builder.lose(topic, why_left_out(error))
 
     def _hopeless(self, topic: str, type_name: str, failed: int, left: int) -> bool:
         """Count a message that cannot be decoded; after many in a row, all that are left, this one included."""
         hopeless = failed >= _HOPELESS
         self._builder.lose(topic, f"they are no {type_name}", left if hopeless else 1)
         return hopeless
-
-
-def _why(error: ModcalError) -> str:
-    """Why a message was refused, without what is of this message alone."""
-    return NO_POSITIONS if error.limit == NO_POSITIONS else "names and positions do not go together"
 
 
 class _Piece(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadRecording, BadTable
+from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
@@ -358,6 +358,11 @@ class RecordingBuilder:
             self._unstamped[topic] = self._unstamped.get(topic, 0) + 1
             return received
         return stamp
+
+
+def why_left_out(error: ModcalError) -> str:
+    """Why a message was refused, without what is of this message alone."""
+    return NO_POSITIONS if error.limit == NO_POSITIONS else "names and positions do not go together"
 
 
 def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:

@@ -14,6 +14,7 @@ from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.store_schema import SCHEMA
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.calibration.usual import Usual
 from modcal_core.effects.driver_limits import DriverLimits
@@ -26,7 +27,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.schema import shown, told
+from modcal_core.measurements.schema import require, shown, told
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -176,6 +177,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, "is not a modcal calibration", "give the calibration.yaml that modcal calibrate wrote")
     if data["modcal_calibration"] != FORMAT:
         raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
+    require(data, SCHEMA, source, "remove it, or calibrate again")
     try:
         nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
         arm = NominalArm(nominal.chain, _inertias_from_data(data.get("arm")))

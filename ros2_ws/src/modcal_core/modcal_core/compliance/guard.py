@@ -7,7 +7,8 @@ opened anew.
 
 A force or a moment beyond its limit shuts the guard as well, which leaves the last setpoint standing, and with it the
 spring that a servo has wound up between the tool and there. Whoever wants that let go says so (:meth:`Guard.let_go`):
-for a second forces are then no reason to stand still, and only what goes back towards the tool passes.
+for a second forces are then no reason to stand still, nor is a wrench that is late or missing, and only what goes back
+towards the tool passes.
 
 Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
 stop, after which no more than one period's step is allowed.
@@ -128,7 +129,7 @@ class Guard:
         self._now, self.shut, self._let_go = now, "", math.nan
 
     def let_go(self, now: float) -> None:
-        """For a second from ``now`` [s] on pass, whatever the force, what goes back to the tool, and nothing else."""
+        """For a second from ``now`` [s] on pass, whatever is felt, what goes back to the tool, and nothing else."""
         self._let_go = now
 
     def close(self, why: str) -> None:
@@ -162,7 +163,9 @@ class Guard:
 
     def _check_heard(self, heard: Heard, now: float) -> None:
         limits = self.limits
-        for what, stamp in (("joint_states", heard.joints_stamp), ("wrench", heard.wrench_stamp)):
+        needed = [("joint_states", heard.joints_stamp), ("wrench", heard.wrench_stamp)]
+        letting_go = 0.0 <= now - self._let_go <= _LETTING_GO
+        for what, stamp in needed[:1] if letting_go else needed:
             if not math.isfinite(stamp):
                 raise BadCommand(what, "its stamp is not finite", "see to its publisher")
             if not abs(now - stamp) <= limits.stale:
@@ -171,13 +174,14 @@ class Guard:
         for name in self.chain.names:
             if not math.isfinite(heard.joints.get(name, math.nan)):
                 raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")
+        _require_rotation("measured tool", heard.T_base_tool)
+        if letting_go:
+            return
         if heard.wrench_frame != self.tool_frame:
             said = f"is in frame '{heard.wrench_frame}', not '{self.tool_frame}'"
             raise BadCommand("wrench", said, "bring it there first")
         _require_finite("wrench", heard.wrench, (6,))
-        _require_rotation("measured tool", heard.T_base_tool)
-        refused = self.too_much(heard.wrench)
-        if refused is not None and not 0.0 <= now - self._let_go <= _LETTING_GO:
+        if (refused := self.too_much(heard.wrench)) is not None:
             raise refused
 
     def too_much(self, wrench: Array) -> BadCommand | None:

@@ -103,7 +103,9 @@ class Operation:
             return self._stop
         try:
             late = self._late_input(now, sensor, joints)
-            if late:
+            if late and self.phase != "tare" and self._fresh(joints.stamp, now) and self._waited_long(now):
+                self._let_go(late, now)  # which needs to know where the arm is, not what it feels
+            elif late:
                 return self._wait(late, now)
             self._late = math.nan
             if self.phase == "tare":
@@ -117,19 +119,24 @@ class Operation:
     # before anything moves
 
     def _late_input(self, now: float, sensor: WrenchSensor, joints: Joints) -> str:
-        stale = self.limits.stale
-        for what, stamp in (("joint_states", joints.stamp), ("wrench", sensor.stamp)):
-            if not abs(now - stamp) <= stale:
-                return f"{what}: nothing of the last {stale:g} s: see that its publisher is alive"
+        needed = [("joint_states", joints.stamp), ("wrench", sensor.stamp)]
+        for what, stamp in needed[:1] if self.phase == "release" else needed:
+            if not self._fresh(stamp, now):
+                return f"{what}: nothing of the last {self.limits.stale:g} s: see that its publisher is alive"
         return ""
+
+    def _fresh(self, stamp: float, now: float) -> bool:
+        return abs(now - stamp) <= self.limits.stale
 
     def _wait(self, why: str, now: float) -> Wait | Stop:
         """Stand until it comes, but not for ever."""
         if math.isnan(self._late):
             self._late = now
-        if not 0.0 <= now - self._late <= (self.task.patience_s if self.phase != "tare" else _TARE_PATIENCE):
-            return self.stop(why)
-        return Wait(why)
+        return self.stop(why) if self._waited_long(now) else Wait(why)
+
+    def _waited_long(self, now: float) -> bool:
+        patience = self.task.patience_s if self.phase != "tare" else _TARE_PATIENCE
+        return not math.isnan(self._late) and not 0.0 <= now - self._late <= patience
 
     def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: Joints) -> Wait | Stop:
         if math.isnan(self._since):

@@ -1,4 +1,4 @@
-"""Messages of a recording that say nothing: numbers that are not finite or cannot be, targets and clocks that were lost.
+"""Messages of a recording that say nothing: numbers that are not finite or cannot be, lost targets, lost clocks.
 
 They are left out, counted and said. A recording is refused when nothing is left, or too little for what is asked of it;
 and, by what is wrong with it, where most of its messages are wrong, as those of a tracker that publishes millimetres.
@@ -27,8 +27,9 @@ _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
 _MOST = 0.5  # share of implausible readings beyond which they are no glitches but what the instrument says
 _GLITCHES = 0.05  # the same of joint positions and stamps, and of efforts, which are steadier than a tracker
+_NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
-_DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
+DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def elsewhen(stamps: Array) -> np.ndarray:
     if len(stamps) < 3:
         return np.zeros(len(stamps), dtype=np.bool_)
     off = np.abs(stamps - np.median(stamps))
-    far = np.asarray(~(off <= max(_DAY, _SPREADS * float(np.median(off)))))
+    far = np.asarray(~(off <= max(DAY, _SPREADS * float(np.median(off)))))
     return far if far.sum() <= max(1.0, _GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
 
 
@@ -123,9 +124,9 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
     changed: dict[str, Array] = {}
     for what in ("velocity", "effort"):
         values = getattr(track, what)
-        known = np.isfinite(values[:, mine])
+        known = np.abs(values[:, mine]) < _NO_RATE
         some = known.any(axis=0) & ~known.all(axis=0)
-        if not some.any():
+        if not some.any():  # all of them, or none, as of a driver that sends none
             continue
         values = values.copy()
         order = np.argsort(track.stamps, kind="stable")
@@ -137,8 +138,8 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
             done = "those before and after stand in" if few else "it counts as unknown there"
             at = float(track.stamps[int(np.argmax(~good))])
             notes.append(
-                f"{track.topic}: no finite {what} of {track.names[j]} in {n} of {len(good)} messages, "
-                f"first at {at:.3f} s: {done}."
+                f"{track.topic}: the {what} of {track.names[j]} is not finite, or cannot be, in {n} of {len(good)} "
+                f"messages, first at {at:.3f} s: {done}."
             )
         changed[what] = values
     return replace(track, **changed) if changed else track

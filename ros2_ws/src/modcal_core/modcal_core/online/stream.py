@@ -137,9 +137,15 @@ class Stream:
                 a[:_HELD] = a[keep]
             self._first, self._end = 0, _HELD
         self._t[self._end], self._q[self._end] = stamp, q
-        self._effort[self._end] = np.nan if effort is None else effort
+        self._effort[self._end] = np.nan if effort is None else self._known(effort)
         self._end += 1
         self._first = max(self._first, self._end - _HELD)
+
+    def _known(self, effort: Array) -> Array:
+        """The efforts, those that are not finite as they were before: a stand's mean must not be lost to one."""
+        if np.isfinite(effort).all() or self._end == self._first:
+            return effort
+        return np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if self._end - self._first < 2:

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.store import fingerprint
-from modcal_core.errors import ModcalError
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.measurements.checks import joint_limits
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.online.stream import Stream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
@@ -26,6 +28,7 @@ class KnownArm:
         self.trouble = ""
         self._given, self._base, self._tip = bool(description), base, tip
         self._tried: tuple[str, frozenset[str]] | None = None
+        self._largest, self._reach = np.empty(0), 0.0
         self._order: dict[tuple[str, ...], np.ndarray | None] = {}
 
     def describe(self, text: str) -> None:
@@ -59,6 +62,7 @@ class KnownArm:
             return False
         self.chain, self.trouble = chain, ""
         self.stream = Stream(chain.names)
+        self._largest, self._reach = joint_limits(chain), chain.reach()
         return True
 
     def joint_state(self, message: Any) -> None:
@@ -72,10 +76,18 @@ class KnownArm:
         order = self._order[names]
         if order is not None:
             effort = np.frombuffer(message.effort)[order] if len(message.effort) == len(names) else None
-            self.stream.joint_state(seconds(message.header.stamp), np.frombuffer(message.position)[order], effort)
+            position = np.frombuffer(message.position)[order]
+            if (np.abs(position) > self._largest).any():
+                worst = int(np.argmax(np.abs(position) / self._largest))
+                said = f"position {position[worst]:.4g}, {self._largest[worst]:.4g} is the limit"
+                raise BadRecording(f"joint {self.chain.names[worst]}", said, "publish radians and metres")
+            self.stream.joint_state(seconds(message.header.stamp), position, effort)
 
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""
         if self.stream is not None:
             values = np.array(READING[kind](message))
+            if np.isfinite(values).all() and kinds()[kind].implausible(values[None], self._reach).any():
+                said = f"reads {', '.join(f'{x:.4g}' for x in values)}"
+                raise BadRecording(f"{kind} in {message.header.frame_id}", said, "publish metres and unit quaternions")
             self.stream.reading(kind, message.header.frame_id, seconds(message.header.stamp), values)

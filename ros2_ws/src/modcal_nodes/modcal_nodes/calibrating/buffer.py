@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.dropouts import DAY, ELSEWHEN
+from modcal_core.measurements.dropped import UNUSABLE, Dropped, together
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Heard
-from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES
 
@@ -26,10 +29,18 @@ class _Piece:
         self._builder = RecordingBuilder("live")
 
     def add(self, source: tuple[str, str], stamp: float, message: tuple[str, str, Any, float]) -> None:
-        """Take a message."""
-        self._builder.add(*message)
+        """Take a message. Raises BadRecording for one that contradicts itself, and counts it."""
+        self.keep(message)
         self.last[source] = stamp
         self.count += 1
+
+    def keep(self, message: tuple[str, str, Any, float]) -> None:
+        """Take a message without following its stamp."""
+        try:
+            self._builder.add(*message)
+        except BadRecording as error:
+            self._builder.lose(message[0], why_left_out(error))
+            raise
 
     def awaits(self, source: tuple[str, str], stamp: float, newer: _Piece) -> bool:
         """Whether a reading that comes when a newer piece has begun is of this piece's time."""
@@ -60,12 +71,18 @@ class Buffer:
         self._now = _Piece()
         self._early: list[tuple[tuple[str, str], float, tuple[str, str, Any, float]]] = []
         self.samples = None
+        self.dropped: Dropped = ()  # of what is remembered as samples only
+        self._stamps: dict[tuple[str, str], float] = {}
+        self._odd: dict[tuple[str, str], float] = {}
         self._names: frozenset[str] = frozenset()
 
     def add(self, topic: str, type_name: str, message: Any, received: float) -> None:
-        """Take one message. Raises BadRecording for one that contradicts itself."""
+        """Take one message. Raises BadRecording for one that contradicts itself, or is stamped at another time."""
         stamp = seconds(message.header.stamp) or received
         source = (topic, str(message.header.frame_id))
+        if self._elsewhen(source, stamp):
+            self._now.keep((topic, type_name, message, received))  # which counts it when samples are made
+            raise BadRecording(topic, f"a message is {ELSEWHEN}, at {stamp:.3f} s", "synchronise the clocks")
         if topic.endswith(JOINT_STATES):
             self._follow_clock(stamp)
             if not self._names.issuperset(message.name):
@@ -82,6 +99,15 @@ class Buffer:
         if self._before is not None and self._now.count > _OVERTAKEN:
             self._finish(self._before)
             self._before = None
+
+    def _elsewhen(self, source: tuple[str, str], stamp: float) -> bool:
+        """Whether a stamp is of another day than the one before, and the first such: a clock that is set goes on."""
+        before = self._stamps.get(source, stamp)
+        if abs(stamp - before) > DAY and not abs(stamp - self._odd.get(source, math.inf)) <= _JUMP:
+            self._odd[source] = stamp
+            return True
+        self._stamps[source] = stamp
+        return False
 
     def _follow_clock(self, stamp: float) -> None:
         """Begin a new piece where a joint state's stamp asks for one."""
@@ -114,16 +140,24 @@ class Buffer:
         """Everything remembered."""
         self._take_early()
         open_pieces = [piece.recording() for piece in (self._before, self._now) if piece is not None]
-        return Heard((*self._pieces, *(piece for piece in open_pieces if piece.joints)), self.samples)
+        return Heard((*self._pieces, *(piece for piece in open_pieces if piece.joints)), self.samples, self.dropped)
 
     def finished(self) -> Heard:
         """Everything but the present piece."""
-        return Heard(tuple(self._pieces), self.samples)
+        return Heard(tuple(self._pieces), self.samples, self.dropped)
 
-    def condensed(self, pieces: int, samples: Samples | None) -> None:
-        """From now on these samples stand for what was remembered before and for so many of the oldest pieces."""
-        self.samples = samples
+    def condensed(self, pieces: int, samples: Samples | None, dropped: Dropped = ()) -> None:
+        """From now on these samples stand for what was remembered before and for so many of the oldest pieces.
+
+        dropped: what was left out of all that, by reason.
+        """
+        self.samples, self.dropped = samples, dropped
         del self._pieces[:pieces]
+
+    def left_out(self, pieces: int) -> None:
+        """Forget so many of the oldest pieces, which hold no station."""
+        lost = sum(len(track.stamps) for piece in self._pieces[:pieces] for track in piece.readings)
+        self.condensed(pieces, self.samples, together([self.dropped, ((UNUSABLE, lost),)] if lost else [self.dropped]))
 
     def keep(self, pieces: int) -> None:
         """Forget all but so many of the newest finished pieces."""

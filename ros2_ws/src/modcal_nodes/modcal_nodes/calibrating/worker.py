@@ -14,6 +14,7 @@ import rclpy
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
+from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
 from modcal_core.resolve import Comparison, Heard, Job, resolve
 from modcal_core.robots.chain import Chain
@@ -54,9 +55,10 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     )
 
 
-def condense(heard: Heard, chain: Chain, clock_limit: float, most: int) -> Samples:
-    """The samples of everything heard, at most so many. Raises ModcalError where there are none."""
-    return heard.prepared(chain, clock_limit, most)[0]
+def condense(heard: Heard, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
+    """The samples of everything heard, at most so many, and what was left out. Raises ModcalError without any."""
+    samples, _, lost = heard.prepared(chain, clock_limit, most)
+    return samples, lost
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from modcal_core.errors import BadRobot
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.dropouts import elsewhen
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.report.trace import Trace, iso_date
 from modcal_core.robots.urdf_tree import document
 
@@ -31,8 +32,9 @@ def trace_of(bag: Path, recording: Recording, robot: str | None = None, frames: 
 
 
 def began(recording: Recording) -> float | None:
-    """The first stamp of joint states and readings [s]; None where there are none."""
-    stamps = [t.stamps for t in recording.joints] + [t.stamps for t in recording.readings]
+    """The first stamp of joint states and readings [s], but for those of another time; None where there are none."""
+    tracks: tuple[JointTrack | ReadingTrack, ...] = (*recording.joints, *recording.readings)
+    stamps = [t.stamps[~elsewhen(t.stamps)] for t in tracks]
     return min((float(s.min()) for s in stamps if len(s)), default=None)
 
 

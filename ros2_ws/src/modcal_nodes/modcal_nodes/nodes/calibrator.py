@@ -17,7 +17,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, BadTable, ModcalError
+from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.recording import POINT, POSE
+from modcal_core.measurements.samples import Samples
 from modcal_core.online.estimator import Wander
 from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
 from modcal_core.online.suspicion import Suspicion
@@ -272,11 +274,11 @@ class Calibrator(GuardedNode):
         """Forget messages that hold no station."""
         self.get_logger().warning(f"some minutes of messages are left out: {why}")
         if then == self._buffer.forgotten:
-            self._buffer.condensed(pieces, self._buffer.samples)
+            self._buffer.left_out(pieces)
 
-    def _condensed(self, pieces: int, then: int, samples: Any) -> None:
+    def _condensed(self, pieces: int, then: int, made: tuple[Samples, Dropped]) -> None:
         if then == self._buffer.forgotten:  # else they are no longer wanted
-            self._buffer.condensed(pieces, samples)
+            self._buffer.condensed(pieces, *made)
             self._save_samples()
 
     def _solved(self, then: int, solved: Solved) -> None:
@@ -354,7 +356,7 @@ class Calibrator(GuardedNode):
                 heard = self._buffer.heard()
                 if heard.recordings:
                     most, limit = self._chosen["max_stations"], self._chosen["clock_limit_s"]
-                    self._buffer.samples = condense(heard, self._arm.chain, limit, most)
+                    self._buffer.samples, _ = condense(heard, self._arm.chain, limit, most)
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._save_samples()

@@ -262,13 +262,12 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         return response
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Pull no more."""
+        """Let go of what is pulled, and pull no more; answered when that is done."""
         response.success = True
         response.message = "nothing was pulled"
         if self._operation is not None:
-            stop = self._operation.stop("stopped as asked")
-            self._finish(stop)
-            response.message = stop.why
+            self._let_go("stopped as asked")
+            response.message = self._said
         return response
 
     def _begin(self) -> None:
