@@ -44,6 +44,7 @@ class Result:
     faults: Counter[str] = field(default_factory=Counter)
     examples: dict[str, tuple[int, str]] = field(default_factory=dict)
 
+
 MIN_CASES = 40  # on a machine that is busy, seconds say little
 
 
