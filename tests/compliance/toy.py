@@ -17,9 +17,9 @@ from modcal_core.compliance.guard import Limits, Setpoint
 from modcal_core.compliance.operation import Operation
 from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import WrenchSensor
+from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.posture import pose_and_jacobian, pose_error
+from modcal_core.robots.kinematics import forward, pose_and_jacobian
 from modcal_core.robots.urdf import read_chain
 
 ROOT = Path(__file__).resolve().parents[2]

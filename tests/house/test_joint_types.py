@@ -26,9 +26,13 @@ READ = [
 
 
 def named(source: str, names: set[str]) -> Iterator[int]:
-    """Lines of texts that are one of these names, wherever they stand."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Constant) and node.value in names:
+    """Lines of texts that are one of these names, wherever they stand, but as URDF's own words."""
+    tree = ast.parse(source)
+    of_urdf = {
+        id(a) for n in ast.walk(tree) if isinstance(n, ast.Call) and ast.unparse(n.func) == "InUrdf" for a in n.args
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and node.value in names and id(node) not in of_urdf:
             yield node.lineno
 
 

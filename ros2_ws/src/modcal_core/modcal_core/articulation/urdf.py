@@ -27,6 +27,7 @@ from modcal_core.geometry.so3 import Array
 JOINT = "object_joint"
 _MOST_TEXT = 100_000  # characters, some hundred times what describe writes
 _RISE, _GRASP = "object_rise", "object_grasp"
+_SLIDE = InUrdf("prismatic")
 
 
 def describe(
@@ -66,7 +67,7 @@ def describe(
     if model.rises:
         etree.SubElement(robot, "link", name=f"{handle}_rise")
         ends = sorted((low * model.pitch, high * model.pitch))
-        rise = _joint(robot, _RISE, "prismatic", last, f"{handle}_rise", np.eye(4))
+        rise = _joint(robot, _RISE, _SLIDE.type, last, f"{handle}_rise", np.eye(4))
         _moving(rise, axis, ends[0], ends[1])
         etree.SubElement(rise, "mimic", joint=JOINT, multiplier=repr(float(model.pitch)), offset="0.0")
         last = f"{handle}_rise"

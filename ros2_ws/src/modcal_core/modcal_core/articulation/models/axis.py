@@ -33,9 +33,8 @@ from modcal_core.articulation.models.model import ArticulationModel
 from modcal_core.articulation.motion import EYE, Motion, log_and_jacobian, quick_log
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
-from modcal_core.geometry.single import posed, turned
+from modcal_core.geometry.single import posed, rotation_vector, turned
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.posture import rotation_vector
 
 
 class AxisModel(ArticulationModel):

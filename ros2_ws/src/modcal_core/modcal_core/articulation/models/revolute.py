@@ -20,9 +20,8 @@ from modcal_core.articulation.motion import Motion, scaled
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
-from modcal_core.geometry.single import crossed, turned
+from modcal_core.geometry.single import crossed, rotation_vector, turned
 from modcal_core.geometry.so3 import HAT, Array
-from modcal_core.robots.posture import rotation_vector
 
 RADIUS = (2e-3, 200.0)  # m; beyond, a circle cannot be told from a turn on the spot, or from a line
 # How far a turn weighs against a shift where one configuration must satisfy both: a hand is about this long.
