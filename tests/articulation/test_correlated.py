@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.fit import fit
-from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models.registry import joint
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
@@ -40,7 +40,7 @@ def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
 @pytest.mark.parametrize("radius", [0.03, 0.4, 1.5])
 def test_position_and_rotation_agree_on_the_nearest_configuration(radius: float) -> None:
     """A turn of 1 rad weighs as much as a shift of a hand's length, 0.1 m."""
-    hinge = JointModel("revolute", np.array([[1, 0, 0, radius], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
+    hinge = joint("revolute", np.array([[1, 0, 0, radius], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
                        np.array([0.0, 0.0, 1.0]), np.zeros(3))  # fmt: skip
     by_place, by_turn = 0.50, 0.56
     seen = np.eye(4)

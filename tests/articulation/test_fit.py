@@ -9,8 +9,9 @@ from finite_differences import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.fit import Fit, fit
-from modcal_core.articulation.joints import JointModel, Kind
-from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.models.registry import AXES
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
 
@@ -33,8 +34,10 @@ def errors(found: JointModel, seen: Seen) -> tuple[float, float]:
 @pytest.mark.parametrize("oriented", [True, False])
 def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
     R = so3.exp(rng.normal(size=3)) if oriented else None
-    motion = Motion(kind, rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0)
-    T = motion.model().pose(rng.uniform(-1.0, 1.0, 8)) @ se3.exp(rng.normal(0.0, 0.05, (8, 6)))
+    motion = AXES[kind].motion(
+        rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0
+    )
+    T = motion.joint().pose(rng.uniform(-1.0, 1.0, 8)) @ se3.exp(rng.normal(0.0, 0.05, (8, 6)))
     track = Track(T[:, :3, 3], T[:, :3, :3] if oriented else None)
     a = rng.uniform(-1.0, 1.0, 8)
     _, by_a, J = motion.linearise(track, a)
@@ -49,8 +52,8 @@ def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> No
     told = {
         "axis": lambda z: motion.moved(z).axis,
         "start": lambda z: motion.moved(z).p,
-        "point": lambda z: motion.moved(z).model().point,
-        "pitch": lambda z: np.array([motion.moved(z).model().pitch]),
+        "point": lambda z: motion.moved(z).joint().point,
+        "pitch": lambda z: np.array([motion.moved(z).joint().pitch]),
     }
     for name, gradient in motion.gradients().items():
         assert_jacobian(told[name], gradient, here, tolerance=1e-7)
@@ -152,8 +155,8 @@ def test_one_pose_is_placed_as_many_are(kind: Kind, oriented: bool, rng: np.rand
     for _ in range(20):
         R = so3.exp(rng.normal(size=3)) if oriented else None
         h = rng.choice([-0.05, 0.05]) if kind == "screw" else 0.0
-        motion = Motion(kind, rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, h)
-        T = motion.model().pose(rng.uniform(-3.0, 3.0)) @ se3.exp(rng.normal(0.0, 0.1, 6))
+        motion = AXES[kind].motion(rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, h)
+        T = motion.joint().pose(rng.uniform(-3.0, 3.0)) @ se3.exp(rng.normal(0.0, 0.1, 6))
         p, S = T[:3, 3], T[:3, :3] if oriented else None
         one = Track.trusted(p[None], None if S is None else S[None])
         for sigma in ((1e-2, 0.05), (1.0, 1e9)):

@@ -9,7 +9,7 @@ import pytest
 from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.online import State, Tracker
 from modcal_core.errors import BadCommand
 

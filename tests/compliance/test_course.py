@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from compliance.toy import PERIOD, T_READY, door, drawer
 
-from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models.registry import joint
 from modcal_core.compliance.course import Course, Pull
 from modcal_core.geometry import se3
 
@@ -18,7 +18,7 @@ BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the bas
 def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip: float) -> None:
     truth = drawer() if kind == "prismatic" else door()
     axis, pitch = flip * truth.axis, 0.02 if kind == "screw" else 0.0
-    model = JointModel(kind, T_READY, axis, truth.point, pitch)  # type: ignore[arg-type]
+    model = joint(kind, T_READY, axis, truth.point, pitch)
     now = model.pose(flip * 0.1)
     course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     goal = course.goal_at
@@ -40,7 +40,7 @@ def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip
 def test_a_model_from_positions_leaves_a_tool_that_did_not_turn_as_it_is() -> None:
     """Held by a ball, or by a finger behind the handle: the position follows the arc, the orientation stays."""
     truth = door()
-    model = JointModel("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
+    model = joint("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
     now = se3.transform(T_READY[:3, :3], truth.pose(0.2)[:3, 3])
     course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     for T in course.path():
@@ -79,7 +79,7 @@ def test_a_pull_is_led_aside_no_faster_than_it_explores() -> None:
 
 def test_a_model_from_positions_turns_the_tool_with_it() -> None:
     truth = door()
-    model = JointModel("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
+    model = joint("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
     now = truth.pose(0.2)
     course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     while course.left(course.at) > 0.0:

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from modcal_core.compliance.impedance import Gains, Impedance
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
-from modcal_core.geometry.single import along_screw, speeds, tool_from, turned
+from modcal_core.geometry.single import along_screw, pose_error, speeds, tool_from, turned
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.posture import pose_error
 
 
 def some_gains(rng: np.random.Generator) -> Gains:

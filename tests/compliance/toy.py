@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models.registry import joint
 from modcal_core.compliance.guard import Limits, Setpoint
 from modcal_core.compliance.operation import Operation
 from modcal_core.compliance.task import Joints, Stop
 from modcal_core.compliance.wrench import WrenchSensor
+from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.posture import joint_motions, pose_error, posture_frames
+from modcal_core.robots.kinematics import forward, joint_motions, posture_frames
 from modcal_core.robots.urdf import read_chain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,11 +41,11 @@ def door(radius: float = 0.4, side: float = 1.0, T: Array = T_READY) -> JointMod
     """A door whose handle is at T, hinged about the vertical; it opens towards −x of the base."""
     hinge = T[:3, 3] + np.array([0.0, side * radius, 0.0])
     # towards −x: v = ω × (handle − hinge) = ω × (0, −side r, 0), so ω along −side z gives v along −x
-    return JointModel("revolute", T, np.array([0.0, 0.0, -side]), hinge - hinge[2] * np.array([0.0, 0.0, 1.0]))
+    return joint("revolute", T, np.array([0.0, 0.0, -side]), hinge - hinge[2] * np.array([0.0, 0.0, 1.0]))
 
 
 def drawer(T: Array = T_READY) -> JointModel:
-    return JointModel("prismatic", T, np.array([-1.0, 0.0, 0.0]), np.zeros(3))
+    return joint("prismatic", T, np.array([-1.0, 0.0, 0.0]), np.zeros(3))
 
 
 @dataclass
@@ -182,4 +183,4 @@ def pull(
 def _revised(model: JointModel, size: float, rng: np.random.Generator) -> JointModel:
     axis = model.axis + size * rng.normal(size=3)
     point = model.point + size * rng.normal(size=3) if model.turns else model.point
-    return JointModel(model.kind, model.start, axis / np.linalg.norm(axis), point)
+    return joint(model.kind, model.start, axis / np.linalg.norm(axis), point)

@@ -9,7 +9,7 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 
-from modcal_core.articulation.added import AddedModel, Guarded
+from modcal_core.articulation.models.parametric import ParametricModel
 from modcal_core.effects.family import Family
 from modcal_msgs_py.added_topics import AddedTopic, Joints
 
@@ -32,9 +32,8 @@ def test_the_examples_run() -> None:
     assert isinstance(said, Joints)
     assert said.name[5] == "joint_6"
     model = moving["MODEL"]
-    assert isinstance(model, AddedModel)
-    own = Guarded(model, "docs")
-    _, T = own.path(own.prior[0], 9)
+    assert isinstance(model, ParametricModel)
+    _, T = model.checked_path(model.prior[0], 9)
     assert np.allclose(np.hypot(T[:, 0, 3], T[:, 1, 3]), 0.25)  # in the middle of the bar it is a circle
 
 

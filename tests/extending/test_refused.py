@@ -115,9 +115,9 @@ RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
 
 MODEL = """
 import numpy as np
-from modcal_core.articulation.added import AddedModel, Parameter
+from modcal_core.articulation.models.parametric import Parameter, ParametricModel
 
-class Model(AddedModel):
+class Model(ParametricModel):
     name, parameters, lower, upper = "bend", (Parameter("size", 1.0, 0.1),), 0.0, 1.0
     def pose(self, values, a):
         return None
@@ -140,7 +140,7 @@ choose(Track(np.linspace([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], 30)))
         ("", "articulation model bend of package bend, pose at size = 1: has shape (), not (48, 4, 4)"),
         ("model.name = 'screw'", "entry point bend of modcal.articulation: kind screw is taken: choose another name"),
         ("model.share = 0.9", "entry point bend of modcal.articulation: its share is 0.9, not between 0 and 0.5"),
-        ("model = 3", "entry point bend of modcal.articulation: names a int: name an instance of an AddedModel"),
+        ("model = 3", "entry point bend of modcal.articulation: names a int: name an instance of an ArticulationModel"),
         ("model.upper = 0.0", "entry point bend of modcal.articulation: its configurations lie between 0 and 0"),
         ("import nothing_there", "entry point bend of modcal.articulation: package bend raises ModuleNotFoundError"),
     ],

@@ -9,7 +9,7 @@ from cli.recordings import streams
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import LIMIT, align
-from modcal_core.measurements.stations import StationRules, deviation_of_mean, find_dwells
+from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells
 from modcal_core.robots.kinematics import forward
 
 

@@ -11,9 +11,10 @@ from scipy.ndimage import maximum_filter1d
 from modcal_core.errors import BadRecording
 from modcal_core.loop import calibrate
 from modcal_core.measurements.alignment import align, clock_offset
+from modcal_core.measurements.dwells import deviation_of_mean, running_max
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
-from modcal_core.measurements.stations import cut_stations, deviation_of_mean, running_max
+from modcal_core.measurements.stations import cut_stations
 from modcal_core.prepare import prepare
 from modcal_core.robots.kinematics import forward
 

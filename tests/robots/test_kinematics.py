@@ -11,8 +11,17 @@ from cells import slider_arm
 from finite_differences import assert_jacobian
 
 from modcal_core.geometry import se3
+from modcal_core.geometry.single import pose_error
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import body_jacobian, forward, place_jacobian, spatial_jacobian
+from modcal_core.robots.kinematics import (
+    body_jacobian,
+    forward,
+    frames,
+    place_jacobian,
+    pose_and_jacobian,
+    posture_frames,
+    spatial_jacobian,
+)
 from modcal_core.robots.urdf import read_chain
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
@@ -103,6 +112,25 @@ def test_product_of_exponentials(arm: str, rng: np.random.Generator) -> None:
     assert np.abs(T @ chain.home - forward(chain, q)).max() < 1e-13
     again = Chain.from_spatial_twists(chain.names, chain.spatial_twists, chain.home)
     assert np.abs(forward(again, q) - forward(chain, q)).max() < 1e-13
+
+
+@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
+def test_one_posture_is_told_as_many_are(arm: str, rng: np.random.Generator) -> None:
+    chain = chain_of(arm)
+    q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (50, chain.n))
+    f, J, goals = frames(chain, q), body_jacobian(chain, q), forward(chain, q[::-1])
+    errors = se3.error(f.transform(-1), goals)
+    for i in range(len(q)):
+        before, tip = posture_frames(chain, q[i])
+        for k in range(chain.n):
+            assert np.abs(before[k] - f.transform(k)[i]).max() < 1e-12
+        T, J_one = pose_and_jacobian(chain, q[i])
+        assert np.abs(T - f.transform(-1)[i]).max() < 1e-12
+        assert (tip == T).all()
+        assert np.abs(J_one - J[i]).max() < 1e-12
+        assert np.abs(pose_error(T, goals[i]) - errors[i]).max() < 1e-9  # of turns next to half a turn, digits are lost
+        if np.linalg.norm(errors[i, 3:]) < 3.0:
+            assert np.abs(pose_error(T, goals[i]) - errors[i]).max() < 1e-12
 
 
 def test_arrays_of_a_chain_cannot_be_changed() -> None:

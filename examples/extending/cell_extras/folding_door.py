@@ -12,12 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.added import AddedModel, Parameter
+from modcal_core.articulation.models.parametric import Parameter, ParametricModel
 
 Array = NDArray[np.float64]
 
 
-class FoldingDoor(AddedModel):
+class FoldingDoor(ParametricModel):
     """Leaves of cupboards and wardrobes: 0.2 to 0.7 m wide, the handle somewhere on the outer half of the second."""
 
     name = "folding_door"

@@ -19,11 +19,12 @@ from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, together
+from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import StationRules, cut_stations
+from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.mechanism import Mechanism, forward
 
 _ROUNDS = 5

@@ -101,7 +101,7 @@ def fill_markers(message: Any, marker: Any, frame: str, stamp: float, model: Joi
     line.scale.x = 0.005
     arrow.points = [as_point(arrow, at), as_point(arrow, at + length * model.axis)]
     line.points = [as_point(line, p) for p in model.position(np.linspace(*reach, _PATH_POINTS))]
-    if model.kind == "rigid":
+    if not model.moves:
         arrow.action = line.action = marker.DELETE
     message.markers = [arrow, line]
     return message

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import cast
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation import furniture
-from modcal_core.articulation.added import added_models
-from modcal_core.articulation.added_evidence import AddedTerms
-from modcal_core.articulation.added_fit import AddedFit, fit_added
-from modcal_core.articulation.evidence import Row, Terms, row, still, weigh
+from modcal_core.articulation.evidence import Row, row, still, weigh
 from modcal_core.articulation.fit import Fit, fit
-from modcal_core.articulation.joints import KINDS, Kind
+from modcal_core.articulation.models.model import ArticulationModel, Kind
+from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
@@ -27,12 +23,10 @@ SURE = 0.95  # probability from which a kind is said
 
 @dataclass(frozen=True)
 class Choice:
-    """probabilities: of every kind, 1 together. fit: of the most probable of the four kinds of the house. enough:
-    whether to rely on the kind.
+    """probabilities: of every kind, 1 together. fit: of the most probable one. enough: whether to rely on the kind.
 
     why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
     when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
-    added: fits of the models that packages add, by name. kind: the most probable of all, which may be one of these.
     """
 
     probabilities: dict[Kind, float]
@@ -42,57 +36,43 @@ class Choice:
     fits: dict[Kind, Fit]
     follows: bool
     play: float
-    added: dict[str, AddedFit] = field(default_factory=dict)
-    best: AddedFit | None = None
 
     @property
-    def kind(self) -> str:
+    def kind(self) -> Kind:
         """The most probable kind."""
-        return self.leading.model.kind
-
-    @property
-    def leading(self) -> Fit | AddedFit:
-        """The fit of the most probable kind, one of a package included."""
-        return self.best or self.fit
+        return self.fit.model.kind
 
 
 def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
-    """The choice between rigid, prismatic, revolute, screw and what packages add, for one track.
+    """The choice between all joint types, the house's own and those that packages add, for one track.
 
     rng: picks samples for first guesses. Raises BadTable where a package's model is none.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    fits = {kind: fit(track, kind, rng) for kind in KINDS}
-    models = added_models()
-    added = {own.name: fit_added(track, own, rng) for own in models}
-    all_fits: list[Fit | AddedFit] = [*fits.values(), *added.values()]
-    richest = max(all_fits, key=lambda f: f.log_likelihood)  # what it cannot explain, none can
+    models = all_models()
+    fits = {model.name: fit(track, model, rng) for model in models}
+    richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
     kept = track.part(good) if good.sum() >= FEWEST else track
     scenes = _scenes(kept, richest, nodes)
     if not scenes:
-        return _still(kept, fits)
-    rows = {kind: _rows(scenes, fits[kind].motion, Terms.of) for kind in KINDS[1:]}
-    for found in added.values():
-        rows[found.motion.kind] = _rows(scenes, found.motion, AddedTerms.of)
+        return _still(kept, fits, models)
+    shares = log_shares(models)
+    rows = {kind: _rows(scenes, fits[kind].motion) for kind in shares}
     priors = (LOG_DISTORTIONS[:, None] + LOG_PLAYS).ravel()
-    shares = {added[own.name].motion.kind: own.model.share for own in models}
     probabilities, kind, i, j = weigh(rows, scenes[0].moved, priors, shares)
-    if probabilities["rigid"] > probabilities[kind]:
-        kind = "rigid"
-    follows = kind == "rigid" or not (track.oriented and bool(LOOSE[j]))
-    if not follows and kind in added:
-        own = added[kind].motion.own
-        added = {**added, kind: fit_added(track.points(), own, rng)}
-    elif not follows:
-        fits = {**fits, kind: fit(track.points(), kind, rng)}
-    of_house = kind if kind in fits else max(KINDS, key=lambda k: probabilities[k])
-    enough, leading = probabilities[kind] >= SURE, added.get(kind) or fits[kind]
-    return Choice(probabilities, fits[of_house], enough, _why(probabilities, leading, enough, track), fits, follows,
-                  float(PLAYS[i % len(PLAYS)]), added, added.get(kind))  # fmt: skip
+    if probabilities[STILL.name] > probabilities[kind]:
+        kind = STILL.name
+    follows = kind == STILL.name or not (track.oriented and bool(LOOSE[j]))
+    if not follows:
+        model = next(model for model in models if model.name == kind)
+        fits = {**fits, kind: fit(track.points(), model, rng)}
+    enough = probabilities[kind] >= SURE
+    return Choice(probabilities, fits[kind], enough, _why(probabilities, fits[kind], enough, track), fits, follows,
+                  float(PLAYS[i % len(PLAYS)]))  # fmt: skip
 
 
-def _rows(scenes: list[Scene], motion: Motion, look: Callable[[Scene, Motion, float], Terms]) -> list[Row]:
+def _rows(scenes: list[Scene], motion: Motion) -> list[Row]:
     """A kind's rows: of each scene, one for every play."""
     rows: list[Row] = []
     column = 2
@@ -100,13 +80,13 @@ def _rows(scenes: list[Scene], motion: Motion, look: Callable[[Scene, Motion, fl
         # there and back, as what is most probable at one play is a good guess for the next
         line: list[Row] = []
         for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
-            line.append(row(scene, motion, float(play), column=column, look=look))
+            line.append(row(scene, motion, float(play), column=column))
             motion, column = line[-1].motion, line[-1].column
         rows += line if k % 2 == 0 else line[::-1]
     return rows
 
 
-def gross(found: Fit | AddedFit, track: Track) -> NDArray[np.bool_]:
+def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
     """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
     sigma = _scales(found)
     e = found.motion.residuals(track, found.motion.configurations(track, sigma))
@@ -116,7 +96,7 @@ def gross(found: Fit | AddedFit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
-def _scenes(track: Track, richest: Fit | AddedFit, most: int) -> list[Scene]:
+def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
     """The nodes of a track with each size of distortion; none where nothing moved."""
     nodes = Nodes(track.oriented, most)
     for i in range(len(track)):
@@ -129,7 +109,7 @@ def _scenes(track: Track, richest: Fit | AddedFit, most: int) -> list[Scene]:
     return [Scene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
 
 
-def _scales(found: Fit | AddedFit) -> tuple[float, float]:
+def _scales(found: Fit) -> tuple[float, float]:
     return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
 
 
@@ -142,40 +122,22 @@ def white_noise(e: Array) -> tuple[float, float]:
     return position, rotation
 
 
-def _still(track: Track, fits: dict[Kind, Fit]) -> Choice:
+def _still(track: Track, fits: dict[Kind, Fit], models: Sequence[ArticulationModel]) -> Choice:
     """All samples lie within a few nodes: nothing moved, or too little to tell how."""
     rigid = still(2.0 * track.extent())
-    probabilities: dict[Kind, float] = {"rigid": rigid}
-    for kind in KINDS[1:]:
-        probabilities[kind] = (1.0 - rigid) * furniture.SHARE[kind]
-    best: Kind = max(probabilities, key=lambda kind: probabilities[kind])
+    probabilities: dict[Kind, float] = {STILL.name: rigid}
+    for kind, log_share in log_shares(models).items():
+        probabilities[kind] = (1.0 - rigid) * float(np.exp(log_share))
+    best = max(probabilities, key=lambda kind: probabilities[kind])
     enough = probabilities[best] >= SURE
     why = _why(probabilities, fits[best], enough, track)
     return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]))
 
 
-def _why(probabilities: dict[Kind, float], chosen: Fit | AddedFit, enough: bool, track: Track) -> str:
-    span = float(np.ptp(chosen.configurations[chosen.weights > 0.2])) if (chosen.weights > 0.2).any() else 0.0
-    if isinstance(chosen, AddedFit):
-        path = chosen.model.position(np.sort(chosen.configurations[chosen.weights > 0.2]))
-        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        said = ", ".join(f"{name} {value:.3g} ± {chosen.std[name]:.2g}" for name, value in chosen.model.values.items())
-        seen = f"moved {1e2 * way:.0f} cm along its path; {said}"
-        return _sentence(probabilities, chosen.model.kind, enough, seen)
-    model = chosen.model
-    if model.kind == "rigid":
-        seen = f"moved by no more than {1e3 * track.extent():.0f} mm"
-    elif model.kind == "prismatic":
-        seen = f"slid {1e2 * span:.0f} cm along a line"
-    else:
-        rise = f", rising {2e3 * np.pi * model.pitch:.0f} mm a turn" if model.kind == "screw" else ""
-        seen = f"turned {np.degrees(span):.0f}° at {1e2 * model.radius:.0f} cm from its axis{rise}"
-    return _sentence(probabilities, model.kind, enough, seen)
-
-
-def _sentence(probabilities: dict[Kind, float], kind: str, enough: bool, seen: str) -> str:
-    percent = {str(k): f"{100.0 * p:.0f} %" for k, p in probabilities.items()}
+def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Track) -> str:
+    seen = chosen.model.sentence(chosen.configurations[chosen.weights > 0.2], track.extent(), chosen.std)
+    percent = {kind: f"{100.0 * p:.0f} %" for kind, p in probabilities.items()}
     if enough:
-        return f"{kind} ({percent[kind]}): it {seen}"
-    ranked = sorted(percent, key=lambda k: -probabilities[cast("Kind", k)])[:2]
+        return f"{chosen.model.kind} ({percent[chosen.model.kind]}): it {seen}"
+    ranked = sorted(percent, key=lambda kind: -probabilities[kind])[:2]
     return f"not enough motion yet: {percent[ranked[0]]} {ranked[0]}, {percent[ranked[1]]} {ranked[1]}; it {seen}"

@@ -16,17 +16,14 @@ residuals agree say less than their number.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 
-from modcal_core.articulation import furniture
-from modcal_core.articulation.added_motion import AddedMotion
-from modcal_core.articulation.joints import JointModel, Kind
+from modcal_core.articulation.joints import Joint
+from modcal_core.articulation.models.model import ArticulationModel, Kind
+from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.seeds import seeds
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
@@ -38,16 +35,16 @@ _ENOUGH = 1e-3  # of a log-likelihood
 
 @dataclass(frozen=True)
 class Fit:
-    """model; configurations (n,) [rad or m], 0 at the first sample; weights (n,), near 0 for an outlier.
+    """model; configurations (n,), 0 at the first sample for what has an axis; weights (n,), near 0 for an outlier.
 
-    covariance: of ``axis`` (3, 3), ``start`` (3, 3) [m²], and where it turns ``point`` (3, 3) [m²], ``centre`` the
-    same, ``pitch`` (1, 1) [(m/rad)²]. sigma_position [m], sigma_rotation [rad or nan]: scatter of one sample along
-    one axis.
+    covariance: about an axis of ``axis`` (3, 3), ``start`` (3, 3) [m²], and where it turns ``point`` (3, 3) [m²],
+    ``centre`` the same, ``pitch`` (1, 1) [(m/rad)²]; of a parametric model of each parameter (1, 1).
+    sigma_position [m], sigma_rotation [rad or nan]: scatter of one sample along one axis.
     log_likelihood: of the whole track, at the best configurations. motion: what was fitted, before its start was
-    chosen.
+    chosen. parameters: covariance of the motion's (size, size).
     """
 
-    model: JointModel
+    model: Joint
     configurations: Array
     covariance: dict[str, Array]
     log_likelihood: float
@@ -55,14 +52,24 @@ class Fit:
     sigma_position: float
     sigma_rotation: float
     motion: Motion = field(repr=False)
-    parameters: Array = field(repr=False)  # covariance of the motion's parameters (size, size)
+    parameters: Array = field(repr=False)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of everything that is one number."""
+        return {name: float(np.sqrt(C[0, 0])) for name, C in self.covariance.items() if C.shape == (1, 1)}
 
 
-def fit(track: Track, kind: Kind, rng: np.random.Generator | None = None, prior: bool = True,
+def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
         start: Motion | None = None) -> Fit:  # fmt: skip
-    """The most likely joint of this kind. start: begin there, else with robust guesses (rng chooses their samples)."""
+    """The most likely joint of this type (a name: one about an axis).
+
+    start: begin there, else with robust guesses (rng chooses their samples). Raises BadTable where a package's model
+    gives no answer.
+    """
     rng = np.random.default_rng(0) if rng is None else rng
-    starts = [start] if start is not None else seeds(track, kind, rng)
+    of_type = axis_model(model) if isinstance(model, str) else model
+    starts = [start] if start is not None else of_type.guesses(track, rng)
     best = min((climb(track, s, prior) for s in starts), key=lambda c: c.cost)
     return _told(track, best, prior)
 
@@ -88,39 +95,9 @@ class Settled:
     parameters: Array
 
 
-def prior_terms(motion: Motion) -> tuple[float, Array, Array]:
-    """Half the squared distance from furniture's prior, its gradient (size,) and its curvature (size,), diagonal."""
-    if isinstance(motion, AddedMotion):
-        return motion.prior_terms()
-    cost, gradient = 0.0, np.zeros(motion.size)
-    if motion.turns:
-        terms = [(math.log(motion.r), furniture.RADIUS)]
-        if motion.kind == "screw":
-            terms.append((math.log(abs(motion.h)), furniture.PITCH))
-        for at, (value, (mean, std)) in enumerate(terms, motion.size - len(terms)):
-            d = (value - mean) / std
-            cost += 0.5 * d * d
-            gradient[at] = d / std
-    return cost, gradient, _prior_curvature(motion.kind, motion.size)
-
-
-@cache
-def _prior_curvature(kind: Kind, size: int) -> Array:
-    curvature = np.zeros(size)
-    if kind != "rigid":
-        # Directions are all alike, so they have no gradient, but their space is bounded: this is the curvature at which
-        # Laplace's method gives a whole sphere for the path and a whole circle for the axis around it.
-        k = 2 if kind == "prismatic" else 3
-        curvature[k - 2 : k], curvature[: k - 2] = 0.5, 0.5 / np.pi
-    widths = {"revolute": (furniture.RADIUS[1],), "screw": (furniture.RADIUS[1], furniture.PITCH[1])}.get(kind, ())
-    curvature[size - len(widths) :] = [1.0 / std**2 for std in widths]
-    curvature.flags.writeable = False
-    return curvature
-
-
 def _dims(motion: Motion, m: int) -> int:
     """Dimensions of a residual that the configuration does not absorb."""
-    return m - (motion.kind != "rigid")
+    return m - (motion.moves)
 
 
 def _squared(e: Array, sigma: tuple[float, float]) -> Array:
@@ -132,11 +109,11 @@ def _objective(motion: Motion, e: Array, sigma: tuple[float, float], prior: bool
     d = _dims(motion, e.shape[1])
     cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum())
     cost += len(e) * _log_scale(motion, e.shape[1], sigma)
-    return cost + (prior_terms(motion)[0] if prior else 0.0)
+    return cost + (motion.prior_terms()[0] if prior else 0.0)
 
 
 def _log_scale(motion: Motion, m: int, sigma: tuple[float, float]) -> float:
-    scales = (2 if motion.kind != "rigid" else 3) * np.log(sigma[0])
+    scales = (2 if motion.moves else 3) * np.log(sigma[0])
     return float(scales + (3 * np.log(sigma[1]) if m == 6 else 0.0))
 
 
@@ -144,7 +121,7 @@ def _rescaled(motion: Motion, e: Array, sigma: tuple[float, float]) -> tuple[flo
     """Scales by EM: weighted mean squares, over the dimensions left."""
     d = _dims(motion, e.shape[1])
     w = (NU + d) / (NU + _squared(e, sigma))
-    position = float((w * (e[:, :3] ** 2).sum(axis=1)).sum()) / (len(e) * (2 if motion.kind != "rigid" else 3))
+    position = float((w * (e[:, :3] ** 2).sum(axis=1)).sum()) / (len(e) * (2 if motion.moves else 3))
     rotation = sigma[1] ** 2
     if e.shape[1] == 6:
         rotation = float((w * (e[:, 3:] ** 2).sum(axis=1)).sum()) / (len(e) * 3)
@@ -163,7 +140,7 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     e, by_a, J = motion.linearise(track, a)
     scale = np.array([sigma[0]] * 3 + [sigma[1]] * (e.shape[1] - 3))
     e, J = e / scale, J / scale[:, None]
-    if motion.kind != "rigid":
+    if motion.moves:
         t = by_a / scale
         t = t / np.linalg.norm(t, axis=1, keepdims=True)
         J = J - t[:, :, None] * np.einsum("nm,nmk->nk", t, J)[:, None, :]
@@ -194,7 +171,7 @@ def climb(track: Track, motion: Motion, prior: bool) -> State:
         H = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat
         g = flat.T @ (w[:, None] * z).ravel()
         if prior:
-            _, gp, hp = prior_terms(motion)
+            _, gp, hp = motion.prior_terms()
             H, g = H + np.diag(hp), g + gp
         for _ in range(8):
             step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.trace(H) * np.eye(len(H)), g)
@@ -215,12 +192,9 @@ def _bounded(step: Array) -> Array:
 
 def _told(track: Track, state: State, prior: bool) -> Fit:
     motion, at = state.motion, settled(track, state, prior)
-    named = {name: g @ at.parameters @ g.T for name, g in motion.gradients().items()}
-    if "point" in named:
-        named["centre"] = named["point"]
-    first = float(at.configurations[0]) if motion.kind != "rigid" else 0.0
-    return Fit(motion.model(first), at.configurations - first, named, at.log_likelihood, at.weights,
-               at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
+    first = motion.zero(at.configurations)
+    return Fit(motion.joint(first), at.configurations - first, motion.covariance(at.parameters), at.log_likelihood,
+               at.weights, at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
 
 
 def settled(track: Track, state: State, prior: bool) -> Settled:
@@ -232,7 +206,7 @@ def settled(track: Track, state: State, prior: bool) -> Settled:
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
     covariance = _covariance(motion, z, J, w, d, prior)
-    log_likelihood = prior_terms(motion)[0] * prior - state.cost + len(z) * _log_constant(d)
+    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * _log_constant(d)
     spread = _spread(w, chi, d)
     rotation = sigma[1] * spread if z.shape[1] == 6 else np.nan
     weights = np.minimum(w * NU / (NU + d), 1.0)
@@ -261,7 +235,7 @@ def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: boo
     slope = float((w - 2.0 * w**2 * chi / ((NU + d) * d)).mean())
     information = flat.T @ flat * (slope**2 / max(scatter, 1e-12) / _agreement(z * w[:, None]))
     if prior:
-        information = information + np.diag(prior_terms(motion)[2])
+        information = information + np.diag(motion.prior_terms()[2])
     return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=float)
 
 

@@ -4,7 +4,6 @@
   door 2 m. log r is normal about log 0.4 m with 0.7, so 95 % lie between 0.10 and 1.6 m.
 * A screw that a person would call one rises by millimetres to decimetres in a radian: a jar 1 to 2, a rising hinge 5
   to 10, a spiral slide 100 and more. log |pitch| is normal about log 20 mm/rad with 1.2, so 95 % lie between 2 and 200.
-* Screws are rare: 2 in 100 of what has a handle. Sliding and turning are equally likely.
 * Nothing moves ideally. A handle has play, a hand settles in it, a tracker's bias changes with place, an oven door
   bends.
   So what is seen departs from the ideal path by an amount that is alike in neighbouring places. Its size is not known:
@@ -23,7 +22,6 @@ from math import log
 
 RADIUS = (log(0.4), 0.7)
 PITCH = (log(0.02), 1.2)
-SHARE = {"prismatic": 0.49, "revolute": 0.49, "screw": 0.02}
 PLAY = (log(2e-3), log(2.2))  # of positions [m]
 SWAY = (log(0.025), log(2.5))  # of rotations [rad]
 LOOSE = (log(0.5), log(2.0), 0.05)  # rotations of a grasp that turns [rad], and how often that is so

@@ -1,8 +1,9 @@
 """The object while it is moved: what it is, whether to trust that, whether it still behaves; constant time a pose.
 
-Poses are pooled into a bounded number of nodes, and thought over a little at each (``belief``). Trust is earned by
-predicting (``foresight``), and lost by a prediction far off or a handle that leaves the path. Then learning goes on;
-when the model cannot be mended in three rounds of thought either, what is held is not what it was, and all begins anew.
+Poses are pooled into a bounded number of nodes, and thought over a little at each (``model_selector``). Trust is earned
+by predicting (``prediction_check``), and lost by a prediction far off or a handle that leaves the path. Then learning
+goes on; when the model cannot be mended in three rounds of thought either, what is held is not what it was, and all
+begins anew.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.belief import Belief
-from modcal_core.articulation.foresight import POSITIONS, Foresight
-from modcal_core.articulation.joints import JointModel, Kind
-from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.model_selector import ModelSelector
+from modcal_core.articulation.models.axis import AxisMotion
+from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.single import posed
@@ -86,8 +89,8 @@ class Tracker:
         chosen = self.settings
         self._oriented = self._wanted
         self._nodes: Nodes | None = None
-        self._belief = Belief()
-        self._foresight = Foresight(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m)
+        self._selector = ModelSelector()
+        self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m)
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -96,8 +99,8 @@ class Tracker:
         self._waiting: tuple[Array, Array | None] | None = None  # one that jumped, and waits for another
         self._recent: deque[tuple[Array, Array | None]] = deque(maxlen=_BESIDE)
         self._pulled: deque[tuple[float, Array]] = deque(maxlen=400)
-        self._residual: tuple[Motion, Array] | None = None
-        self._zero: tuple[Motion, JointModel] | None = None
+        self._residual: tuple[AxisMotion, Array] | None = None
+        self._zero: tuple[AxisMotion, JointModel] | None = None
         self._beside = 0
         self._credit = 0
         self._doubt: int | None = None
@@ -118,8 +121,8 @@ class Tracker:
         for q, S in self._accepted(p, R, off, twisted):
             self._moved = max(self._moved, math.dist(q, self._first))
             pooled_again = self._nodes.add(q, S)  # enough for one pose
-            if not pooled_again and self._belief.think(self._nodes):
-                self._foresight.begin(*self._reached())
+            if not pooled_again and self._selector.think(self._nodes):
+                self._check.begin(*self._reached())
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
@@ -147,24 +150,24 @@ class Tracker:
 
     def _compare(self, p: Array, R: Array | None) -> tuple[float, float, Event | None]:
         """Distance from the believed path [m], rotation against it [rad], and whether that path has been left."""
-        motion, follows = self._belief.motion, self._belief.follows
+        motion, follows = self._selector.motion, self._selector.follows
         if motion is None:
             return 0.0, 0.0, None
         a, e = motion.placed(p, R, (1e-2, 0.05 if follows else 1e9))
         off, twisted = math.sqrt(e[:3] @ e[:3]), math.sqrt(e[3:] @ e[3:]) if follows else 0.0
         if self._residual is not None and self._residual[0] is motion and off < 0.05:
-            self._belief.jitter(e - self._residual[1])
+            self._selector.jitter(e - self._residual[1])
         self._residual = motion, e
-        self._foresight.look(motion, a, p)
-        self._credit = _HELD if self._foresight.trusted else self._credit - 1
-        wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._belief.scale[0])
+        self._check.look(motion, a, p)
+        self._credit = _HELD if self._check.trusted else self._credit - 1
+        wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._selector.scale[0])
         self._beside = self._beside + 1 if off > wide else max(self._beside - 2, 0)
         if self._beside == 0:
             self._doubt = None
         elif self._beside >= _BESIDE and self._doubt is None and self._credit > 0:
-            self._foresight.doubt(motion, a)
-            self._credit, self._doubt = 0, self._belief.rounds
-        elif self._beside >= _BESIDE and self._doubt is not None and self._belief.rounds >= self._doubt + _MENDING:
+            self._check.doubt(motion, a)
+            self._credit, self._doubt = 0, self._selector.rounds
+        elif self._beside >= _BESIDE and self._doubt is not None and self._selector.rounds >= self._doubt + _MENDING:
             self._forget()
             return off, twisted, "changed"
         return off, twisted, None
@@ -176,7 +179,7 @@ class Tracker:
         """
         if self._credit > 0 and self._beside:
             return []  # a path that is trusted is not bent until it is clear that it has been left
-        along = self._belief.motion is not None and self._belief.kind != "rigid"
+        along = self._selector.motion is not None and self._selector.kind != STILL.name
         on_path = along and off < _JUMP[0] and twisted < _JUMP[1]
         here = (p, R)
         if self._known is not None and not on_path:
@@ -212,28 +215,29 @@ class Tracker:
 
     def _reached(self) -> tuple[float, float]:
         """Path [m] that the nodes have reached, in the believed motion's configuration."""
-        motion, nodes = self._belief.motion, self._nodes
+        motion, nodes = self._selector.motion, self._nodes
         assert motion is not None
         assert nodes is not None
         path = motion.configurations(Track.trusted(nodes.means()[:, :3]), POSITIONS) * motion.length_per_unit
         return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> State:
-        belief, ahead = self._belief, self._foresight.error
-        probabilities = dict(belief.probabilities)
-        motion = belief.motion
-        if motion is None or belief.kind == "rigid":
-            return State("rigid", probabilities, None, 0.0, False, ahead, off, event, self._samples)
+        selector, ahead = self._selector, self._check.error
+        probabilities = dict(selector.probabilities)
+        motion = selector.motion
+        if motion is None or selector.kind == STILL.name:
+            return State(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples)
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
-            self._zero = motion, (motion if belief.follows else replace(motion, R=None)).model(begin)
+            self._zero = motion, (motion if selector.follows else replace(motion, R=None)).joint(begin)
         model, seen = self._zero[1], p
-        if R is not None and belief.follows:
+        if R is not None and selector.follows:
             seen = posed(R, p)
-        trusted = self._foresight.trusted
+        trusted = self._check.trusted
         a = float(model.configuration(seen))
-        return State(belief.kind, probabilities, model, a, trusted, ahead, off, event, self._samples, belief.follows)
+        return State(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
+                     selector.follows)  # fmt: skip
 
 
 def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:

@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from modcal_core.articulation.joints import JointModel, Kind
+from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models.model import InUrdf
+from modcal_core.articulation.models.registry import AXES, axis_model
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -25,8 +27,7 @@ from modcal_core.geometry.so3 import Array
 JOINT = "object_joint"
 _MOST_TEXT = 100_000  # characters, some hundred times what describe writes
 _RISE, _GRASP = "object_rise", "object_grasp"
-_LIMITS = {"prismatic": 2.0, "revolute": np.pi, "screw": 8.0 * np.pi}
-_TYPES: dict[str, Kind] = {"fixed": "rigid", "prismatic": "prismatic", "revolute": "revolute"}
+_SLIDE = InUrdf("prismatic")
 
 
 def describe(
@@ -41,32 +42,32 @@ def describe(
     limits: lower and upper configuration [rad or m], None for as far as such joints go. Raises BadRobot where lower
     is not below upper, or world and handle are one name.
     """
-    low, high = limits if limits is not None else (-_LIMITS.get(model.kind, 0.0), _LIMITS.get(model.kind, 0.0))
+    written = axis_model(model.kind).urdf or InUrdf("fixed")
+    low, high = limits if limits is not None else (-written.reach, written.reach)
     if world == handle or not world or not handle:
         raise BadRobot(
             f"links {world!r} and {handle!r}", "are no two names", "name the frame of the track and the handle"
         )
-    if model.kind != "rigid" and not (np.isfinite([low, high]).all() and low < high):
+    if model.moves and not (np.isfinite([low, high]).all() and low < high):
         raise BadRobot(f"limits {low:g} to {high:g}", "do not rise", "give the lower one first")
     robot = etree.Element("robot", name=name)
     etree.SubElement(robot, "link", name=world)
     T, R = model.start, model.start[:3, :3]
     axis = R.T @ model.axis
     if not model.turns:
-        kind = "fixed" if model.kind == "rigid" else "prismatic"
-        joint = _joint(robot, JOINT, kind, world, handle, T)
-        if kind != "fixed":
+        joint = _joint(robot, JOINT, written.type, world, handle, T)
+        if model.moves:
             _moving(joint, axis, low, high)
         etree.SubElement(robot, "link", name=handle)
         return _text(robot, model)
     on_axis = se3.transform(R, model.point)
     last = f"{handle}_axis"
     etree.SubElement(robot, "link", name=last)
-    _moving(_joint(robot, JOINT, "revolute", world, last, on_axis), axis, low, high)
-    if model.kind == "screw":
+    _moving(_joint(robot, JOINT, written.type, world, last, on_axis), axis, low, high)
+    if model.rises:
         etree.SubElement(robot, "link", name=f"{handle}_rise")
         ends = sorted((low * model.pitch, high * model.pitch))
-        rise = _joint(robot, _RISE, "prismatic", last, f"{handle}_rise", np.eye(4))
+        rise = _joint(robot, _RISE, _SLIDE.type, last, f"{handle}_rise", np.eye(4))
         _moving(rise, axis, ends[0], ends[1])
         etree.SubElement(rise, "mimic", joint=JOINT, multiplier=repr(float(model.pitch)), offset="0.0")
         last = f"{handle}_rise"
@@ -86,26 +87,27 @@ def read(text: str) -> JointModel:
         raise BadRobot("object_description", f"is no XML ({error})", "publish what describe wrote") from error
     joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     main = joints.get(JOINT)
-    kind = None if main is None else _TYPES.get(str(main.get("type")))
-    if main is None or kind is None:
+    types = {m.joint for m in AXES.values() if main is not None and m.urdf and m.urdf.type == main.get("type")}
+    made = next((t for t in types if len(types) == 1 or t.rises == (_RISE in joints)), None)
+    if main is None or made is None:
         raise BadRobot("object_description", f"has no {JOINT} that is fixed, prismatic or revolute", "use describe")
     oriented = robot.get("oriented", "true") != "false"
     T = _origin(main)
-    if kind == "rigid":
-        return JointModel(kind, T, np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, oriented)
+    if not made.moves:
+        return made(T, np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, oriented)
     axis = T[:3, :3] @ _numbers(main, "axis", "xyz", "1 0 0")
     axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
-    if kind == "prismatic":
-        return JointModel(kind, T, axis, np.zeros(3), 0.0, oriented)
+    if not made.turns:
+        return made(T, axis, np.zeros(3), 0.0, oriented)
     pitch = 0.0
-    if _RISE in joints:
-        kind, mimic = "screw", joints[_RISE].find("mimic")
+    if made.rises:
+        mimic = joints[_RISE].find("mimic")
         if mimic is None:
             raise BadRobot(f"object_description, {_RISE}", "mimics nothing", "publish what describe wrote")
         pitch = _number(mimic.get("multiplier", "1"))
     if _GRASP not in joints:
         raise BadRobot("object_description", f"has no {_GRASP}", "publish what describe wrote")
-    return JointModel(kind, T @ _origin(joints[_GRASP]), axis, T[:3, 3], pitch, oriented)
+    return made(T @ _origin(joints[_GRASP]), axis, T[:3, 3], pitch, oriented)
 
 
 def frames(text: str) -> tuple[str, str]:

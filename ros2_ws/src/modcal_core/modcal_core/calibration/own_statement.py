@@ -15,8 +15,8 @@ import numpy as np
 from modcal_core.calibration.stated import MAX_DEG, MAX_MM, Stated
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dwells import StationRules, find_dwells, inliers
 from modcal_core.measurements.recording import POSE, ReadingTrack, Recording, joint_stamps_and_positions
-from modcal_core.measurements.stations import StationRules, find_dwells, inliers
 
 _FACTOR = 3.0  # of deviations; scatter has a slow part that standing still does not show, and filters hide some
 _LEAST = 50  # readings that a scatter is taken from, and twice as many as dwells

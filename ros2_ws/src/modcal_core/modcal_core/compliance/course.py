@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.single import along_screw, crossed, posed, turned
+from modcal_core.geometry.single import along_screw, crossed, posed, rotation_vector, turned
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.posture import rotation_vector
 
 _LED = 0.9  # share of what the tool was led aside that is expected to go on; below one, or nothing would bring it back
 # The same of how it was turned. What is left resists: about a hinge of 20 cm, a share of 0.1 of 30° against 20 N m/rad,

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.single import relative, tool_from
+from modcal_core.geometry.single import pose_error, relative, tool_from
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.posture import pose_error
 
 
 def _pair(what: str, value: ArrayLike, least: float) -> Array:

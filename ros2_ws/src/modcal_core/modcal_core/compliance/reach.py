@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.errors import NotReachable
+from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.posture import pose_and_jacobian, pose_error
+from modcal_core.robots.kinematics import pose_and_jacobian
 
 _METRES, _RADIANS = 1e-4, 1e-3  # met by every pose of the path
 _TRIES = 12  # steps a pose

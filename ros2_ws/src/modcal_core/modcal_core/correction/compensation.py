@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction, Target
 from modcal_core.errors import NotReachable
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.inverse import inverse
 
@@ -104,14 +104,8 @@ def _linearised(
 ) -> tuple[Array, Array]:
     """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n)."""
     postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
-    errors = _errors(desired, correction.poses(postures, at, target, frame))
+    errors = se3.error(correction.poses(postures, at, target, frame), desired)
     return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
-
-
-def _errors(desired: Array, T: Array) -> Array:
-    R = np.swapaxes(T[:, :3, :3], 1, 2)
-    gap = (R @ (desired[:3, 3] - T[:, :3, 3])[..., None])[..., 0]
-    return np.concatenate([gap, so3.log(R @ desired[:3, :3])], axis=1)
 
 
 def _improved(

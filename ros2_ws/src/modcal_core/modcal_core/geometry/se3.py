@@ -75,3 +75,14 @@ def apply(T: ArrayLike, p: ArrayLike) -> Array:
     """Points (..., 3) in a, of points (..., 3) in b and ``T_a_b`` (..., 4, 4)."""
     T, p = np.asarray(T, dtype=float), np.asarray(p, dtype=float)
     return (T[..., :3, :3] @ p[..., None])[..., 0] + T[..., :3, 3]
+
+
+def error(T: ArrayLike, goal: ArrayLike) -> Array:
+    """What is missing from poses (..., 4, 4) to others, seen from the first, (..., 6): way [m], rotation vector [rad].
+
+    Of many; :func:`modcal_core.geometry.single.pose_error` is of one.
+    """
+    T, goal = np.asarray(T, dtype=float), np.asarray(goal, dtype=float)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    way = (Rt @ (goal[..., :3, 3] - T[..., :3, 3])[..., None])[..., 0]
+    return np.concatenate([way, so3.log(Rt @ goal[..., :3, :3])], axis=-1)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 
@@ -70,3 +71,30 @@ def speeds(before: Array, after: Array) -> tuple[float, float]:
 def crossed(a: Array, b: Array) -> Array:
     """Cross product (3,) of two vectors; np.cross takes longer to begin than this to finish."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def crossed_rows(a: Array, b: Array) -> Array:
+    """Cross products of rows (n, 3); np.cross takes longer to begin than this to finish."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out
+
+
+def rotation_vector(R: Array) -> Array:
+    """Rotation vector (3,) of one rotation matrix; so3.log is for many, and exact near half a turn."""
+    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = math.sqrt(v @ v), 0.5 * (float(R[0, 0] + R[1, 1] + R[2, 2]) - 1.0)
+    if cosine < -0.9:
+        return so3.log(R)
+    return v * (math.atan2(sine, cosine) / sine) if sine > 1e-9 else v
+
+
+def pose_error(T: Array, goal: Array) -> Array:
+    """What is missing from a pose (4, 4) to another, seen from the first, (6,): way [m], then rotation vector [rad]."""
+    R = T[:3, :3]
+    out = np.empty(6)
+    out[:3] = R.T @ (goal[:3, 3] - T[:3, 3])
+    out[3:] = rotation_vector(R.T @ goal[:3, :3])
+    return out

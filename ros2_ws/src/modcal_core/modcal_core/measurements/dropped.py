@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dwells import StationRules, find_dwells, inliers
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import ReadingTrack, Recording, joint_stamps_and_positions
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import StationRules, find_dwells, inliers
 
 BETWEEN = "readings between stations"  # while the arm moved: as it should be
 GLITCHES = "readings far from the others of their station"

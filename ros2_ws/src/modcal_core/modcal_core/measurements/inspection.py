@@ -10,10 +10,10 @@ from modcal_core.errors import ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import cleaned
+from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
 from modcal_core.measurements.returns import LEAST_RETURNS, returns
-from modcal_core.measurements.stations import StationRules, find_dwells
 from modcal_core.robots.mechanism import Mechanism
 
 _GAP = 10.0  # times the usual period that make a silence worth saying

@@ -1,9 +1,9 @@
 """Joint states and readings as they come; samples as soon as they are whole.
 
 The same three ways as in a recording (:mod:`modcal_core.measurements.stations`), without its end being known: readings
-taken while the arm stands still are averaged until it moves on, readings that carry a joint state's own stamp are
-paired with it where messages are sparse, and on an arm that never stops a reading gets the posture interpolated to its
-stamp. Memory does not grow: a few seconds of messages are held.
+taken while the arm stands still are averaged once it has moved on, over what the same detector of dwells finds;
+readings that carry a joint state's own stamp are paired with it where messages are sparse; and on an arm that never stops
+a reading gets the posture interpolated to its stamp. Memory does not grow: a few seconds of messages are held.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
+from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, ReadingTrack
 from modcal_core.measurements.samples import KIND_NAMES, Samples
-from modcal_core.measurements.stations import StationRules, averaged
+from modcal_core.measurements.stations import averaged
 
 _HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
@@ -29,6 +30,7 @@ _RESTLESS = 30.0  # s without a stand after which readings in motion are used
 _STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from ...
 _EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on either side at least
 _UNIT = 1e-3
+_BEFORE = 1.0  # s of joint states before a stand that its beginning is looked for in
 
 
 @dataclass
@@ -47,6 +49,15 @@ class _Readings:
     kind: str
     waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
     last: float = -np.inf
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """A stand that has just ended, at a stamp [s], and the directions (n,) in which joints had come to it."""
+
+    since: float
+    stamp: float
+    approach: Array
 
 
 class Stream:
@@ -71,6 +82,8 @@ class Stream:
         self._low = self._high = np.zeros(n)
         self._since = -np.inf  # when the present stand began
         self._stood = -np.inf  # when the last one ended
+        self._used = -np.inf  # up to when readings of stands have been averaged
+        self._ended: _Ended | None = None
         self._began = -np.inf
         self._approach = Approach()
         self._step = np.nan
@@ -127,8 +140,10 @@ class Stream:
 
     def flush(self) -> None:
         """Make a sample of the present stand, if it is long enough."""
+        self._average_ended(np.inf)
         if self._end > self._first:
-            self._end_stand(float(self._t[self._end - 1]))
+            last = float(self._t[self._end - 1])
+            self._average(_Ended(self._since, last, self._approach.direction), np.inf)
 
     def _append(self, stamp: float, q: Array, effort: Array | None) -> None:
         if self._end == len(self._t):
@@ -159,15 +174,18 @@ class Stream:
             # a running median of the second difference: encoder noise must not look like motion
             jerk = np.abs(q - 2.0 * self._q[self._end - 2] + self._q[self._end - 3])
             self._noise = np.where(jerk > self._noise, 1.02 * self._noise + 1e-9, 0.98 * self._noise)
+        self._average_ended(stamp)
         low, high = np.minimum(self._low, q), np.maximum(self._high, q)
         allowed = np.maximum(self._rules.still, 6.0 / (0.6745 * np.sqrt(6.0)) * self._noise)
         if (high - low > allowed).any() or step > self._rules.gap + 5.0 * self._step:
-            self._end_stand(stamp - step)
+            if stamp - self._since >= self._rules.settle + self._rules.least - self._rules.window:
+                self._average_ended(np.inf)
+                self._ended = _Ended(self._since, stamp - step, self._approach.direction)
             self._begin_stand(stamp, q)
         else:
             self._low, self._high = low, high
             if stamp - self._since >= _LONGEST:
-                self._end_stand(stamp)
+                self._average(_Ended(self._since, stamp, self._approach.direction), stamp - 0.5 * self._rules.window)
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
@@ -175,13 +193,24 @@ class Stream:
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()
 
-    def _end_stand(self, stamp: float) -> None:
-        """Average what was read between settling and half a window before the end, where motion may have begun."""
-        start, end = self._since + self._rules.settle, stamp - 0.5 * self._rules.window
-        if end - start < self._rules.least - 0.5 * self._rules.window:
-            return
-        rows = slice(self._first, self._end)
-        t, q = self._t[rows], self._q[rows]
+    def _average_ended(self, now: float) -> None:
+        """Average what was read in the stand that has ended, once half a window [s] behind it is known."""
+        ended = self._ended
+        if ended is not None and now > ended.stamp + 0.5 * self._rules.window + 2.0 * self._step:
+            self._ended = None
+            self._average(ended, np.inf)
+
+    def _average(self, ended: _Ended, latest: float) -> None:
+        """Make a sample of each dwell of a stand, as a recording's are cut; of one that goes on, up to the latest."""
+        first = self._first + int(np.searchsorted(self._t[self._first : self._end], ended.since - _BEFORE))
+        t, q = self._t[first : self._end], self._q[first : self._end]
+        for begin, end in find_dwells(t, q, self._rules):
+            start, end = max(float(begin), self._used), min(float(end), latest)
+            if end > ended.since and begin <= ended.stamp and end - start >= self._rules.least:
+                self._used = end
+                self._average_dwell(ended, start, end, t, q, self._effort[first : self._end])
+
+    def _average_dwell(self, ended: _Ended, start: float, end: float, t: Array, q: Array, effort: Array) -> None:
         made = False
         for (kind, frame), readings in self._readings.items():
             inside = [(s, v) for s, v in readings.waiting if start <= s <= end]
@@ -192,12 +221,12 @@ class Stream:
             if not len(piece.q):
                 continue
             made = True
-            effort = self._effort[rows][(t >= start) & (t <= end)].mean(axis=0)
+            mean = effort[(t >= start) & (t <= end)].mean(axis=0)
             row = (piece.position[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
-            self._emit(kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=effort)
+            self._emit(kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=mean, approach=ended.approach)
         if made:
             self._station += 1
-            self._stood = stamp
+            self._stood = ended.stamp
 
     def _pair_or_interpolate(self, frame: str, readings: _Readings) -> None:
         if self._end - self._first < 2:
@@ -259,8 +288,10 @@ class Stream:
         effort: Array,
         velocity: Array | None = None,
         acceleration: Array | None = None,
+        approach: Array | None = None,
     ) -> None:
         zero = np.zeros((1, len(self.names)))
+        came = self._approach.direction if approach is None else approach
         self._ready.append(
             Samples(
                 names=self.names,
@@ -277,7 +308,7 @@ class Stream:
                 velocity=zero if velocity is None else velocity[None],
                 moving=np.array([velocity is not None]),
                 acceleration=zero if acceleration is None else acceleration[None],
-                approach=(np.sign(velocity) if velocity is not None else self._approach.direction)[None],
+                approach=(np.sign(velocity) if velocity is not None else came)[None],
                 effort=np.array(effort)[None],
             )
         )

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.articulation.added_fit import AddedFit, AddedJoint
 from modcal_core.articulation.choice import Choice, gross
 from modcal_core.articulation.fit import Fit
-from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.figures import label
 from modcal_core.report.page import Chart, chart, render
@@ -36,7 +34,7 @@ class Articulation:
 
 def _left(found: Articulation) -> tuple[Array, Array | None]:
     """What is left across the path: positions (n, 3) [m], and rotations (n, 3) [rad] or None."""
-    fit, track = found.choice.leading, found.track
+    fit, track = found.choice.fit, found.track
     T = fit.model.pose(fit.configurations)
     position = track.positions - T[:, :3, 3]
     if track.rotations is None or not fit.model.oriented:
@@ -47,7 +45,7 @@ def _left(found: Articulation) -> tuple[Array, Array | None]:
 def to_json_data(found: Articulation) -> dict[str, Any]:
     """What was found, as numbers and texts that JSON can hold."""
     choice, track = found.choice, found.track
-    fit, model = choice.leading, choice.leading.model
+    fit, model = choice.fit, choice.fit.model
     used = track if model.oriented else track.points()
     good = np.logical_not(gross(fit, used))
     good = good if good.any() else np.ones(len(track), dtype=bool)
@@ -66,9 +64,9 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         "probabilities": {kind: float(p) for kind, p in choice.probabilities.items()},
         "verdict": choice.why[:1].upper() + choice.why[1:] + ".",
         "rotations_followed": bool(choice.follows),
-        "joint": _added_data(fit) if isinstance(fit, AddedFit) else _joint_data(fit),
+        "joint": _joint_data(fit),
         "configuration": {
-            "unit": _unit(model),
+            "unit": model.unit,
             "lower": float(a.min()),
             "upper": float(a.max()),
         },
@@ -83,37 +81,12 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
 
 
 def _joint_data(fit: Fit) -> dict[str, Any]:
-    """Where a joint of the house lies, and how well that is known."""
-    model = fit.model
-    return {
-        "axis": model.axis.tolist() if model.kind != "rigid" else None,
-        "point": model.point.tolist() if model.turns else None,
-        "radius": model.radius if model.turns else None,
-        "pitch": model.pitch if model.kind == "screw" else None,
-        "start": se3.to_pose(model.start).tolist(),
-        "std": {name: np.sqrt(np.diag(C)).tolist() for name, C in fit.covariance.items() if name != "centre"},
-    }
-
-
-def _added_data(fit: AddedFit) -> dict[str, Any]:
-    """The shape and the place of what a package's model is; it has no axis."""
-    return {
-        "axis": None,
-        "point": None,
-        "radius": None,
-        "pitch": None,
-        "start": se3.to_pose(fit.model.pose(fit.configurations[:1])[0]).tolist(),
-        "std": {},
-        "object": se3.to_pose(fit.model.T_world_object).tolist(),
-        "parameters": fit.data(),
-    }
-
-
-def _unit(model: JointModel | AddedJoint) -> str:
-    """Of configurations."""
-    if isinstance(model, AddedJoint):
-        return model.unit
-    return "rad" if model.turns else "m"
+    """Where a joint lies and what its shape is, and how well that is known."""
+    data = fit.model.data(fit.configurations, fit.std)
+    own = data.get("parameters", {})  # state their own
+    std = {name: np.sqrt(np.diag(C)).tolist() for name, C in fit.covariance.items() if name not in (*own, "centre")}
+    more = {name: data.pop(name) for name in ("object", "parameters") if name in data}
+    return {**data, "std": std, **more}
 
 
 def to_html(found: Articulation) -> str:
@@ -170,7 +143,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
     figure = Figure(figsize=(7.0, 3.0), layout="constrained")
     side, along = figure.subplots(1, 2)
     _draw_path(side, found)
-    fit = found.choice.leading
+    fit = found.choice.fit
     left, _ = _left(found)
     scale, unit = _SHOWN[data["configuration"]["unit"]]
     shown = np.linalg.norm(left, axis=1) < 0.05
@@ -185,7 +158,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
 
 
 def _draw_path(axes: Axes, found: Articulation) -> None:
-    fit, p = found.choice.leading, found.track.positions
+    fit, p = found.choice.fit, found.track.positions
     good = fit.weights > 0.2
     good = good if good.sum() > 2 else np.ones(len(p), dtype=bool)
     middle = p[good].mean(axis=0)
@@ -195,8 +168,8 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     a = fit.configurations[good]
     path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
     axes.plot(*(1e2 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
-    if isinstance(fit.model, JointModel) and fit.model.turns and fit.model.radius < 2.0:
-        centre = (fit.model.point - middle) @ plane
+    if (point := fit.model.centre()) is not None:
+        centre = (point - middle) @ plane
         axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color=LIGHT["after"])
     axes.set_aspect("equal", adjustable="datalim")
     label(axes, "cm", "cm")

@@ -7,6 +7,8 @@ Newton's method, damped as Levenberg and Marquardt do, on the error seen from th
 with the damping in proportion to the squared error (Sugihara 2011): far away it holds the steps back, close to the
 solution it vanishes and convergence is quadratic, also where a redundant arm leaves steps undecided. A joint that would
 leave its limits is held at them and the others go on. Where that ends in a dead end, other postures are tried.
+
+:mod:`modcal_core.robots.inverse_batch` is the same from many starts for many poses at once.
 """
 
 from __future__ import annotations
@@ -18,15 +20,16 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import so3
+from modcal_core.geometry.single import crossed_rows, pose_error
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.posture import cross, joint_motions, pose_error, posture_frames
+from modcal_core.robots.kinematics import joint_motions, posture_frames
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
 _MOST_STEPS = 60
-_LONGEST = 0.6  # rad or m, of one joint in one step
-_DAMPING = 1e-3  # times the squared error
+LONGEST = 0.6  # rad or m, of one joint in one step
+DAMPING = 1e-3  # times the squared error
 _FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
 _FREE_SLIDE = 0.5  # m
 
@@ -96,7 +99,7 @@ def _descend(
         if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
             break
         cost = float(r @ r)
-        damping = _DAMPING * cost + 1e-14
+        damping = DAMPING * cost + 1e-14
         for _ in range(6):
             new = q + _step(chain, q, A, r, damping)
             e_new, J_new = _linearised(chain, goal, new)
@@ -121,7 +124,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     v, w = joint_motions(chain, before, tip)
     e = pose_error(tip, goal)
     J = np.empty((6, chain.n))
-    J[:3] = (v - cross(e[None, :3], w)).T
+    J[:3] = (v - crossed_rows(e[None, :3], w)).T
     J[3:] = so3.left_jacobian_inverse(e[3:]) @ w.T
     return e, J
 
@@ -136,7 +139,7 @@ def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
             step = B.T @ np.linalg.solve(B @ B.T + damping * np.eye(len(r)), r)
         else:
             step = np.linalg.solve(B.T @ B + damping * np.eye(chain.n), B.T @ r)
-        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
         new = q + step
         held = free & (((new < chain.lower) & (q <= chain.lower)) | ((new > chain.upper) & (q >= chain.upper)))
         if not held.any():

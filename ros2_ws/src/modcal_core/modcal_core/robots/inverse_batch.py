@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import so3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse import ALL_SIX, TOLERANCE
-from modcal_core.robots.kinematics import frames
+from modcal_core.robots.inverse import ALL_SIX, DAMPING, LONGEST, TOLERANCE
+from modcal_core.robots.kinematics import frames, tip_motions
 
 _MOST_STEPS = 100  # accepted or not
-_LONGEST = 0.6  # rad or m, of one joint in one step
-_DAMPING = 1e-3  # times the squared error
 _MOST_REFUSED = 6  # steps in a row that made it worse
 
 
@@ -89,7 +87,7 @@ def _descend(
     q = q.copy()
     e, J = _linearised(chain, goal, q)
     cost = np.sum((weight * e[:, wanted]) ** 2, axis=1)
-    damping = _DAMPING * cost + 1e-14
+    damping = DAMPING * cost + 1e-14
     refused = np.zeros(len(q), int)
     alive = np.abs(e[:, wanted]).max(axis=1, initial=0.0) > tolerance
     for _ in range(_MOST_STEPS):
@@ -104,7 +102,7 @@ def _descend(
         stalled = better & (cost_new > 0.9999 * cost[rows])
         good, bad = rows[better], rows[~better]
         q[good], e[good], J[good], cost[good] = new[better], e_new[better], J_new[better], cost_new[better]
-        damping[good], refused[good] = _DAMPING * cost[good] + 1e-14, 0
+        damping[good], refused[good] = DAMPING * cost[good] + 1e-14, 0
         damping[bad], refused[bad] = np.maximum(30.0 * damping[bad], 1e-6), refused[bad] + 1
         arrived = np.abs(e[rows][:, wanted]).max(axis=1, initial=0.0) <= tolerance
         alive[rows[arrived | stalled | (refused[rows] >= _MOST_REFUSED)]] = False
@@ -114,13 +112,8 @@ def _descend(
 def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     """Errors (N, 6) seen from the tips, and what they lose per unit of each joint, (N, 6, n)."""
     f = frames(chain, q)
-    R, p = f.rotation(-1), f.p[-1].T
-    axis, at = f.axes[:-1, 2].transpose(2, 0, 1), f.p[:-1].transpose(2, 0, 1)  # (N, n, 3)
-    turning = chain.revolute[:, None]
-    v = np.where(turning, np.cross(axis, p[:, None] - at), axis) @ R
-    w = np.where(turning, axis, 0.0) @ R
-    Rt = np.swapaxes(R, 1, 2)
-    e = np.concatenate([(Rt @ (goal[:, :3, 3] - p)[..., None])[..., 0], so3.log(Rt @ goal[:, :3, :3])], axis=1)
+    v, w = tip_motions(chain, f)
+    e = se3.error(f.transform(-1), goal)
     J = np.empty((len(q), 6, chain.n))
     J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
     J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
@@ -138,7 +131,7 @@ def _steps(chain: Chain, q: Array, A: Array, r: Array, damping: Array) -> Array:
         Bt = np.swapaxes(B, 1, 2)
         solved = np.linalg.solve(B @ Bt + damping[todo, None, None] * eye, r[todo, :, None])
         s = (Bt @ solved)[..., 0]
-        s *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(s).max(axis=1, keepdims=True), 1e-300))
+        s *= np.minimum(1.0, LONGEST / np.maximum(np.abs(s).max(axis=1, keepdims=True), 1e-300))
         step[todo] = s
         at, new = q[todo], q[todo] + s
         held = free[todo] & (((new < chain.lower) & (at <= chain.lower)) | ((new > chain.upper) & (at >= chain.upper)))

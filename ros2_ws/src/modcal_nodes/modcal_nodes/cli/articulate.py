@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from modcal_core.articulation.choice import choose
+from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
 from modcal_core.articulation.urdf import describe
 from modcal_core.errors import BadRecording, BadTable
@@ -105,9 +106,9 @@ def articulate_command(
     out = out or Path(f"{bag.resolve().stem}_articulation")
     files = {"articulation.json": to_json(data), "report.html": to_html(found)}
     said = [data["verdict"]]
-    if choice.best is None:
-        model, reach = choice.fit.model, data["configuration"]
-        limits = None if model.kind == "rigid" else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
+    if isinstance(model := choice.fit.model, JointModel):
+        reach = data["configuration"]
+        limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
         files[_URDF] = describe(model, read.frame or "world", "object_handle", limits)
     else:
         said.append(

@@ -215,7 +215,7 @@ class ArticulationEstimator(GuardedNode):
         if abs(a - self._before) * length > 1e-3:  # which way the handle goes
             self._way, self._before = float(np.sign(a - self._before)), a
         ahead = self._chosen["lookahead_m"] / length
-        T = model.pose(a + self._way * ahead) if model.kind != "rigid" else model.start
+        T = model.pose(a + self._way * ahead) if model.moves else model.start
         self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)

@@ -26,7 +26,7 @@ from modcal_core.compliance.guard import Setpoint
 from modcal_core.compliance.operation import Operation
 from modcal_core.compliance.task import Joints, Stop, Wait
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_core.robots.posture import pose_and_jacobian
+from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_msgs_py.commands import JointsHeard, desired_pose
 from modcal_msgs_py.setpoints import ObjectHeard, fill_point, fill_target, fill_wrench, wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds

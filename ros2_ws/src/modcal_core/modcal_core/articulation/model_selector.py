@@ -1,9 +1,10 @@
-"""What joint it probably is, thought over a little with every pose, so that no pose has to wait for the whole thought.
+"""Incremental selection of the joint type, bounded work per pose.
 
-A round weighs every kind at several plays on the nodes as they were when it began, one of them a pose; only what was
-weighed on the same nodes is compared. Between rounds the best motion is improved on the nodes of now. Another kind is
-believed when it has won two rounds in a row: the first may have caught the old one on its way to where the nodes went.
-Of distortion the usual size is taken, as every other would cost a round of its own.
+No pose has to wait for a whole selection. A round weighs every kind at several plays on the nodes as they were when it
+began, one of them a pose; only what was weighed on the same nodes is compared. Between rounds the best motion is
+improved on the nodes of now. Another kind is selected when it has won two rounds in a row: the first may have caught
+the old one on its way to where the nodes went. Of distortion the usual size is taken, as every other would cost a round
+of its own.
 """
 
 from __future__ import annotations
@@ -16,21 +17,25 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.articulation.evidence import Row, glance, improved, weigh
-from modcal_core.articulation.joints import KINDS, Kind
-from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.models.axis import AxisMotion
+from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.models.registry import AXES, STILL, log_shares
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
-from modcal_core.articulation.seeds import rough
 from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
 
 FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
-_GUESSED: tuple[Kind, ...] = ("revolute", "screw", "revolute", "prismatic")
+_MODELS = {kind: model for kind, model in AXES.items() if model.slots}
+_GUESSED: dict[int, Kind] = {slot: kind for kind, model in _MODELS.items() for slot in model.slots}
+_USUAL = {kind for kind, model in _MODELS.items() if model.usual}
+_LOG_SHARES = log_shares(_MODELS.values())
 _Stage = Literal["again", "fresh", "judge"]
-EVEN: dict[Kind, float] = {"rigid": 0.98, "prismatic": 0.0098, "revolute": 0.0098, "screw": 0.0004}
+_MOVES = 0.02  # probability that the handle moves at all, before it has
+EVEN: dict[Kind, float] = {STILL.name: 1.0 - _MOVES, **{kind: _MOVES * m.share for kind, m in _MODELS.items()}}
 
 
-class Belief:
+class ModelSelector:
     """kind: the most probable. motion: of the most probable of those that move, None at first.
 
     follows: whether rotations are the handle's. probabilities: of kinds. scale: noise of one pose that the next does
@@ -38,8 +43,8 @@ class Belief:
     """
 
     def __init__(self) -> None:
-        self.kind: Kind = "rigid"
-        self.motion: Motion | None = None
+        self.kind: Kind = STILL.name
+        self.motion: AxisMotion | None = None
         self.follows = True
         self.probabilities = dict(EVEN)
         self.scale = (1e-3, 0.01)
@@ -50,7 +55,7 @@ class Belief:
         self._scene: Scene | None = None
         self._play, self._column = FEW[1], 0
         self._turn = 0
-        self._won: Kind = "rigid"
+        self._won: Kind = STILL.name
         self._jitter: deque[tuple[float, float]] = deque(maxlen=48)
 
     def jitter(self, step: Array) -> None:
@@ -78,7 +83,7 @@ class Belief:
             self._begin(nodes)
         return other
 
-    def _improve(self, motion: Motion, nodes: Nodes) -> None:
+    def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
         """A step of what is believed, on the nodes of now, at the play and the sway that it was chosen for."""
         self.motion = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
 
@@ -96,9 +101,9 @@ class Belief:
         self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
         # one new guess a round, and before all else, so that what takes its place is weighed with the rest
-        kind, i = _GUESSED[self.rounds % 4], FEW[self.rounds % len(FEW)]
+        kind, i = _GUESSED[self.rounds % len(_GUESSED)], FEW[self.rounds % len(FEW)]
         slots: list[tuple[Kind, int, _Stage]] = [(kind, i, "fresh")]
-        slots += [(kind, k, "again") for kind in KINDS[1:] for k in FEW]
+        slots += [(kind, k, "again") for kind in _MODELS for k in FEW]
         self._left = slots[::-1]
 
     def _slot(self, kind: Kind, i: int, stage: _Stage, scene: Scene) -> None:
@@ -119,19 +124,19 @@ class Belief:
             self._fresh = glance(scene, Row(guess, level, FIRST if scene.track.oriented else 0), play, -1)
             self._left.append((kind, i, "judge"))
 
-    def _guessed(self, kind: Kind, i: int, scene: Scene) -> Motion | None:
-        other = self._rows.get(("revolute", i))
-        return rough(scene.track, kind, None if other is None else other.motion, self.rounds)
+    def _guessed(self, kind: Kind, i: int, scene: Scene) -> AxisMotion | None:
+        known = {other: row.motion for (other, j), row in self._rows.items() if j == i}
+        return _MODELS[kind].quick_guess(scene.track, known, self.rounds)
 
     def _conclude(self, scene: Scene) -> bool:
         known: dict[Kind, list[Row]] = {}
-        for kind in KINDS:
+        for kind in _MODELS:
             rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
             if rows:
                 known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
-        if not {"prismatic", "revolute"} <= set(known):
+        if not set(known) >= _USUAL:
             return False
-        self.probabilities, best, i, j = weigh(known, scene.moved, LOG_PLAYS[list(FEW)])
+        self.probabilities, best, i, j = weigh(known, scene.moved, LOG_PLAYS[list(FEW)], _LOG_SHARES)
         won, self._won = self._won, best
         old = None if self.motion is None else self.motion.kind
         if old is not None and best not in (old, won) and old in known:
@@ -139,7 +144,7 @@ class Belief:
         self.follows = not (scene.track.oriented and bool(LOOSE[j]))
         chosen = known[best][i]
         self._play, self._column = FEW[i], j
-        self.kind = "rigid" if self.probabilities["rigid"] > 0.5 else best
+        self.kind = STILL.name if self.probabilities[STILL.name] > 0.5 else best
         self.motion = chosen.motion
         return old != best
 

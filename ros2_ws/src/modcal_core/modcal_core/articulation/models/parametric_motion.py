@@ -1,4 +1,4 @@
-"""A model of a package while it is being fitted: where its object stands, how it is grasped, and its shape.
+"""A joint that goes along a shape, while it is being fitted: where its object stands, how it is grasped, its shape.
 
     T_world_handle(a) = T_world_object · pose(values, a),   R_world_handle(a) = R_world_object · R_pose(a) · R_grasp
 
@@ -14,14 +14,14 @@ the configuration are central differences; the others are exact.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import cast
+from typing import Any
 
 import numpy as np
 
-from modcal_core.articulation.added import FARTHEST, Guarded
-from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.models.shape import FARTHEST, Shape
 from modcal_core.articulation.motion import Motion, quick_log
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
@@ -39,56 +39,54 @@ _ONE_METRE = 2.0 * math.pi
 
 
 @dataclass(frozen=True)
-class AddedMotion(Motion):
-    """own: the model. values (P,). T: T_world_object (4, 4). R: of the grasp (3, 3), None without rotations.
+class ParametricMotion(Motion):
+    """model: the shape. values (P,). T: T_world_object (4, 4). R: of the grasp (3, 3), None without rotations.
 
-    middle: about which the object turns (3,) [m], the middle of the track. Of a Motion's fields, kind bears the model's
-    name; p, G, r and h mean nothing here.
+    middle: about which the object turns (3,) [m], the middle of the track.
     """
 
-    own: Guarded = field(kw_only=True)
-    values: Array = field(kw_only=True)
-    T: Array = field(kw_only=True)
-    middle: Array = field(kw_only=True)
+    model: Shape
+    values: Array
+    T: Array
+    R: Array | None
+    middle: Array
 
-    @classmethod
-    def of(cls, own: Guarded, values: Array, T: Array, grasp: Array | None, middle: Array) -> AddedMotion:
-        """The motion with this shape, place and grasp."""
-        # wherever kinds are compared and counted, this one is another of them
-        kind = cast("Kind", own.name)
-        return cls(kind, np.zeros(3), np.eye(3), grasp, own=own, values=values, T=T, middle=middle)
+    @property
+    def kind(self) -> str:
+        """Name of the joint type."""
+        return self.model.name
 
     @property
     def size(self) -> int:
         """How many parameters it has."""
-        return 6 + 3 * (self.R is not None) + self.own.size
+        return 6 + 3 * (self.R is not None) + self.model.size
 
     @property
     def start_turn(self) -> int:
         """Which parameter is the first of the three by which the grasp is turned."""
         return 6
 
-    def moved(self, z: Array) -> AddedMotion:
+    def moved(self, z: Array) -> ParametricMotion:
         """The motion with its parameters changed by z (size,), the shape kept within what its prior allows."""
         turn = turned(z[3:6])
         p = self.middle + z[:3] + turn @ (self.T[:3, 3] - self.middle)
         T = se3.transform(turn @ self.T[:3, :3], p)
         grasp = None if self.R is None else turned(z[6:9]) @ self.R
-        mean, std = self.own.prior
+        mean, std = self.model.prior
         values = np.clip(
-            self.values + std * z[self.size - self.own.size :], mean - FARTHEST * std, mean + FARTHEST * std
+            self.values + std * z[self.size - self.model.size :], mean - FARTHEST * std, mean + FARTHEST * std
         )
-        return AddedMotion.of(self.own, values, T, grasp, self.middle)
+        return ParametricMotion(self.model, values, T, grasp, self.middle)
 
     @cached_property
     def _path(self) -> tuple[Array, Array]:
         """Configurations (g,) over the whole range, and T_world_body (g, 4, 4) there."""
-        a, T = self.own.path(self.values, _GRID)
+        a, T = self.model.checked_path(self.values, _GRID)
         return a, self.T @ T
 
     def bodies(self, a: Array) -> Array:
         """T_world_body (n, 4, 4) at configurations a (n,): the handle's, before it is grasped."""
-        return self.T @ self.own.pose(self.values, a)
+        return self.T @ self.model.checked_pose(self.values, a)
 
     def poses(self, a: Array) -> Array:
         """T_world_handle (n, 4, 4) at configurations a (n,)."""
@@ -136,14 +134,14 @@ class AddedMotion(Motion):
         if oriented:
             both[:, 3:, 4:7] = -so3.left_jacobian_inverse(e[:, 3:]) @ B
             both[:, 3:, 7:10] = -so3.left_jacobian_inverse(-e[:, 3:])
-        _, std = self.own.prior
-        for i in range(self.own.size):
+        _, std = self.model.prior
+        for i in range(self.model.size):
             ends = []
             for side in (1.0, -1.0):
                 values = self.values.copy()
                 values[i] += side * _SMALL_VALUE * std[i]
-                ends.append(self._unwound(track, self.T @ self.own.pose(values, a), oriented))
-            both[:, :, 1 + self.size - self.own.size + i] = (ends[0] - ends[1]) / (2.0 * _SMALL_VALUE)
+                ends.append(self._unwound(track, self.T @ self.model.checked_pose(values, a), oriented))
+            both[:, :, 1 + self.size - self.model.size + i] = (ends[0] - ends[1]) / (2.0 * _SMALL_VALUE)
         return both, by_a
 
     def _seen(self, track: Track, a: Array, oriented: bool) -> tuple[Array, Array]:
@@ -167,7 +165,7 @@ class AddedMotion(Motion):
 
     def prior_terms(self) -> tuple[float, Array, Array]:
         """Half the squared distance from the prior, its gradient (size,) and its curvature (size,), diagonal."""
-        mean, std = self.own.prior
+        mean, std = self.model.prior
         z = (self.values - mean) / std
         gradient, curvature = np.zeros(self.size), np.zeros(self.size)
         gradient[self.size - len(z) :] = z
@@ -176,4 +174,62 @@ class AddedMotion(Motion):
 
     def log_prior(self) -> float:
         """What the prior's density has beside its exponent, in these coordinates."""
-        return -math.log(8.0 * math.pi**2) - 0.5 * self.own.size * math.log(2.0 * math.pi)
+        return -math.log(8.0 * math.pi**2) - 0.5 * self.model.size * math.log(2.0 * math.pi)
+
+    def joint(self, a: float = 0.0) -> PathJoint:
+        """The shape in its place; configurations are the shape's own."""
+        names = [p.name for p in self.model.parameters]
+        values = dict(zip(names, self.values.tolist(), strict=True))
+        return PathJoint(self.kind, values, self.T, self.R is not None, self.model.unit, self)
+
+    def covariance(self, parameters: Array) -> dict[str, Array]:
+        """Of each parameter of the shape (1, 1)."""
+        _, std = self.model.prior
+        own = (std**2 * np.diag(parameters)[self.size - self.model.size :]).tolist()
+        return {p.name: np.array([[c]]) for p, c in zip(self.model.parameters, own, strict=True)}
+
+
+@dataclass(frozen=True)
+class PathJoint:
+    """A shape in its place: ``T_world_handle = pose(a)`` at the shape's own configuration a.
+
+    kind: name of the joint type. values: by parameter. T_world_object (4, 4). oriented: whether rotations were seen.
+    unit: of a.
+    """
+
+    kind: str
+    values: dict[str, float]
+    T_world_object: Array
+    oriented: bool
+    unit: str
+    motion: ParametricMotion = field(repr=False)
+
+    def pose(self, a: Array) -> Array:
+        """T_world_handle (n, 4, 4) at configurations a (n,)."""
+        return self.motion.poses(np.asarray(a, dtype=float))
+
+    def position(self, a: Array) -> Array:
+        """Positions of the handle (n, 3) [m] at configurations a (n,)."""
+        return self.pose(a)[:, :3, 3]
+
+    def centre(self) -> None:
+        """It has no axis."""
+
+    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
+        """How far it moved along its path, and its parameters."""
+        path = self.position(np.sort(a))
+        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        said = ", ".join(f"{name} {value:.3g} ± {std[name]:.2g}" for name, value in self.values.items())
+        return f"moved {1e2 * way:.0f} cm along its path; {said}"
+
+    def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
+        """As :meth:`Joint.data`: the start, the place of the object, and the parameters; it has no axis."""
+        units = {p.name: p.unit for p in self.motion.model.parameters}
+        return {
+            **dict.fromkeys(("axis", "point", "radius", "pitch")),
+            "start": se3.to_pose(self.pose(a[:1])[0]).tolist(),
+            "object": se3.to_pose(self.T_world_object).tolist(),
+            "parameters": {
+                name: {"value": value, "std": std[name], "unit": units[name]} for name, value in self.values.items()
+            },
+        }

@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.geometry.so3 import Array
 
 POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
@@ -23,12 +23,12 @@ _ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
 class _Kept:
     """A model as it was when the handle had come to a frontier. until: its configuration at which to ask."""
 
-    motion: Motion
+    motion: AxisMotion
     side: float  # direction in which the frontier was passed
     until: float
 
 
-class Foresight:
+class PredictionCheck:
     """trusted: the last two predictions were right. error: of the last one [m], nan before."""
 
     def __init__(self, ahead_m: float, ahead_rad: float, tolerance_m: float) -> None:
@@ -44,7 +44,7 @@ class Foresight:
         step = 1.01 * _OFTEN * self._ahead_m
         self._range = [low + step, high - step]
 
-    def doubt(self, motion: Motion, a: float) -> None:
+    def doubt(self, motion: AxisMotion, a: float) -> None:
         """Trust no more; what is told from configuration a on will be asked again, either way."""
         self.trusted = False
         self._kept.clear()
@@ -52,7 +52,7 @@ class Foresight:
         path = a * motion.length_per_unit
         self._range = [path, path]
 
-    def look(self, motion: Motion, a: float, p: Array) -> None:
+    def look(self, motion: AxisMotion, a: float, p: Array) -> None:
         """Ask the models whose time has come with the pose that is here, and keep this one if the handle came further.
 
         a: this motion's configuration of the pose. p: the pose's position (3,) [m].

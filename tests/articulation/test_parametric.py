@@ -13,10 +13,14 @@ from articulation.objects import ideal, noisy, real
 from finite_differences import assert_jacobian
 
 from modcal_core.articulation import choice, furniture
-from modcal_core.articulation.added import AddedModel, Guarded, Parameter
-from modcal_core.articulation.added_fit import fit_added
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.joints import Kind
+from modcal_core.articulation.fit import fit
+from modcal_core.articulation.models import registry
+from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.models.parametric import Parameter, ParametricModel
+from modcal_core.articulation.models.parametric_motion import ParametricMotion, PathJoint
+from modcal_core.articulation.models.revolute import MODEL as REVOLUTE
+from modcal_core.articulation.models.revolute import RevoluteJoint
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
@@ -34,20 +38,20 @@ BEFORE = [
 ]
 
 
-def example() -> AddedModel:
+def example() -> ParametricModel:
     spec = importlib.util.spec_from_file_location("folding_door", EXAMPLE)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert isinstance(module.MODEL, AddedModel)
+    assert isinstance(module.MODEL, ParametricModel)
     return module.MODEL
 
 
-FOLDING = Guarded(example(), "articulation model folding_door of package cell_extras")
+FOLDING = example()
 
 
-class Circle(AddedModel):
+class Circle(ParametricModel):
     """A hinge, as a package would write it, with furniture's own prior of radii."""
 
     name = "circle"
@@ -67,8 +71,8 @@ def thinned(count: int) -> Array:
     return np.unique(np.linspace(0, count - 1, 80).round().astype(int))
 
 
-def with_models(monkeypatch: pytest.MonkeyPatch, *models: Guarded) -> None:
-    monkeypatch.setattr(choice, "added_models", lambda: models)
+def with_models(monkeypatch: pytest.MonkeyPatch, *models: ParametricModel) -> None:
+    monkeypatch.setattr(choice, "all_models", lambda: (*registry.BUILT_IN, *models))
 
 
 @pytest.mark.parametrize(("kind", "reach", "oriented", "probabilities", "log_likelihood"), BEFORE)
@@ -81,15 +85,16 @@ def test_without_packages_nothing_has_changed(
     assert list(found.probabilities) == ["rigid", "prismatic", "revolute", "screw"]
     assert list(found.probabilities.values()) == pytest.approx(list(probabilities), rel=1e-4)
     assert found.fit.log_likelihood == pytest.approx(log_likelihood, rel=1e-6)
-    assert found.leading is found.fit
-    assert not found.added
+    assert list(found.fits) == list(found.probabilities)
 
 
 def test_derivatives(rng: np.random.Generator) -> None:
     p, R = folding(rng, 0.4, 0.15, 30)
     track = Track(p, R)
-    found = fit_added(track, FOLDING, rng)
-    motion, a = found.motion, found.configurations + 0.02 * rng.standard_normal(30)
+    found = fit(track, FOLDING, rng)
+    motion = found.motion
+    assert isinstance(motion, ParametricMotion)
+    a = found.configurations + 0.02 * rng.standard_normal(30)
     a = np.clip(a, 0.01, 1.5)
     both, by_a = motion.expanded(track, a)
     assert_jacobian(
@@ -107,16 +112,18 @@ def test_a_hinge_that_a_package_writes_weighs_what_the_houses_hinge_weighs(
     oriented: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Same likelihood, same prior volume: their odds are those of their shares, but for what Laplace's method leaves."""
-    with_models(monkeypatch, Guarded(Circle(), "circle"))
+    with_models(monkeypatch, Circle())
     rng = np.random.default_rng(1)
     seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, 60), rng, 0.4), rng, 1e-3, 0.3 * DEGREE)
     found = choose(Track(seen.positions, seen.rotations if oriented else None))
-    own: float = found.probabilities["circle"]  # type: ignore[index]
-    log_odds = np.log(own / found.probabilities["revolute"]) - np.log(0.3 / (0.7 * furniture.SHARE["revolute"]))
+    own: float = found.probabilities["circle"]
+    log_odds = np.log(own / found.probabilities["revolute"]) - np.log(0.3 / (0.7 * REVOLUTE.share))
     assert abs(log_odds) < 1.0
-    mine = found.added["circle"]
-    assert np.exp(mine.model.values["log_radius"]) == pytest.approx(found.fits["revolute"].model.radius, rel=2e-3)
-    assert mine.log_likelihood == pytest.approx(found.fits["revolute"].log_likelihood, abs=0.5)
+    mine, hinge = found.fits["circle"], found.fits["revolute"]
+    assert isinstance(mine.model, PathJoint)
+    assert isinstance(hinge.model, RevoluteJoint)
+    assert np.exp(mine.model.values["log_radius"]) == pytest.approx(hinge.model.radius, rel=2e-3)
+    assert mine.log_likelihood == pytest.approx(hinge.log_likelihood, abs=0.5)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -128,15 +135,16 @@ def test_what_none_of_the_four_kinds_explains_is_told(seed: int, monkeypatch: py
     found = choose(Track(p, R))
     assert found.kind == "folding_door"
     assert found.enough
-    assert found.probabilities["folding_door"] > 0.95  # type: ignore[index]
+    assert found.probabilities["folding_door"] > 0.95
     assert sum(found.probabilities.values()) == pytest.approx(1.0)
-    assert found.best is found.leading is found.added["folding_door"]
+    assert found.fit is found.fits["folding_door"]
+    assert isinstance(found.fit.model, PathJoint)
     for name, true in (("log_width", np.log(width)), ("handle_m", handle)):
-        assert abs(found.best.model.values[name] - true) < 3.0 * found.best.std[name], name
-        assert found.best.std[name] < 0.01
+        assert abs(found.fit.model.values[name] - true) < 3.0 * found.fit.std[name], name
+        assert found.fit.std[name] < 0.01
     assert found.why.startswith("folding_door (100 %): it moved ")
     # where it says that it is, it is
-    assert np.linalg.norm(found.best.model.position(found.best.configurations) - p, axis=1).max() < 5e-3
+    assert np.linalg.norm(found.fit.model.position(found.fit.configurations) - p, axis=1).max() < 5e-3
 
 
 def test_outliers_do_not_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,8 +154,7 @@ def test_outliers_do_not_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
     p[::15] += rng.normal(0.0, 0.1, p[::15].shape)
     found = choose(Track(p, R))
     assert found.kind == "folding_door"
-    assert found.best is not None
-    assert found.best.weights[::15].max() < 0.2 < np.delete(found.best.weights, np.arange(0, 80, 15)).min() * 4.0
+    assert found.fit.weights[::15].max() < 0.2 < np.delete(found.fit.weights, np.arange(0, 80, 15)).min() * 4.0
 
 
 @pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
@@ -162,7 +169,7 @@ def test_what_moves_otherwise_is_told_as_before(kind: Kind, monkeypatch: pytest.
         with_models(monkeypatch, FOLDING)
         found = choose(track)
         assert found.kind == without.kind, found.why
-        assert found.probabilities["folding_door"] < 0.05  # type: ignore[index]
+        assert found.probabilities["folding_door"] < 0.05
 
 
 def test_real_furniture_is_told_as_before(
@@ -178,6 +185,8 @@ def test_real_furniture_is_told_as_before(
 
 class _Bad(Circle):
     """A model with one fault."""
+
+    __module__ = "bad_extras"
 
     def __init__(self, fault: str) -> None:
         self.fault = fault
@@ -211,8 +220,8 @@ class _Bad(Circle):
 )
 def test_a_faulty_model_is_refused_by_name(fault: str, said: str, rng: np.random.Generator) -> None:
     p, _ = folding(rng, 0.4, 0.15, 30)
-    own = Guarded(_Bad(fault), "articulation model circle of package bad_extras")
+    own = _Bad(fault)
     with pytest.raises(BadTable) as error:
-        fit_added(Track(p), own, rng)
+        fit(Track(p), own, rng)
     remedy = "mend the package that brings it, or uninstall it"
     assert str(error.value) == f"articulation model circle of package bad_extras, {said}: {remedy}"

@@ -1,0 +1,122 @@
+"""A handle that slides along a line: a drawer, a sliding door."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.articulation.guesses import far_apart, few, frame, some_three
+from modcal_core.articulation.joints import JointModel, placed, span
+from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
+from modcal_core.articulation.models.model import InUrdf, Kind
+from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+
+@dataclass(frozen=True)
+class PrismaticJoint(JointModel):
+    """ξ = (axis, 0)."""
+
+    kind: ClassVar[str] = "prismatic"
+
+    @property
+    def radius(self) -> float:
+        """Its axis lies infinitely far away."""
+        return np.inf
+
+    @property
+    def length_per_unit(self) -> float:
+        """A metre is a metre."""
+        return 1.0
+
+    def twist(self) -> Array:
+        """(axis, 0) (6,)."""
+        return np.concatenate([self.axis, np.zeros(3)])
+
+    def configuration(self, seen: ArrayLike) -> Array:
+        """How far along the axis (...) [m]."""
+        return (placed(seen)[0] - self.start[:3, 3]) @ self.axis
+
+    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
+        """How far it slid."""
+        return f"slid {1e2 * span(a):.0f} cm along a line"
+
+
+@dataclass(frozen=True)
+class PrismaticMotion(AxisMotion):
+    """It goes along column 0 of G."""
+
+    kind: ClassVar[str] = "prismatic"  # type: ignore[misc]
+    made: ClassVar[type[JointModel]] = PrismaticJoint
+    frame_turns: ClassVar[int] = 2
+
+    @property
+    def length_per_unit(self) -> float:
+        """A metre is a metre."""
+        return 1.0
+
+    def along(self, y: Array, track: Track, sigma: tuple[float, float]) -> Array:
+        """How far along (n,) [m]."""
+        return y[:, 0]
+
+    def put(self, x: float, y: float, z: float, Q: Array | None,
+            sigma: tuple[float, float]) -> tuple[float, list[float], Array | None]:  # fmt: skip
+        """How far along, and what is left across."""
+        return x, [0.0, y, z], Q
+
+    def unwind(self, part: Array, a: Array, both: Array, by_a: Array, derivatives: bool) -> None:
+        """Write what positions leave."""
+        part[:, 0, 0] -= a
+        by_a[:, 0] = -1.0
+        both[:, :3, : part.shape[2]] = part
+
+    def at(self, a: float, R: Array) -> tuple[Array, Array, Array]:
+        """The start, slid along."""
+        return self.p + a * self.axis, np.zeros(3), R
+
+
+class Prismatic(AxisModel):
+    """As often met as what turns."""
+
+    name = "prismatic"
+    share = 0.49
+    usual = True
+    slots = (3,)
+    urdf = InUrdf("prismatic", 2.0)
+    motion = PrismaticMotion
+    joint = PrismaticJoint
+
+    def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
+        """Lines through two samples of three, beginning at the one between."""
+        some = few(track)
+        p, R = some.positions, some.rotations
+
+        def lines() -> list[Motion]:
+            out: list[Motion] = []
+            for _, (i, j, k) in some_three(some, rng):
+                d = p[k] - p[i]
+                if np.linalg.norm(d) > 1e-9:
+                    out.append(PrismaticMotion(p[j], frame(d), None if R is None else R[j]))
+            return out
+
+        return robust(lines(), some, PrismaticMotion)
+
+    def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
+        """The line through the two samples that lie farthest apart."""
+        return line(PrismaticMotion, track)
+
+
+def line(motion: type[AxisMotion], track: Track) -> Motion | None:
+    """A motion that begins along the line through the two samples that lie farthest apart; None where none moved."""
+    first, between, last = far_apart(track)
+    p, R = track.positions, track.rotations
+    d = p[last] - p[first]
+    return motion(p[between], frame(d), None if R is None else R[between]) if np.linalg.norm(d) > 1e-6 else None
+
+
+MODEL = Prismatic()

@@ -1,0 +1,85 @@
+"""All joint types: the house's own, and those that installed packages name by an entry point.
+
+    [project.entry-points."modcal.articulation"]
+    folding_door = "my_package.folding_door:MODEL"
+
+names an instance of a class derived from :class:`~modcal_core.articulation.models.model.ArticulationModel`. From then
+on ``choose`` and ``modcal articulate`` weigh it against the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
+
+from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.models import prismatic, revolute, rigid, screw
+from modcal_core.articulation.models.axis import AxisModel
+from modcal_core.articulation.models.model import ArticulationModel, Kind
+from modcal_core.articulation.models.shape import REMEDY, Shape
+from modcal_core.errors import BadRobot, BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.packages import added
+
+GROUP = "modcal.articulation"
+AXES: Mapping[Kind, AxisModel] = {m.name: m for m in (rigid.MODEL, prismatic.MODEL, revolute.MODEL, screw.MODEL)}
+BUILT_IN: tuple[ArticulationModel, ...] = tuple(AXES.values())
+STILL: ArticulationModel = next(m for m in BUILT_IN if not m.moves)
+_MOST_SHARE = 0.5  # of all that moves, for all that packages add together
+
+
+@cache
+def all_models() -> tuple[ArticulationModel, ...]:
+    """The house's own joint types, then those of installed packages. Raises BadTable for what is none, or takes
+    another's name.
+    """
+    known = list(BUILT_IN)
+    for offender, model in added(GROUP):
+        if not isinstance(model, ArticulationModel):
+            raise BadTable(offender, f"names a {type(model).__name__}", "name an instance of an ArticulationModel")
+        if fault := _fault(model):
+            raise BadTable(offender, fault, REMEDY)
+        if model.name in {one.name for one in known}:
+            raise BadTable(offender, f"kind {model.name} is taken", "choose another name")
+        known.append(model)
+    more = known[len(BUILT_IN) :]
+    if (together := sum(model.share for model in more)) >= _MOST_SHARE:
+        names = ", ".join(model.name for model in more)
+        raise BadTable(f"articulation models {names}", f"share {together:g} of all that moves", "state smaller shares")
+    return tuple(known)
+
+
+def log_shares(models: Iterable[ArticulationModel]) -> dict[Kind, float]:
+    """How often each type that moves is met, as a logarithm; the house's own share what packages leave."""
+    moving = [model for model in models if model.moves]
+    rest = math.log1p(-sum(model.share for model in moving if model not in BUILT_IN))
+    return {model.name: math.log(model.share) + (rest if model in BUILT_IN else 0.0) for model in moving}
+
+
+def axis_model(kind: Kind) -> AxisModel:
+    """The joint type about one axis of this name. Raises BadRobot where there is none."""
+    if kind not in AXES:
+        raise BadRobot(f"joint {kind}", f"is none of {', '.join(AXES)}", "name one of them")
+    return AXES[kind]
+
+
+def joint(kind: Kind, start: Array, axis: Array, point: Array, pitch: float = 0.0,
+          oriented: bool = True) -> JointModel:  # fmt: skip
+    """A joint about one axis, of the type of this name. Raises BadRobot when these are no joint."""
+    return axis_model(kind).joint(start, axis, point, pitch, oriented)
+
+
+def _fault(model: ArticulationModel) -> str:
+    """What a model does not state as it must; empty where it does."""
+    name: Any = getattr(model, "name", None)
+    if not isinstance(name, str) or not name.isidentifier():
+        return f"its name {name!r} is no word"
+    try:
+        share = float(model.share)
+    except (AttributeError, TypeError, ValueError) as error:
+        return f"does not state its share ({error})"
+    if isinstance(model, Shape) and (fault := model.fault()):
+        return fault
+    return "" if 0.0 < share < _MOST_SHARE else f"its share is {share:g}, not between 0 and {_MOST_SHARE:g}"
