@@ -164,7 +164,13 @@ def _ended(relay: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         print(f"relay {relay.pid} does not end", flush=True)
         for task in Path(f"/proc/{relay.pid}/task").iterdir():
-            print(task.name, (task / "comm").read_text().strip(), (task / "wchan").read_text(), (task/"stat").read_text()[:60], flush=True)
+            print(
+                task.name,
+                (task / "comm").read_text().strip(),
+                (task / "wchan").read_text(),
+                (task / "stat").read_text()[:60],
+                flush=True,
+            )
         relay.send_signal(signal.SIGUSR1)
         time.sleep(2.0)
         relay.send_signal(signal.SIGUSR1)

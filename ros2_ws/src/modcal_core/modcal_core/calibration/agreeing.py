@@ -268,7 +268,9 @@ class _Search:
             )
             return self._said(rows, what, remedy)
         if _spread(seen) < 2.0 * ANGLE:
-            what = f"joint {name} moves{where} and the readings do not show it: the tracker, or its reference, moves along"
+            what = (
+                f"joint {name} moves{where} and the readings do not show it: the tracker, or its reference, moves along"
+            )
             return self._said(rows, what, f"mount the tracker and its reference where {name} does not move them")
         off = seen - reported
         if _spread(off) < 2.0 * ANGLE:
