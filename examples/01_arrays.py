@@ -1,12 +1,11 @@
 """Arrays in, a calibrated arm out: joint positions and what a laser tracker saw of a ball on the flange.
 
-The "real" arm here is a UR5 whose links are displaced by 1 mm and 1 mrad, as a script of your own would get from a bench.
+The real arm is played by a UR5 whose links are displaced by 1 mm and 1 mrad; a script of yours reads its own files.
 """
 
+import modcal
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-import modcal
 
 TABLE = [  # theta, d, a, alpha of the drawing [rad, m]
     (0, 0.089159, 0, np.pi / 2), (0, 0, -0.425, 0), (0, 0, -0.39225, 0),
@@ -37,7 +36,9 @@ def measured(q):
 q = rng.uniform(-2.5, 2.5, (120, 6))
 p = np.array([measured(row) for row in q])
 
-rows = [dict(zip(("name", "theta", "d", "a", "alpha"), (n, *r), strict=True)) for n, r in zip(NAMES, TABLE, strict=True)]
+rows = [
+    dict(zip(("name", "theta", "d", "a", "alpha"), (n, *r), strict=True)) for n, r in zip(NAMES, TABLE, strict=True)
+]
 robot = modcal.Robot.from_dh({"joints": rows})
 samples = modcal.Samples.from_arrays(q, points=p)
 result = modcal.calibrate(robot, samples, seed=0)

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
-
 import modcal
+import numpy as np
 
 URDF = Path(__file__).resolve().parent / "robots" / "ur10.urdf"
 TEETH, AMPLITUDE = 101, 2e-4  # of the gear: its error repeats so often a turn, with so many radians

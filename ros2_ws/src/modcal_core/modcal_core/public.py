@@ -33,8 +33,6 @@ from modcal_core.result import Result
 from modcal_core.robot import Robot
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_tree import document
 from modcal_core.verdict.readings import COMPUTED
 from modcal_core.verdict.tolerance import STATISTICS, Asked, Statistic
 
@@ -201,6 +199,8 @@ def _described(samples: Samples) -> str | None:
     """The name of the robot in the recorded description; None where there is none that can be read."""
     if samples.origin.description is None:
         return None
+    from modcal_core.robots.urdf_tree import document
+
     try:
         name = document(samples.origin.description).get("name")
     except BadRobot:  # evaluate does not need the description, and says elsewhere that it cannot be read
@@ -213,6 +213,8 @@ def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
     nominal, calibrated = calibration.nominal.chain, calibration.calibrated.chain
     if samples.origin.description is None or isinstance(calibrated, Delta):
         return ()
+    from modcal_core.robots.urdf import read_chain
+
     try:
         described = fingerprint(read_chain(samples.origin.description, nominal.base, nominal.tip))
     except ModcalError as error:

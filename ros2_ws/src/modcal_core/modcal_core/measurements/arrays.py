@@ -66,6 +66,8 @@ def samples_from_arrays(
         source="arrays",
         warnings=(ORDER_ONLY,) if stamps is None else (),
     )
+    if not any(len(track.stamps) for track in recording.readings):
+        raise BadRecording("arrays", "hold no reading that is finite", "give what the instrument saw")
     samples = cut_stations(recording, columns)
     began = None if stamps is None else float(t[0])
     instrument = "; ".join(dict.fromkeys(f"{track.kind} in {track.frame}" for track in recording.readings))
