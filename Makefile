@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict closed-loop \
-	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference lock clean
+	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -132,10 +132,13 @@ docs: setup-test reference  ## the documentation as a site that needs no network
 reference: build  ## write docs/reference from the code
 	@$(PY) scripts/reference
 
+wheel: setup  ## the distribution modcal for pip, which needs no ROS: dist/*.whl
+	@scripts/wheel.sh
+
 lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 and python3.12
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
 	@rm -rf $(VENV) .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
-	@rm -rf site .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@rm -rf site dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

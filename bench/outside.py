@@ -68,7 +68,7 @@ def say(what: str, report: Report, end: str) -> None:
 
 def main() -> None:
     """Print a row for the inner part, for the outer fifth, and for each of its blocks."""
-    from modcal_core.evaluate import evaluate
+    from modcal_core.evaluation import evaluate
     from modcal_core.loop import calibrate
     from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
     from modcal_core.prepare import prepare

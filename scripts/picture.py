@@ -55,7 +55,7 @@ def main() -> None:
     """Calibrate and draw."""
     done = calibrate_bag(ROOT / "bags" / "ur10_cell", Options())
     with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        picture(done.report).savefig(ROOT / "docs" / "before_after.svg", metadata={"Date": None})
+        picture(done.result.report).savefig(ROOT / "docs" / "before_after.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from modcal_core.correction.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
+from modcal_core.files import parse_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
@@ -48,7 +49,6 @@ from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.types import message_class
 from modcal_nodes.calibrating.standing import standing_of_json
-from modcal_nodes.io.files import parse_yaml, to_yaml
 from modcal_nodes.io.inputs import read_cell, read_topics
 
 ROOT = Path(__file__).resolve().parents[2]

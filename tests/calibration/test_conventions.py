@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.conventions import INVERTED, proved
 from modcal_core.errors import BadRecording
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
+from modcal_core.files import read_yaml
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
@@ -21,7 +22,6 @@ from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.tables import import_tables
-from modcal_nodes.io.files import read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = ur10()

@@ -10,7 +10,7 @@ from cells import record, samples_of, ur10
 
 from modcal_core.calibration.split import split
 from modcal_core.errors import BadRecording, BadTable
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data

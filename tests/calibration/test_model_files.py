@@ -10,9 +10,9 @@ from cells import record, slider_arm, ur10
 from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
 from modcal_core.errors import BadRobot, BadTable
+from modcal_core.files import to_yaml
 from modcal_core.loop import calibrate
 from modcal_core.robots.chain import Chain
-from modcal_nodes.io.files import to_yaml
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack

@@ -13,7 +13,7 @@ from modcal_core.calibration.score import errors
 from modcal_core.effects.effect import is_move
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import Result, calibrate
+from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
@@ -133,7 +133,7 @@ def test_rings_of_joint_1_are_no_moves(amplitude: float, cycles: float) -> None:
     assert found(recorded([], order=rings, true=eccentric(amplitude, cycles))) == []
 
 
-def calibrated(samples: Samples) -> Result:
+def calibrated(samples: Samples) -> Solution:
     return calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
 
 

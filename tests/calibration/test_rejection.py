@@ -12,7 +12,7 @@ from modcal_core.calibration.runs import chance_of_run, runs_of
 from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from tests.cells import Recorded, record, ur10

@@ -12,7 +12,7 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.errors import BadRecording
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import ORDER_ONLY, SOCKETS, Recording
 

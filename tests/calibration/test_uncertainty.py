@@ -19,8 +19,8 @@ from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import BadTable
+from modcal_core.files import to_yaml
 from modcal_core.geometry import se3, so3
-from modcal_nodes.io.files import to_yaml
 
 
 def test_it_equals_that_of_the_fit_about_the_same_model() -> None:

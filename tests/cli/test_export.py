@@ -15,12 +15,12 @@ from robots.test_tables import assert_same
 from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
+from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
 from modcal_core.robots.table_csv import from_csv
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.files import to_yaml
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 GEAR = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 101.0}))

@@ -13,11 +13,11 @@ from cli.recordings import URDF, stations
 
 from modcal_core.calibration.store import from_data
 from modcal_core.errors import BadTable
+from modcal_core.files import parse_yaml
 from modcal_core.measurements.schema import require
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables_schema import SCHEMA
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.files import parse_yaml
 
 ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))
 MAPPING: dict[str, Any] = {

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modcal_core.files import write_folder
 from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_msgs_py.bag_files import appearing
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.io.files import write_folder
 
 pytestmark = pytest.mark.slow
 

@@ -11,8 +11,8 @@ import pytest
 from cli.recordings import stations
 
 from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.tracing import digest
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.trace import digest
 
 
 @pytest.fixture(scope="module")

@@ -13,14 +13,14 @@ from robots.test_kinematics import urdf
 
 from modcal_core.calibration.deciding import propose
 from modcal_core.calibration.store import to_data
+from modcal_core.files import to_yaml
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import Result, calibrate
+from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.files import to_yaml
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +51,7 @@ class Cell:
         return self.measure(q, 1.7e9)
 
 
-def solve(samples: Samples) -> Result:
+def solve(samples: Samples) -> Solution:
     return calibrate(samples, ur10(), np.random.default_rng(0), inertias=read_inertias(urdf("ur10"), ur10()))
 
 

@@ -11,7 +11,7 @@ from cells import ur10
 from verdict.visits import visited
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate

@@ -20,7 +20,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.posture import pose_and_jacobian
+from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import VERBS

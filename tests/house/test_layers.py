@@ -14,8 +14,19 @@ from pathlib import Path
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 
 # A room may import from itself and from those before it; `top` are the files beside the rooms, where the loop stands.
-_FLOORS = ("errors", "geometry", "robots", "modules", "measurements", "effects", "calibration", "diagnosis", "online")
-_ALSO = {"errors", "geometry", "robots", "measurements"}
+_FLOORS = (
+    "errors",
+    "files",
+    "geometry",
+    "robots",
+    "modules",
+    "measurements",
+    "effects",
+    "calibration",
+    "diagnosis",
+    "online",
+)
+_ALSO = {"errors", "files", "geometry", "robots", "measurements"}
 ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
 ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
 ROOMS["planning"] = ROOMS["calibration"] | {"planning"}
@@ -30,7 +41,11 @@ MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
 _PARSERS = {"lxml", "urdf_parser_py"}
 OUTSIDE = {"robots/urdf": _PARSERS, "articulation/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
-OUTSIDE_WHEN_CALLED = {"report/": {"jinja2", "matplotlib", "yaml"}, "modules/": {"matplotlib", "yaml"}}
+OUTSIDE_WHEN_CALLED = {
+    "files": {"yaml"},
+    "report/": {"jinja2", "matplotlib", "yaml"},
+    "modules/": {"matplotlib", "yaml"},
+}
 
 
 @dataclass(frozen=True)

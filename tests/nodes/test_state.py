@@ -13,8 +13,8 @@ from modcal_core.errors import BadTable
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.files import calibration_files
 from modcal_nodes.calibrating.state import State, read_state, write_state
-from modcal_nodes.io.results import calibration_files
 
 
 @pytest.mark.slow
@@ -24,7 +24,7 @@ def test_state_comes_back(tmp_path: Path) -> None:
     samples = Samples(**{**vars(cell.samples), "signals": (track,)})
     result = calibrate(samples, cell.world.nominal, np.random.default_rng(0), look_for_effects=False)
     urdf = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
-    files = calibration_files(result, result.report, cell.world.nominal, urdf)
+    files = calibration_files(result.calibration, result.report, cell.world.nominal, urdf)
     write_state(tmp_path / "state", State(result.calibration, files, samples))
     back = read_state(tmp_path / "state")
     assert back.calibration is not None

@@ -10,7 +10,7 @@ from cells import Recorded, record, samples_of, ur10
 
 from modcal_core.calibration.score import Errors
 from modcal_core.errors import BadRecording
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples

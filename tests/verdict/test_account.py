@@ -13,7 +13,7 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
-from modcal_core.loop import Result, calibrate
+from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.contributions import contributions
@@ -33,13 +33,13 @@ def geared(seed: int = 5, stations: int = 120) -> Samples:
 
 
 @pytest.fixture(scope="module")
-def found() -> tuple[Samples, Result]:
+def found() -> tuple[Samples, Solution]:
     samples = geared()
     return samples, calibrate(samples, ur10(), np.random.default_rng(0))
 
 
 @pytest.mark.slow
-def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Result]) -> None:
+def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Solution]) -> None:
     report = found[1].report
     for account, norm in (
         (report.judged.account_mm2, 1e3 * report.errors["nominal"].position_norm),
@@ -55,7 +55,7 @@ def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Result]) -> None:
 
 
 @pytest.mark.slow
-def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Result]) -> None:
+def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Solution]) -> None:
     """The cheap refit against a whole one."""
     from modcal_core.calibration.identify import identify
 
@@ -77,7 +77,7 @@ def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples,
         assert part.ci95_mm2[0] < part.mm2 < part.ci95_mm2[1]
 
 
-def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Result]) -> None:
+def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Solution]) -> None:
     judged = found[1].report.judged
     rows = {row.what: row.value for row in judged.account_mm2}
     noise = 3.0 * (1e3 * 2e-5) ** 2

@@ -10,7 +10,7 @@ import pytest
 from cells import ur10
 from verdict.visits import moved_by, tour, visited
 
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack

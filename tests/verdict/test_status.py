@@ -12,7 +12,7 @@ from verdict.visits import visited
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
-from modcal_core.loop import Result, calibrate
+from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.grounds import Grounds, NotApplied
@@ -25,7 +25,7 @@ def verdict_of(samples: Samples, stated: Stated | None = None) -> Verdict:
     return calibrate(samples, ur10(), np.random.default_rng(0), cell, look_for_effects=False).report.judged
 
 
-def case_of(result: Result, samples: Samples) -> Case:
+def case_of(result: Solution, samples: Samples) -> Case:
     report = result.report
     return fitted_case(result.scored, samples, report.sets, report.wrong, report.errors)
 

@@ -10,7 +10,7 @@ setup(
     maintainer="modcal maintainers",
     maintainer_email="maintainers@modcal.example.org",
     license="Apache-2.0",
-    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*", "modcal"]),
     package_data={"": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

@@ -51,7 +51,7 @@ from modcal_core.verdict.where import with_places
 
 
 @dataclass(frozen=True)
-class Result:
+class Solution:
     """A report, the calibration to ship, and the fit that was scored."""
 
     report: Report
@@ -69,7 +69,7 @@ def calibrate(
     progress: Callable[[str], None] = lambda _: None,
     look_for_effects: bool = True,
     changed: float | None = None,
-) -> Result:
+) -> Solution:
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
@@ -164,4 +164,4 @@ def calibrate(
         grounds=grounds,
         judged=judged,
     )
-    return Result(report, shipped, final)
+    return Solution(report, shipped, final)

@@ -15,7 +15,7 @@ from modcal_core.calibration.cell import Cell, with_frames
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import Result, calibrate
+from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.dropped import Dropped, together
 from modcal_core.measurements.recording import Piece, Recording
 from modcal_core.measurements.samples import Samples
@@ -88,7 +88,7 @@ class Job:
 class Resolved:
     """A calibration, its report, and how it compares with the one before."""
 
-    result: Result
+    result: Solution
     report: Report
     comparison: Comparison
 
@@ -111,7 +111,7 @@ def resolve(job: Job) -> Resolved:
     return Resolved(result, report, _compare(job, result))
 
 
-def _compare(job: Job, result: Result) -> Comparison:
+def _compare(job: Job, result: Solution) -> Comparison:
     scored, score = result.report.scored, result.report.errors
     if job.trusted is None:
         return compared(score["nominal"].position_norm, score["final"].position_norm)

@@ -82,6 +82,23 @@ class Track:
                                "give unit quaternions x y z w")  # fmt: skip
         return cls(poses[:, :3], so3.from_quaternion(poses[:, 3:]) if len(poses) else None, times)
 
+    @classmethod
+    def from_arrays(
+        cls, points: ArrayLike | None = None, poses: ArrayLike | None = None, stamps: ArrayLike | None = None
+    ) -> Track:
+        """The track of points (n, 3) [m], or of poses (n, 4, 4) or x y z qx qy qz qw (n, 7) [m], which are copied.
+
+        stamps: [s], (n,). Raises what Track raises, and BadRecording unless one of points and poses is given.
+        """
+        if (points is None) == (poses is None):
+            said = "neither points nor poses are given" if points is None else "points and poses are given"
+            raise BadRecording("track", said, "give one of them")
+        values = np.array(points if poses is None else poses, dtype=float)
+        if values.ndim == 3 and values.shape[1:] == (4, 4):
+            times = None if stamps is None else np.array(stamps, dtype=float)
+            return cls(values[:, :3, 3], values[:, :3, :3], times)
+        return cls.of_poses(values, stamps)
+
     def __len__(self) -> int:
         return len(self.positions)
 

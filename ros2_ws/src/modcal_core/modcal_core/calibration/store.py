@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
@@ -23,7 +25,9 @@ from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import require_known
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
+from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import se3
+from modcal_core.geometry.read_only import sealed
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
@@ -69,6 +73,46 @@ class Calibration:
     clock: bool = True
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     usual: tuple[Usual | None, ...] = ()
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """The calibration in a file, or in the folder that a result was saved to. Raises BadTable."""
+        file = Path(path) / "calibration.yaml" if Path(path).is_dir() else Path(path)
+        if not file.is_file():
+            remedy = "give the folder or calibration.yaml that modcal calibrate wrote"
+            raise BadTable(str(file), "does not exist", remedy)
+        return sealed(from_data(read_yaml(file), str(file)))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the calibration to a file, from which :meth:`load` reads it to the last digit; returns its path."""
+        write_file(Path(path), to_yaml(to_data(self)))
+        return Path(path)
+
+    def predict(self, q: ArrayLike | Samples, frame: str | None = None) -> Array:
+        """Poses of the tool (N, 4, 4) [m] in a frame of the instrument, at joint positions q (N, n) [rad, m].
+
+        q: postures of an arm that stands still, whose last direction of motion is not known; or samples, which say
+        more: temperatures, efforts, times, and the frame. frame: one of ``frames``; None: the first. Raises
+        MissingDriver where an effect depends on what is not given, and BadTable for an unknown frame.
+        """
+        from modcal_core.calibration.predict import predict
+
+        return predict(self, q, frame)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of the instruments' frames."""
+        return self.calibrated.frames
+
+    @property
+    def T_frame_base(self) -> Mapping[str, Array]:
+        """Pose of the robot's base in each frame, (4, 4) [m], by the frame's name."""
+        return dict(zip(self.frames, self.calibrated.T_frame_base, strict=True))
+
+    @property
+    def T_tip_tool(self) -> Array:
+        """Pose of what the instruments see, in the tip, (4, 4) [m]."""
+        return self.calibrated.T_tip_tool
 
     def with_scatter(self, samples: Samples) -> Samples:
         """The samples, those that state no deviation of their own with the one that was usual here."""

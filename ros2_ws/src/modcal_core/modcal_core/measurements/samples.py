@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from modcal_core.errors import BadRecording
+from modcal_core.geometry.read_only import view
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.origin import Origin
 from modcal_core.measurements.recording import POINT, POSE, SignalTrack
 
-SHARED = ("names", "frames", "signals", "sockets", "clock")  # fields of Samples that have no row for each sample
+SHARED = (
+    "names",
+    "frames",
+    "signals",
+    "sockets",
+    "clock",
+    "origin",
+)  # fields of Samples that have no row for each sample
 KIND_NAMES = np.dtype("U32")  # of Samples.kind; a kind with a longer name is refused
 
 
 @dataclass(frozen=True)
 class Samples:
-    """N readings with the postures they belong to, all arrays with N rows.
+    """N readings with the postures they belong to, all arrays with N rows and read-only.
 
     q: joint positions [rad, m], (N, n), columns in the order of ``names``.
     stamps: [s], (N,). station: number of the dwell or moment; readings of one station share it, and splits keep them
@@ -33,6 +45,7 @@ class Samples:
     the actuators [N m, N], (N, n), NaN where not sent. signals: whole tracks of everything else that was recorded.
 
     sockets: frames that are stated to show one fixed point. clock: whether stamps are times rather than an order.
+    origin: the recording they are from. names: empty where columns are in the robot's order.
     """
 
     names: tuple[str, ...]
@@ -54,12 +67,72 @@ class Samples:
     signals: tuple[SignalTrack, ...] = ()
     sockets: tuple[str, ...] = ()
     clock: bool = True
+    origin: Origin = field(default_factory=Origin)
 
     def __post_init__(self) -> None:
-        """What is not given is unknown."""
+        """What is not given is unknown, and nothing can be written to."""
         for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))
+        for name in _ARRAYS:
+            object.__setattr__(self, name, view(getattr(self, name)))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        q: ArrayLike,
+        points: ArrayLike | None = None,
+        poses: ArrayLike | None = None,
+        ranges: Mapping[str, ArrayLike] | None = None,
+        *,
+        names: Sequence[str] | None = None,
+        stamps: ArrayLike | None = None,
+        sigma: ArrayLike | None = None,
+        sigma_rad: ArrayLike | None = None,
+        temperatures: Mapping[str, ArrayLike] | None = None,
+        signals: Mapping[str, ArrayLike] | None = None,
+        efforts: ArrayLike | None = None,
+        frame: str = "tracker",
+    ) -> Samples:
+        """Samples of N postures from arrays, which are copied.
+
+        q: joint positions [rad, m], (N, n). One of points: what the instrument sees, (N, 3) [m]; poses: (N, 4, 4) or
+        x y z qx qy qz qw (N, 7) [m]; ranges: distances (N,) [m] to fixed anchors, by the anchor's name. Readings that
+        are NaN are left out. names: of the joints, by column; None: in the robot's order. stamps: [s], (N,),
+        increasing; None: rows are stations in the order in which they were measured. Rows close in time are taken for
+        a log of a moving arm, and averaged where it stood still. sigma, sigma_rad: standard deviation of a reading per
+        axis [m], [rad], one for all or one a row. temperatures [°C], signals: (N,) each, by name; an error may depend
+        on them. efforts: torque or force of the actuators [N m, N], (N, n). frame: the name of the instrument's frame.
+
+        Raises BadRecording for arrays that do not fit together, with the row, and NotEnoughData for empty ones.
+        """
+        from modcal_core.measurements.arrays import samples_from_arrays
+
+        return samples_from_arrays(
+            q, points, poses, ranges, names, stamps, sigma, sigma_rad, temperatures, signals, efforts, frame
+        )
+
+    def of_joints(self, names: tuple[str, ...]) -> Samples:
+        """The samples with the columns of these joints, in this order.
+
+        Raises BadRecording where one of them is missing, or where columns without names are more or fewer.
+        """
+        if self.names == names:
+            return self
+        if not self.names:
+            if self.q.shape[1] != len(names):
+                said = f"has {self.q.shape[1]} columns, the robot {len(names)} joints"
+                raise BadRecording("q", said, f"give one column for each of {', '.join(names)}")
+            return replace(self, names=names)
+        missing = [name for name in names if name not in self.names]
+        if missing:
+            said = f"is none of the samples' joints ({', '.join(self.names)})"
+            raise BadRecording(f"joint {missing[0]}", said, "name the columns of q as the robot does")
+        columns = [self.names.index(name) for name in names]
+        wide = {
+            name: getattr(self, name)[:, columns] for name in ("q", "velocity", "acceleration", "approach", "effort")
+        }
+        return replace(self, names=names, **wide)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -133,3 +206,6 @@ class Samples:
         if (self.kind[rows] != POINT).any() or rows.sum() < 2:
             return False
         return bool(np.ptp(self.position[rows], axis=0).max() == 0.0)
+
+
+_ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import Choice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.files import write_folder
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
@@ -151,6 +154,11 @@ class Report:
         return "cannot_tell" if self.judged is None else self.judged.status
 
     @property
+    def open_because(self) -> tuple[str, ...]:
+        """The reasons of the verdict *open*, a sentence each; none for any other."""
+        return () if self.judged is None else tuple(self.judged.open_because)
+
+    @property
     def unexplained_mm(self) -> float | None:
         """RMS of what is left beyond the floor [mm]; None where nothing shows that there is any.
 
@@ -178,3 +186,22 @@ class Report:
     def story(self) -> tuple[str, ...]:
         """A sentence for each effect, for a technician."""
         return tuple(finding.sentence for finding in self.effects)
+
+    def __str__(self) -> str:
+        """What the command shows on the terminal."""
+        from modcal_core.report.summary import summary, text
+
+        return text(summary(self))
+
+    def to_data(self) -> dict[str, Any]:
+        """The data of ``report.json``: dictionaries, lists, texts, numbers and None."""
+        from modcal_core.report.as_json import to_json_data
+
+        return to_json_data(self)
+
+    def save(self, folder: str | Path, page: bool = True) -> Path:
+        """Write report.json, and report.html if page, into a folder; returns the folder."""
+        from modcal_core.report.files import report_files
+
+        write_folder(Path(folder), report_files(self, page))
+        return Path(folder)

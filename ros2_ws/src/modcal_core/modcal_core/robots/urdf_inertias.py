@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_tree import Joint, Tree, parse
+
+if TYPE_CHECKING:
+    from modcal_core.robots.urdf_tree import Joint, Tree
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
     With each joint moves everything that hangs on its link up to the chain's next joint: fixed parts, and branches such
     as grippers, which are taken with their joints at zero. Raises BadRobot when the chain is not of this URDF.
     """
+    from modcal_core.robots.urdf_tree import parse  # few need what reads XML; a table or a Delta does not
+
     tree = parse(urdf_xml)
     joints = {joint.name: joint for joint in tree.joints}
     missing = [name for name in chain.names if name not in joints]

@@ -13,9 +13,9 @@ import numpy as np
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable, ModcalError
+from modcal_core.files import write_folder
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import SHARED, Samples
-from modcal_nodes.io.files import write_folder
 from modcal_nodes.io.inputs import read_calibration
 
 _SAMPLES = "samples.npz"

@@ -16,10 +16,10 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.files import calibration_files
 from modcal_core.resolve import Comparison, Heard, Job, resolve
 from modcal_core.robots.chain import Chain
 from modcal_nodes.calibrating.standing import Standing, standing_of
-from modcal_nodes.io.results import calibration_files
 from modcal_nodes.ros.child_process import settle_in
 
 
@@ -46,7 +46,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     size = report.size_mm("final")
     return Solved(
         resolved.result.calibration,
-        calibration_files(resolved.result, report, job.chain, urdf, page=page),
+        calibration_files(resolved.result.calibration, report, job.chain, urdf, page=page),
         resolved.comparison,
         report.verdict,
         standing_of(report),

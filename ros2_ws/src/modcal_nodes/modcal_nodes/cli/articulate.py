@@ -14,6 +14,7 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
 from modcal_core.articulation.urdf import describe
 from modcal_core.errors import BadRecording, BadTable
+from modcal_core.files import to_json, write_folder
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dropouts import cleaned
@@ -25,8 +26,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import list_topics, read_bag
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking
-from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.io.files import to_json, write_folder
+from modcal_nodes.cli.robot import described
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -180,7 +180,7 @@ def _of_bag(
     if calibration is not None:
         chain = read_calibration(calibration).calibrated.serial
     else:
-        chain, _ = robot_of(recording, urdf, base, tip)
+        chain = described(recording, None, urdf, base, tip).chain
     stamps, q = joint_stamps_and_positions(recording, chain.names)
     good = np.isfinite(q).all(axis=1)
     if not good.any():

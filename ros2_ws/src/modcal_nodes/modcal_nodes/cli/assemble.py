@@ -15,6 +15,7 @@ from modcal_core.calibration.module_errors import ModuleError, ModuleErrors, lea
 from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
 from modcal_core.calibration.recording_evidence import witness
 from modcal_core.errors import BadTable
+from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.incidence import incidence_of
 from modcal_core.modules.library import JOINT, Library
@@ -29,7 +30,6 @@ from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.io.assemblies import read_assembly
-from modcal_nodes.io.files import read_yaml, to_yaml, write_folder
 
 _LIBRARY = click.option(
     "--library", "library_file", type=EXISTING, default=None, metavar="FILE",

@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from modcal_core.calibration.store import Calibration, fingerprint
-from modcal_core.errors import ModcalError, NotEnoughData
-from modcal_core.evaluate import evaluate
-from modcal_core.measurements.recording import Recording
-from modcal_core.prepare import prepare_pieces
+from modcal_core.calibration.store import Calibration
+from modcal_core.files import write_folder
+from modcal_core.public import evaluate
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.report import Report
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.urdf import read_chain
+from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.io.files import write_folder
-from modcal_nodes.io.inputs import read_calibration, read_cell, read_topics, stated_from
+from modcal_nodes.io.inputs import read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
-from modcal_nodes.io.recorded import begun, calibrate_bag, named, tolerance_asked, too_little
-from modcal_nodes.io.results import report_files
-from modcal_nodes.io.trace import trace_of
+from modcal_nodes.io.recorded import calibrate_bag, opened
 
 EXISTING = click.Path(exists=True, path_type=Path)
 SEED = click.IntRange(min=0)  # what NumPy takes
@@ -144,7 +136,7 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, outpu
         done = calibrate_bag(bag, Options(**options), more, watch)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, done.files)
-    return _say(done.report, out, output)
+    return _say(done.result.report, out, output)
 
 
 @click.command("evaluate")
@@ -173,24 +165,25 @@ def evaluate_command(
     **stated: float | None,
 ) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
-    frozen = read_calibration(calibration)
-    asked = tolerance_asked(tolerance_mm, tolerance_of)
+    frozen = Calibration.load(calibration)
     cell = read_cell(cell_file, stated=stated_from(stated))
     with output.working() as watch:
-        recording, pieces = begun(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
-        prepared = prepare_pieces(pieces, frozen.nominal.chain, clock_limit=clock_limit)
-        cell = replace(cell, stated=cell.stated.over(prepared.stated))
+        recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
+        samples = recorded.samples(Robot(frozen.nominal.chain), clock_limit)
         watch("scoring")
-        rng = np.random.default_rng(seed)
-        try:
-            report = evaluate(frozen, prepared.samples, rng, refit_base, refit_tool, cell, block)
-        except NotEnoughData as error:
-            raise too_little(error, prepared) from error
-        report = named(report, recording, prepared).with_tolerance(asked)
-        trace = trace_of(bag, recording, frames=prepared.samples.frames)
-        report = replace(report, notes=(*report.notes, *_other_robot(frozen, recording)), trace=trace)
+        report = evaluate(
+            frozen,
+            samples,
+            seed,
+            refit_base=refit_base,
+            refit_tool=refit_tool,
+            cell=cell,
+            block=block,
+            tolerance_mm=tolerance_mm,
+            tolerance_of=tolerance_of,
+        )
     out = out or Path(f"{bag.resolve().stem}_evaluation")
-    write_folder(out, report_files(report))
+    report.save(out)
     return _say(report, out, output)
 
 
@@ -198,17 +191,3 @@ def _say(report: Report, out: Path, output: Output) -> int:
     """Show the report; returns the exit code."""
     output.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
     return 0 if report.tolerance is None or report.tolerance.result == "PASS" else UNMET
-
-
-def _other_robot(frozen: Calibration, recording: Recording) -> tuple[str, ...]:
-    """A sentence when the recording describes a robot other than the one that was calibrated."""
-    nominal, calibrated = frozen.nominal.chain, frozen.calibrated.chain
-    if recording.robot_description is None or isinstance(calibrated, Delta):
-        return ()
-    try:
-        described = fingerprint(read_chain(recording.robot_description, nominal.base, nominal.tip))
-    except ModcalError as error:
-        return (f"The recording's robot description was not compared: {error}.",)
-    if described in (frozen.robot, fingerprint(calibrated)):
-        return ()
-    return ("The recording's robot description has other kinematics than the one that was calibrated.",)

@@ -67,7 +67,7 @@ class Output:
     def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
         """Say the result: as JSON data, or by showing it, and then where it is."""
         if self._as_json:
-            from modcal_nodes.io.files import to_json
+            from modcal_core.files import to_json
 
             click.echo(to_json(data), nl=False)
             return

@@ -10,10 +10,10 @@ import numpy as np
 from modcal_core.calibration.deciding import Proposal, propose
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
+from modcal_core.files import to_yaml, write_folder
 from modcal_core.planning.ground import allowed
 from modcal_core.planning.site import Site
 from modcal_nodes.cli.console import console
-from modcal_nodes.io.files import to_yaml, write_folder
 from modcal_nodes.io.inputs import read_calibration
 
 _BY_POSTURE = ("position", "load", "direction")

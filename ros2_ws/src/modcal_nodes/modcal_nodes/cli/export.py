@@ -14,6 +14,7 @@ from rich.console import Console
 
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
+from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_csv import from_csv, to_csv
 from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
@@ -21,7 +22,6 @@ from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.io.files import read_yaml, to_yaml, write_file
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)

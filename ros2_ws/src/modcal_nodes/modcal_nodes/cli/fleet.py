@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from modcal_core.errors import plain
+from modcal_core.files import to_json
 from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import EXISTING, calibration_options
 from modcal_nodes.cli.console import console
@@ -24,7 +25,6 @@ from modcal_nodes.fleet.room import room
 from modcal_nodes.fleet.run import Plan, plan, run
 from modcal_nodes.fleet.task import DONE, Outcome, Task
 from modcal_nodes.fleet.work import do
-from modcal_nodes.io.files import to_json
 from modcal_nodes.io.options import Options
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from modcal_core.errors import BadTable, ModcalError
+from modcal_core.files import read_yaml, write_file
 from modcal_core.measurements.recording import Recording
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
@@ -18,8 +19,7 @@ from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.robot import robot_of
-from modcal_nodes.io.files import read_yaml, write_file
+from modcal_nodes.cli.robot import described
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 
@@ -70,7 +70,7 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
     from modcal_core.measurements.stations import cut_stations
 
     try:
-        chain, _ = robot_of(recording, None, None, None)
+        chain = described(recording, None, None, None, None).mechanism
         samples = cut_stations(recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording

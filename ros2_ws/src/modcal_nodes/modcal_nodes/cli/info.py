@@ -16,7 +16,7 @@ from modcal_core.measurements.inspection import inspect
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.robot import delta_of
+from modcal_nodes.cli.robot import described
 from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -45,7 +45,7 @@ def info_command(
     recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:
-        chain, _ = delta_of(recording, delta, urdf, base, tip)
+        chain = described(recording, delta, urdf, base, tip).mechanism
     except ModcalError as error:
         if any(given is not None for given in (urdf, delta, base, tip)):
             raise

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from modcal_core.calibration.structure import random_postures
 from modcal_core.errors import BadRecording, BadTable
+from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording, joint_stamps_and
 from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
@@ -23,9 +24,8 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.by_joint import numbers_by_joint
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.robot import robot_of
+from modcal_nodes.cli.robot import described
 from modcal_nodes.cli.topics import topic_options
-from modcal_nodes.io.files import to_json, to_yaml, write_folder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
@@ -101,8 +101,8 @@ def limits_command(
     if recording is not None and (at or velocity or workspace):
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
-        chain, text = robot_of(recording, urdf, base, tip)
-        arm = LoadedArm.read(text, chain.base, chain.tip)
+        robot = described(recording, None, urdf, base, tip)
+        arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
     else:
         arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
     arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)

@@ -98,12 +98,42 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _refuse(f"{where}: {error.strerror or error}: check the path, its permissions and the space left")
     except (click.Abort, KeyboardInterrupt):
         return 130
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if (remedy := _source_of(missing)) is None:
+            return _fault()
+        return _refuse(f"{_asked(arguments)}: needs {missing}, which is not installed: {remedy}")
     except Exception:
-        import traceback
+        return _fault()
 
-        traceback.print_exc()
-        click.echo("modcal: this is a fault of modcal; please report it with the lines above", err=True)
-        return 1
+
+def _fault() -> int:
+    """The exit code of a fault of ours, its traceback being printed."""
+    import traceback
+
+    traceback.print_exc()
+    click.echo("modcal: this is a fault of modcal; please report it with the lines above", err=True)
+    return 1
+
+
+# What a verb may need beyond what is always installed: the extra of the distribution that brings it
+_EXTRAS = {"mujoco": "simulate", "pyarrow": "fleet", "distributed": "dask", "dask": "dask"}
+_ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
+
+
+def _source_of(module: str) -> str | None:
+    """Where a module comes from that not every installation has; None for any other."""
+    if module in _EXTRAS:
+        return f"pip install 'modcal[{_EXTRAS[module]}]'"
+    if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
+        return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; every other verb works without"
+    return None
+
+
+def _asked(arguments: Sequence[str] | None) -> str:
+    """The verb that was asked for."""
+    words = sys.argv[1:] if arguments is None else arguments
+    return next((word for word in words if word in VERBS), "modcal")
 
 
 def _remedy(error: click.ClickException) -> str:

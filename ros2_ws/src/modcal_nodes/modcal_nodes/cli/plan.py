@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from modcal_core.errors import BadTable
+from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
 from modcal_core.planning.ground import CANDIDATES
 from modcal_core.planning.plan import Plan, Wish, plan
@@ -21,7 +22,6 @@ from modcal_nodes.cli.console import Output, say, speaking
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, read_robot
 from modcal_nodes.cli.stations import read_stations
-from modcal_nodes.io.files import read_yaml, to_yaml, write_folder
 
 _DECIDING = 16  # stations, where none are asked for
 

@@ -7,13 +7,11 @@ from pathlib import Path
 import click
 
 from modcal_core.errors import BadRobot
+from modcal_core.files import read_yaml
 from modcal_core.measurements.recording import Recording
+from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.io.files import read_yaml
-
-Robot = tuple[Mechanism, str | None]
 
 BASE = click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
 TIP = click.option("--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most joints.")
@@ -34,23 +32,15 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> C
     return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
 
 
-def delta_of(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:
-    """The nominal robot and its URDF text: a Delta from its file, which has none, or else :func:`robot_of`."""
-    if delta is None:
-        return robot_of(recording, urdf, base, tip)
-    if urdf is not None or base is not None or tip is not None:
-        raise BadRobot(f"--delta {delta}", "goes with none of --urdf, --base and --tip", "leave them out")
-    from modcal_nodes.io.inputs import read_delta  # brings SciPy along, which `modcal info` does without
-
-    return read_delta(delta), None
-
-
-def robot_of(recording: Recording, urdf: Path | None, base: str | None, tip: str | None) -> tuple[Chain, str]:
-    """The nominal arm and its URDF text: from a file, or else from the recording's robot_description."""
-    text = recording.robot_description if urdf is None else urdf.read_text(encoding="utf-8", errors="replace")
-    if text is None:
+def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:
+    """The nominal robot: a Delta from its file, or an arm from a URDF or else from the recording's description."""
+    if delta is not None:
+        if urdf is not None or base is not None or tip is not None:
+            raise BadRobot(f"--delta {delta}", "goes with none of --urdf, --base and --tip", "leave them out")
+        return Robot.from_delta(delta)
+    if urdf is None and recording.robot_description is None:
         raise BadRobot(
             recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
         )
     recorded = frozenset(name for track in recording.joints for name in track.names)
-    return read_chain(text, base, tip, recorded), text
+    return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.errors import BadTable, NotRepresentable
+from modcal_core.files import read_yaml, to_json, write_folder
 from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
 from modcal_core.planning.designs import DESIGNS, design
@@ -22,7 +23,6 @@ from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import Output, say, speaking
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
 from modcal_nodes.cli.stations import read_stations
-from modcal_nodes.io.files import read_yaml, to_json, write_folder
 
 _SHOWN = 12  # parameters in the terminal
 

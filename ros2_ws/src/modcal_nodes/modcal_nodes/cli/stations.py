@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+from modcal_core.files import read_yaml
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.stations import stations_from_data, stations_from_rows
 from modcal_core.robots.chain import Chain
-from modcal_nodes.io.files import read_yaml
 
 
 def read_stations(path: Path, chain: Chain) -> Array:

@@ -11,6 +11,7 @@ import click
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from modcal_core.files import read_yaml, to_json, to_yaml, write_folder
 from modcal_core.modules.genetic import Generation
 from modcal_core.modules.library import Library
 from modcal_core.modules.picture import picture
@@ -21,7 +22,6 @@ from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import console
 from modcal_nodes.io.assemblies import read_library
-from modcal_nodes.io.files import read_yaml, to_json, to_yaml, write_folder
 
 _PICTURES = 5  # of the ranking; the best gets one at each target
 

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
-from modcal_core.evaluate import evaluate
+from modcal_core.evaluation import evaluate
 from modcal_core.online.drift import WEEK, Change, Drift, change_since, drift
 from modcal_nodes.fleet.task import DONE
 from modcal_nodes.fleet.work import SAMPLES, iso, read_samples

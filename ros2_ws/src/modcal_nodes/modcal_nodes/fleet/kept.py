@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import modcal_core
+from modcal_core.files import replace_folder, to_json
 from modcal_nodes.fleet.task import FAILED, Outcome, Task
-from modcal_nodes.io.files import replace_folder, to_json
 
 MARK = "fleet.json"
 

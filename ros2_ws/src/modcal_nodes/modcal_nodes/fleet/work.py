@@ -15,8 +15,9 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
+from modcal_core.result import Result
 from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
-from modcal_nodes.io.recorded import Calibrated, calibrate_bag
+from modcal_nodes.io.recorded import calibrate_bag
 
 SAMPLES = "samples.npz"
 _MOST_KEPT = 5000  # samples, evenly chosen: a change of the arm is known far better than it matters
@@ -29,8 +30,8 @@ def do(task: Task) -> Outcome:
     try:
         done = calibrate_bag(task.bag, task.options)
         files = {name: text.encode() for name, text in done.files.items()}
-        files[SAMPLES] = _kept(done.samples)
-        return Outcome(task.name, DONE, "", _row(done), files, time.perf_counter() - began)
+        files[SAMPLES] = _kept(done.result.samples)
+        return Outcome(task.name, DONE, "", _row(done.result), files, time.perf_counter() - began)
     except ModcalError as error:
         return Outcome(task.name, REFUSED, str(error), took=time.perf_counter() - began)
     except Exception as error:
@@ -38,7 +39,7 @@ def do(task: Task) -> Outcome:
         return Outcome(task.name, FAILED, said, took=time.perf_counter() - began, trace=traceback.format_exc())
 
 
-def _row(done: Calibrated) -> dict[str, Any]:
+def _row(done: Result) -> dict[str, Any]:
     """What the table says of a calibration, but for names and times that are known elsewhere."""
     data = to_json_data(done.report)
     seen, calibration = data["identifiability"], done.calibration
@@ -48,9 +49,9 @@ def _row(done: Calibrated) -> dict[str, Any]:
         for size in ("rms", "p95")
     }
     return {
-        "model": done.robot,
+        "model": done.robot.name,
         "kinematics": calibration.robot,
-        "started": iso(done.began),
+        "started": iso(done.samples.origin.began or 0.0),
         "duration_s": data["recording"]["duration_s"],
         "measurement": data["recording"]["measurement"],
         "stations": data["recording"]["stations"],

@@ -15,6 +15,7 @@ from modcal_core.calibration.moves import WHATS, Move, What
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
+from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.schema import require, shown, told
@@ -22,7 +23,6 @@ from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.io.cell_schema import SCHEMA
-from modcal_nodes.io.files import parse_yaml, read_yaml
 
 T = TypeVar("T")
 # Names of the options of the command line, and what they state
@@ -43,10 +43,7 @@ _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or wi
 
 def read_calibration(path: Path) -> Calibration:
     """The calibration in a file, or in the folder that ``modcal calibrate`` wrote."""
-    file = path / "calibration.yaml" if path.is_dir() else path
-    if not file.is_file():
-        raise BadTable(str(file), "does not exist", "give the folder or calibration.yaml that modcal calibrate wrote")
-    return from_data(read_yaml(file), str(file))
+    return Calibration.load(path)
 
 
 def parse_calibration(text: str, source: str) -> Calibration:

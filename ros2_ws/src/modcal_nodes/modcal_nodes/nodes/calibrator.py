@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, BadTable, ModcalError
+from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measurements.samples import Samples
@@ -35,7 +36,6 @@ from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
 from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
-from modcal_nodes.io.files import write_folder
 from modcal_nodes.io.inputs import read_cell
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, Health, Status

@@ -11,10 +11,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadCommand, BadTable
+from modcal_core.files import read_yaml
 from modcal_core.planning.trajectory_file import Trajectory, trajectory_from_data
 from modcal_msgs_py.commands import JointsHeard
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.io.files import read_yaml
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import OK, WARN, Health, Status
 from modcal_nodes.ros.parameters import TRAJECTORY_SENDER, declare, values

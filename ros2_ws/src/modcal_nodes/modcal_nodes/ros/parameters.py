@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
-
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy.node import Node
+from typing import TYPE_CHECKING, Any
 
 from modcal_core.errors import ModcalError
 from modcal_core.planning.returns import RETURNS
-from modcal_nodes.ros.aliases import said_under_old_name
-from modcal_nodes.ros.guarded import GuardedNode
+
+if TYPE_CHECKING:  # `modcal simulate` takes the cell's parameters, and needs no ROS
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.node import Node
+
+    from modcal_nodes.ros.guarded import GuardedNode
 
 
 @dataclass(frozen=True)
@@ -354,6 +355,10 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
 
     A value under a name of release 0.1 counts, and is warned of (:mod:`aliases`).
     """
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+    from modcal_nodes.ros.aliases import said_under_old_name
+
     for name, parameter in parameters.items():
         descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
@@ -384,6 +389,7 @@ def follow(
     check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
     change.
     """
+    from rcl_interfaces.msg import SetParametersResult
 
     def judge(changed: list[Any]) -> SetParametersResult:
         try:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
-from rclpy.node import Node
+if TYPE_CHECKING:  # `modcal simulate` needs no ROS
+    from rclpy.node import Node
 
 NANO = 1_000_000_000
 

@@ -1,4 +1,4 @@
-"""The files that a calibration leaves behind, as the command and the calibrator node both write them."""
+"""The files that a calibration leaves behind, as library, command and calibrator node all write them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.store import to_data
+from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import so3
-from modcal_core.loop import Result
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.report import Report
 from modcal_core.robots.chain import Chain
@@ -18,11 +18,10 @@ from modcal_core.robots.delta_file import delta_to_data
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
-from modcal_nodes.io.files import to_json, to_yaml
 
 
 def calibration_files(
-    result: Result,
+    calibration: Calibration,
     report: Report,
     nominal: Chain,
     urdf: str,
@@ -33,13 +32,13 @@ def calibration_files(
 
     factory: the kinematics that the maker's tool took from this arm, whose form and hash are kept.
     """
-    calibrated = result.calibration.calibrated.serial
+    calibrated = calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
     return _with_report(
         report,
         {
-            "calibration.yaml": to_yaml(to_data(result.calibration)),
+            "calibration.yaml": to_yaml(to_data(calibration)),
             "calibrated.urdf": corrected,
             "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         },
@@ -47,25 +46,26 @@ def calibration_files(
     )
 
 
-def delta_files(result: Result, report: Report) -> dict[str, str]:
+def delta_files(calibration: Calibration, report: Report, page: bool = True) -> dict[str, str]:
     """The same for a Delta, into whose file the tool that was found is written as well."""
-    calibrated = result.calibration.calibrated.chain
+    calibrated = calibration.calibrated.chain
     assert isinstance(calibrated, Delta)
-    T = result.calibration.calibrated.T_tip_tool
+    T = calibration.calibrated.T_tip_tool
     tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
     with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
     return _with_report(
         report,
         {
-            "calibration.yaml": to_yaml(to_data(result.calibration)),
+            "calibration.yaml": to_yaml(to_data(calibration)),
             "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool)),
         },
+        page,
     )
 
 
-def report_files(report: Report) -> dict[str, str]:
+def report_files(report: Report, page: bool = True) -> dict[str, str]:
     """Names and texts of a report."""
-    return _with_report(report, {})
+    return _with_report(report, {}, page)
 
 
 def _with_report(report: Report, others: dict[str, str], page: bool = True) -> dict[str, str]:

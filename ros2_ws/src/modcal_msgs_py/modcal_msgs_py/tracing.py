@@ -3,32 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
 from pathlib import Path
 
-from modcal_core.errors import BadRobot
 from modcal_core.measurements.dropouts import elsewhen
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.report.trace import Trace, iso_date
-from modcal_core.robots.urdf_tree import document
 
 _MAX_NAMED = 4  # instruments; a cell of many anchors would fill the line
 _CHUNK = 1 << 20
-
-
-def trace_of(bag: Path, recording: Recording, robot: str | None = None, frames: Iterable[str] = ()) -> Trace:
-    """The trace of a report on this bag.
-
-    recording: of its beginning. robot: the name of the arm; None takes that of the recorded description. frames: those
-    whose readings were used; none given: all.
-    """
-    first = began(recording)
-    return Trace(
-        date=None if first is None else iso_date(first),
-        bag_sha256=digest(bag),
-        robot=robot or _robot(recording),
-        instrument=_instruments(recording, set(frames)),
-    )
 
 
 def began(recording: Recording) -> float | None:
@@ -54,16 +35,8 @@ def _digest_of(file: Path) -> str:
     return digits.hexdigest()
 
 
-def _robot(recording: Recording) -> str | None:
-    if recording.robot_description is None:
-        return None
-    try:
-        return document(recording.robot_description).get("name")
-    except BadRobot:  # evaluate does not need the description, and says elsewhere that it cannot be read
-        return None
-
-
-def _instruments(recording: Recording, frames: set[str]) -> str | None:
+def instruments(recording: Recording, frames: set[str]) -> str | None:
+    """Kind, topic and frame of the readings in these frames, all of them where none are given; None: no readings."""
     tracks = [t for t in recording.readings if not frames or t.frame in frames]
     named = list(dict.fromkeys(f"{t.kind} on {t.topic} in {t.frame}" for t in tracks))
     if len(named) > _MAX_NAMED:

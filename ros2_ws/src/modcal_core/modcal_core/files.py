@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from modcal_core.errors import BadTable
 
 _MAX_DEPTH, _MAX_YAML = 100, 1 << 28
@@ -79,6 +77,8 @@ def to_json(data: Any) -> str:
 
 def to_yaml(data: Any) -> str:
     """YAML text with keys in the order given and short lists in one line."""
+    import yaml  # the mathematics needs NumPy and SciPy only
+
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as quick, where PyYAML has it
     return str(yaml.dump(data, Dumper=dumper, sort_keys=False, default_flow_style=None, width=160, allow_unicode=True))
 
@@ -95,6 +95,8 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(text: str, source: str) -> Any:
     """The data of a YAML text; raises BadTable with the source and the place of the mistake."""
+    import yaml  # the mathematics needs NumPy and SciPy only
+
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         # the quick loader goes down as deep as a text does, and takes the process with it

@@ -1,0 +1,17 @@
+"""Where to measure: stations from which the arm is calibrated best, in an order that it can drive."""
+
+from pathlib import Path
+
+import modcal
+import numpy as np
+
+URDF = Path(__file__).resolve().parent / "robots" / "ur10.urdf"
+
+robot = modcal.Robot.from_urdf(URDF, tip="tool0")
+plan = modcal.plan(robot, stations=20, reading="pose", seed=0)
+
+print(f"{plan.distinct} stations, {len(plan.q) - plan.distinct} of them visited twice")
+print(f"expected after calibration: {1e3 * plan.accuracy.p95:.3f} mm (95 % of the workspace)")
+at_random = np.median([one.p95 for one in plan.random])
+print(f"as many stations drawn at random: {1e3 * at_random:.3f} mm")
+np.savetxt("stations.csv", plan.q, delimiter=",", header=",".join(robot.names))

@@ -1,0 +1,224 @@
+"""The public functions: what the library and the command both do, from a robot and samples to a report.
+
+What goes on inside is :func:`modcal_core.loop.calibrate` and :func:`modcal_core.evaluation.evaluate`; here samples meet
+the robot, what they state of themselves is put in, and the report says where they come from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from modcal_core import evaluation, loop
+from modcal_core.articulation.choice import Choice, choose
+from modcal_core.articulation.track import Track
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.stated import Stated
+from modcal_core.calibration.store import Calibration, fingerprint
+from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
+from modcal_core.geometry.read_only import sealed
+from modcal_core.measurements.arrays import as_recording
+from modcal_core.measurements.checks import require_usable
+from modcal_core.measurements.dropped import BETWEEN
+from modcal_core.measurements.samples import Samples
+from modcal_core.planning.plan import Plan, Wish
+from modcal_core.planning.plan import plan as plan_stations
+from modcal_core.planning.site import Site
+from modcal_core.report.report import Report
+from modcal_core.report.trace import Trace, iso_date
+from modcal_core.result import Result
+from modcal_core.robot import Robot
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.verdict.readings import COMPUTED
+from modcal_core.verdict.tolerance import STATISTICS, Asked, Statistic
+
+
+def quiet(stage: str) -> None:
+    """What hears of stages when nobody does."""
+
+
+def calibrate(
+    robot: Robot,
+    samples: Samples,
+    seed: int = 0,
+    *,
+    cell: Cell | None = None,
+    fixed: tuple[str, ...] = (),
+    geometry_only: bool = False,
+    block: int | None = None,
+    tolerance_mm: float | None = None,
+    tolerance_of: str = "p95",
+    progress: Callable[[str], None] = quiet,
+) -> Result:
+    """The calibration of a robot from samples: geometry, then what else the samples show, and a verdict.
+
+    A part of the samples fits, another chooses effects, and the rest, which neither has seen, scores; the same seed
+    gives the same split. cell: what is known of the surroundings and stated of arm and instrument. fixed: parameters or
+    places that stay as they are, such as ``tool``. geometry_only: look for no effects. block: stations that the split
+    keeps together; None: decided by the data. tolerance_mm: the error allowed, of the statistic tolerance_of ("mean",
+    "rms", "p95" or "max"), which the report then judges. progress: is told of each stage.
+
+    Raises ModcalError: BadRecording for samples that cannot be of this robot or in these units, NotEnoughData for too
+    few of them, BadTable for what is stated and cannot be.
+    """
+    asked = tolerance_asked(tolerance_mm, tolerance_of)
+    samples = _met(samples, robot.mechanism)
+    around = _stated(replace(cell or Cell(), fixed=(*(cell or Cell()).fixed, *fixed)), samples)
+    progress("fitting the geometry")
+    try:
+        found = loop.calibrate(
+            samples,
+            robot.mechanism,
+            np.random.default_rng(seed),
+            around,
+            block,
+            robot.inertias,
+            progress=lambda effect: progress(f"trying {effect}"),
+            look_for_effects=not geometry_only,
+        )
+    except NotEnoughData as error:
+        raise _too_little(error, samples) from error
+    _require_measured(found.report, samples)
+    report = _traced(found.report, samples, robot.name).with_tolerance(asked)
+    return sealed(Result(report, found.calibration, robot, samples, found.scored))
+
+
+def evaluate(
+    calibration: Calibration,
+    samples: Samples,
+    seed: int = 0,
+    *,
+    refit_base: bool = False,
+    refit_tool: bool = False,
+    cell: Cell | None = None,
+    block: int | None = None,
+    tolerance_mm: float | None = None,
+    tolerance_of: str = "p95",
+) -> Report:
+    """How far a calibration, left as it is, misses on samples that it was not made from.
+
+    refit_base, refit_tool: find base or tool again on a part of the samples, where instrument, robot or tool
+    were moved since; the rest is then scored. The other arguments and errors are those of :func:`calibrate`.
+    """
+    asked = tolerance_asked(tolerance_mm, tolerance_of)
+    samples = _met(samples, calibration.nominal.chain)
+    rng = np.random.default_rng(seed)
+    around = _stated(cell or Cell(), samples)
+    try:
+        report = evaluation.evaluate(calibration, samples, rng, refit_base, refit_tool, around, block)
+    except NotEnoughData as error:
+        raise _too_little(error, samples) from error
+    report = _traced(report, samples, _described(samples)).with_tolerance(asked)
+    return sealed(replace(report, notes=(*report.notes, *_other_robot(calibration, samples))))
+
+
+def articulate(track: Track, seed: int = 0) -> Choice:
+    """How a handle moves: rigid, sliding, turning, or like a screw, with the probability of each and the best fit.
+
+    track: positions or poses of the handle. seed: of the samples that first guesses are made from.
+    """
+    return sealed(choose(track, np.random.default_rng(seed)))
+
+
+def plan(
+    robot: Robot,
+    stations: int | None = None,
+    seed: int = 0,
+    *,
+    accuracy_mm: float | None = None,
+    reading: str = "point",
+    site: Site | None = None,
+    fixed: tuple[str, ...] = (),
+) -> Plan:
+    """Where to measure: the stations ``q`` (k, n), in an order free of collisions, and the accuracy to be expected.
+
+    stations: how many; None: as many as accuracy_mm asks for [mm, 95 % of the workspace]. reading: "point" or "pose".
+    site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
+    seed: of candidates and starts. Raises NotPlannable where no set of stations will do, BadRobot for a Delta.
+    """
+    wish = Wish(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
+    return sealed(plan_stations(robot.chain, site or Site(), wish, np.random.default_rng(seed)))
+
+
+def tolerance_asked(mm: float | None, of: str) -> Asked | None:
+    """The tolerance that is asked for; None where none is. Raises BadTable."""
+    if mm is None:
+        return None
+    if of not in STATISTICS:
+        raise BadTable(f"tolerance of {of}", "is no statistic of the error", f"ask for {', '.join(STATISTICS)}")
+    return Asked(mm, cast(Statistic, of))
+
+
+def _met(samples: Samples, mechanism: Mechanism) -> Samples:
+    """The samples with the robot's joints in its order, and, where nobody has done that before, checked against it."""
+    samples = samples.of_joints(mechanism.names)
+    if not samples.origin.checked:
+        require_usable(as_recording(samples, mechanism.names), mechanism)
+    return samples
+
+
+def _stated(cell: Cell, samples: Samples) -> Cell:
+    """The cell, with what the instruments state of themselves where it states nothing."""
+    own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
+    return replace(cell, stated=cell.stated.over(own))
+
+
+def _traced(report: Report, samples: Samples, robot: str | None) -> Report:
+    """The report with what there is to know of where its samples come from."""
+    origin = samples.origin
+    date = None if origin.began is None else iso_date(origin.began)
+    trace = Trace(date=date, bag_sha256=origin.sha256, robot=robot, instrument=origin.instrument)
+    notes = (*report.notes, *origin.notes)
+    return replace(report, title=origin.title, notes=notes, dropped=origin.dropped, trace=trace)
+
+
+def _too_little(error: NotEnoughData, samples: Samples) -> NotEnoughData:
+    """The refusal, with what was left out before."""
+    left_out = ", ".join(f"{n} {reason}" for reason, n in samples.origin.dropped if reason != BETWEEN)
+    limit = f"{error.limit}; left out: {left_out}" if left_out else error.limit
+    return NotEnoughData(error.offender, limit, error.remedy)
+
+
+def _require_measured(report: Report, samples: Samples) -> None:
+    """Raises BadRecording where a topic that nobody named turns out to hold what was computed from the joints."""
+    computed = [reason for reason in report.open_because if COMPUTED in reason]
+    by_type = samples.origin.by_type
+    if computed and by_type:
+        raise BadRecording(
+            f"topic {by_type[0]}",
+            f"was taken for the tracker's, as the only one that can be; but {computed[0].rstrip('.')}",
+            f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one",
+        )
+
+
+def _described(samples: Samples) -> str | None:
+    """The name of the robot in the recorded description; None where there is none that can be read."""
+    if samples.origin.description is None:
+        return None
+    from modcal_core.robots.urdf_tree import document
+
+    try:
+        name = document(samples.origin.description).get("name")
+    except BadRobot:  # evaluate does not need the description, and says elsewhere that it cannot be read
+        return None
+    return None if name is None else str(name)
+
+
+def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+    """A sentence when the recording describes a robot other than the one that was calibrated."""
+    nominal, calibrated = calibration.nominal.chain, calibration.calibrated.chain
+    if samples.origin.description is None or isinstance(calibrated, Delta):
+        return ()
+    from modcal_core.robots.urdf import read_chain
+
+    try:
+        described = fingerprint(read_chain(samples.origin.description, nominal.base, nominal.tip))
+    except ModcalError as error:
+        return (f"The recording's robot description was not compared: {error}.",)
+    if described in (calibration.robot, fingerprint(calibrated)):
+        return ()
+    return ("The recording's robot description has other kinematics than the one that was calibrated.",)

@@ -1,0 +1,64 @@
+"""What a calibration comes to: the report, the calibration to use, and how the fits ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.store import Calibration
+from modcal_core.files import write_folder
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import Report
+from modcal_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of :func:`modcal_core.calibrate`; nothing in it can be written to.
+
+    report: what was found, scored on held-out samples. calibration: fitted to all samples, for use. robot, samples:
+    what it was made from. scored: the fit that the report is about, which has not seen the held-out samples.
+    """
+
+    report: Report
+    calibration: Calibration
+    robot: Robot
+    samples: Samples
+    scored: Fit = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every fit ended at its minimum."""
+        return self.report.grounds.converged
+
+    @property
+    def iterations(self) -> int:
+        """Steps of the last fit of the model that was scored."""
+        return self.scored.iterations
+
+    @property
+    def message(self) -> str:
+        """How the fits ended, in one sentence."""
+        if self.converged:
+            return f"All fits reached their minimum; the last one took {self.iterations} steps."
+        return f"A fit ended before its minimum, the last one after {self.iterations} steps: see report.open_because."
+
+    def files(self, factory: Mapping[str, Any] | None = None, page: bool = True) -> dict[str, str]:
+        """Names and texts of the files of a calibration: report, corrected model, everything needed to predict.
+
+        factory: the kinematics that the maker's tool took from this arm, whose form and hash ``kinematics.yaml`` keeps.
+        page: whether report.html is among them.
+        """
+        from modcal_core.report.files import calibration_files, delta_files
+
+        if self.robot.description is None:
+            return delta_files(self.calibration, self.report, page)
+        return calibration_files(self.calibration, self.report, self.robot.chain, self.robot.description, factory, page)
+
+    def save(self, folder: str | Path, factory: Mapping[str, Any] | None = None, page: bool = True) -> Path:
+        """Write the files of ``modcal calibrate`` into a folder, whole or not at all; returns the folder."""
+        write_folder(Path(folder), self.files(factory, page))
+        return Path(folder)

@@ -1,0 +1,183 @@
+"""The robot as a user of the library holds it: its kinematics, and what its description says besides."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot
+from modcal_core.files import read_yaml
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.urdf_inertias import Inertias
+
+if TYPE_CHECKING:
+    from modcal_core.modules.assembly import Assembly
+    from modcal_core.modules.library import Library
+
+Table = str | Path | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A serial arm or a Delta as its maker drew it.
+
+    mechanism: the kinematics, a Chain or a Delta. inertias: lumped bodies of the joints; None where nothing states
+    them. description: URDF text; None for a Delta. name: as reports have it.
+    """
+
+    mechanism: Mechanism
+    inertias: Inertias | None = None
+    description: str | None = None
+    name: str = "robot"
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        recorded: Collection[str] | None = None,
+    ) -> Robot:
+        """The arm between two links of a URDF.
+
+        source: path of the file, or its text. base: the first link; None: the root. tip: the last link; None: the one
+        behind most of the joints named in recorded, or behind most joints. Raises BadRobot.
+        """
+        from modcal_core.robots.urdf import read_chain
+        from modcal_core.robots.urdf_inertias import read_inertias
+        from modcal_core.robots.urdf_tree import document
+
+        text = source if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<") else _text(source)
+        chain = read_chain(text, base, tip, recorded)
+        return cls(chain, read_inertias(text, chain), text, str(document(text).get("name") or "robot"))
+
+    @classmethod
+    def from_dh(cls, table: Table) -> Robot:
+        """The arm of a Denavit-Hartenberg table: classical, or modified where it states ``convention: mdh``.
+
+        table: the data, or the path of a YAML file; docs/robots.md has its keys. Raises BadTable.
+        """
+        return cls.from_table({"convention": "dh", **_data(table)})
+
+    @classmethod
+    def from_cpc(cls, table: Table) -> Robot:
+        """The arm of a table of the complete and parametrically continuous model; as :meth:`from_dh`."""
+        return cls.from_table({"convention": "cpc", **_data(table)})
+
+    @classmethod
+    def from_table(cls, table: Table) -> Robot:
+        """The arm of a kinematic table that states its convention: dh, mdh or cpc. Raises BadTable."""
+        from modcal_core.robots.tables import from_table
+
+        return cls.from_chain(from_table(_data(table)))
+
+    @classmethod
+    def from_chain(cls, chain: Chain, name: str = "arm") -> Robot:
+        """The arm with these kinematics, and a URDF made from them."""
+        from modcal_core.robots.urdf_elements import chain_urdf
+
+        return cls(chain, None, chain_urdf(chain, name), name)
+
+    @classmethod
+    def from_modules(cls, assembly: Assembly, library: Library | None = None) -> Robot:
+        """The arm that an assembly of modules makes. library: of the modules; None: the published one.
+
+        Raises BadTable where it cannot be built.
+        """
+        from modcal_core.modules.library_data import published
+        from modcal_core.modules.urdf import urdf_of
+
+        return cls.from_urdf(urdf_of(assembly, published() if library is None else library))
+
+    @classmethod
+    def from_delta(cls, table: Table) -> Robot:
+        """The Delta robot that this data, or this YAML file, describes; docs/delta.md has the keys. Raises BadTable."""
+        from modcal_core.robots.delta_file import delta_from_data
+
+        if isinstance(table, Mapping):
+            return cls(delta_from_data(table, "delta"), name="delta")
+        return cls(delta_from_data(read_yaml(Path(table)), str(table)), name="delta")
+
+    @classmethod
+    def delta(cls, *arguments: Any, **constants: Any) -> Robot:
+        """A Delta robot from its constants [m, rad], as :meth:`modcal_core.Delta.build` takes them. Raises BadRobot."""
+        from modcal_core.robots.delta import Delta
+
+        return cls(Delta.build(*arguments, **constants), name="delta")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints, base to tip."""
+        return self.mechanism.names
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.mechanism.n
+
+    @property
+    def base(self) -> str:
+        """The first link."""
+        return self.mechanism.base
+
+    @property
+    def tip(self) -> str:
+        """The last link."""
+        return self.mechanism.tip
+
+    @property
+    def limits(self) -> Array:
+        """Lower and upper limits of the joints [rad, m], (2, n); ±inf where none are stated."""
+        return np.stack([self.mechanism.lower, self.mechanism.upper])
+
+    @property
+    def chain(self) -> Chain:
+        """The kinematics of a serial arm. Raises BadRobot for a Delta."""
+        if isinstance(self.mechanism, Chain):
+            return self.mechanism
+        raise BadRobot(f"robot {self.name}", "is a Delta", "give a serial arm: this works on no other")
+
+    def forward(self, q: ArrayLike) -> Array:
+        """Poses T_base_tip (..., 4, 4) [m] at joint positions q (..., n) [rad, m].
+
+        Raises BadRobot for another number of joints, and NotReachable for postures that a Delta cannot take.
+        """
+        postures = np.asarray(q, dtype=float)
+        if postures.ndim == 0 or postures.shape[-1] != self.n:
+            raise BadRobot("q", f"has shape {postures.shape}, not (..., {self.n})", f"order: {', '.join(self.names)}")
+        return forward(self.mechanism, postures)
+
+    def inverse(self, T_base_tip: ArrayLike, near: ArrayLike | None = None, seed: int = 0) -> Array:
+        """Joint positions (n,) [rad, m], within the limits, that put the tip at a pose (4, 4) [m] of the base.
+
+        near: posture to begin from, (n,); None: the middle of the limits. seed: of the other postures that are tried.
+        Of a Delta the position and the turn about z count. Raises NotReachable with what was left.
+        """
+        goal = np.asarray(T_base_tip, dtype=float)
+        if goal.shape != (4, 4):
+            raise BadRobot("pose", f"has shape {goal.shape}, not (4, 4)", "give one homogeneous transform")
+        if not isinstance(self.mechanism, Chain):
+            from modcal_core.robots import delta_kinematics
+
+            return delta_kinematics.inverse(self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0])))
+        from modcal_core.robots.inverse import inverse
+
+        low, high = self.limits
+        middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
+        start = middle if near is None else np.asarray(near, dtype=float)
+        return inverse(self.mechanism, goal, start, rng=np.random.default_rng(seed))
+
+
+def _text(source: str | Path) -> str:
+    return Path(source).read_text(encoding="utf-8", errors="replace")
+
+
+def _data(table: Table) -> Mapping[str, Any]:
+    return table if isinstance(table, Mapping) else read_yaml(Path(table))
