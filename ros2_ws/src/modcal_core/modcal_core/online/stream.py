@@ -2,7 +2,7 @@
 
 The same three ways as in a recording (:mod:`modcal_core.measurements.stations`), without its end being known: readings
 taken while the arm stands still are averaged once it has moved on, over what the same detector of dwells finds;
-readings that carry a joint state's own stamp are paired with it where messages are sparse; and on an arm that never stops
+readings that carry the stamp of a joint state are paired with it where messages are sparse; on an arm that never stops
 a reading gets the posture interpolated to its stamp. Memory does not grow: a few seconds of messages are held.
 """
 
