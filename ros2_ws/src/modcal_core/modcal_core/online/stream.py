@@ -2,8 +2,8 @@
 
 The same three ways as in a recording (:mod:`modcal_core.measurements.stations`), without its end being known: readings
 taken while the arm stands still are averaged once it has moved on, over what the same detector of dwells finds;
-readings that carry a joint state's own stamp are paired with it where messages are sparse; and on an arm that never stops
-a reading gets the posture interpolated to its stamp. Memory does not grow: a few seconds of messages are held.
+readings that carry a joint state's own stamp are paired with it where messages are sparse; and on an arm that never
+stops a reading gets the posture interpolated to its stamp. Memory does not grow: a few seconds of messages are held.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Ended:
     approach: Array
 
 
-class Stream:
+class SampleStream:
     """Samples of one arm from messages as they arrive. Stamps in seconds, joints in the order of ``names``."""
 
     def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:
