@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.effects.driver_limits import outside_drivers
+from modcal_core.calibration.usual import outside_drivers
 from modcal_core.effects.drivers import Arm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
