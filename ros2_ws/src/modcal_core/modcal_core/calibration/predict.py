@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.usual import outside_drivers
-from modcal_core.effects.drivers import Arm
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
@@ -34,7 +34,7 @@ def predict(calibration: Calibration, q: ArrayLike | Samples, frame: str | None 
     )
     samples = replace(samples, frames=model.frames, frame=at)
     _require_drivers(calibration, samples)
-    arm = replace(model.arm or Arm(calibration.nominal.chain), held=calibration.held)
+    arm = replace(model.arm or NominalArm(calibration.nominal.chain), held=calibration.held)
     return replace(model, arm=arm).predict_samples(samples)
 
 
