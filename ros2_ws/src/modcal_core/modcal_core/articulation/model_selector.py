@@ -85,7 +85,9 @@ class ModelSelector:
 
     def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
         """A step of what is believed, on the nodes of now, at the play and the sway that it was chosen for."""
-        self.motion = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
+        better = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
+        assert isinstance(better, AxisMotion)
+        self.motion = better
 
     def _now(self, nodes: Nodes) -> NodeScene:
         if len(self._jitter) >= 12:
@@ -126,7 +128,9 @@ class ModelSelector:
 
     def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
         known = {other: row.motion for (other, j), row in self._rows.items() if j == i}
-        return _MODELS[kind].quick_guess(scene.track, known, self.rounds)
+        guess = _MODELS[kind].quick_guess(scene.track, known, self.rounds)
+        assert guess is None or isinstance(guess, AxisMotion)
+        return guess
 
     def _conclude(self, scene: NodeScene) -> bool:
         known: dict[Kind, list[EvidenceRow]] = {}
@@ -145,6 +149,7 @@ class ModelSelector:
         chosen = known[best][i]
         self._play, self._column = FEW[i], j
         self.kind = STILL.name if self.probabilities[STILL.name] > 0.5 else best
+        assert isinstance(chosen.motion, AxisMotion)
         self.motion = chosen.motion
         return old != best
 
