@@ -31,14 +31,14 @@ from articulation.objects import ideal, noisy  # noqa: E402
 
 from modcal_core.articulation.choice import choose  # noqa: E402
 from modcal_core.articulation.fit import fit  # noqa: E402
-from modcal_core.articulation.online import State, Tracker  # noqa: E402
+from modcal_core.articulation.online import Tracker, TrackerState  # noqa: E402
 from modcal_core.articulation.track import Track  # noqa: E402
 
 DATA = ROOT.parent / "shared" / "data" / "articulation"
 DEGREE = np.pi / 180.0
 
 
-def followed(track: Track, period: float = 0.05) -> tuple[list[State], list[float]]:
+def followed(track: Track, period: float = 0.05) -> tuple[list[TrackerState], list[float]]:
     """What the tracker believed after every pose, and the processor's time it took [s]."""
     tracker, states, spent = Tracker(), [], []
     for i, p in enumerate(track.positions):
@@ -48,7 +48,7 @@ def followed(track: Track, period: float = 0.05) -> tuple[list[State], list[floa
     return states, spent
 
 
-def misses(track: Track, states: list[State]) -> list[float]:
+def misses(track: Track, states: list[TrackerState]) -> list[float]:
     """Errors 5 cm or 10° ahead [m], wherever the model was trusted and the handle did go on that far."""
     out = []
     for i in range(0, len(track), 3):

@@ -32,7 +32,7 @@ from rosbags.rosbag2 import Reader  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_core.geometry.so3 import Array  # noqa: E402
 from modcal_msgs_py.fields import fields_of  # noqa: E402
-from modcal_msgs_py.layout import Layout  # noqa: E402
+from modcal_msgs_py.layout import MessageLayout  # noqa: E402
 from modcal_msgs_py.mcap_read import read_bag  # noqa: E402
 from modcal_msgs_py.types import definition, jazzy, message_class, serialise  # noqa: E402
 
@@ -51,7 +51,7 @@ class Stamped:
         self._bytes = serialise(sample, type_name)
         schema, _ = definition(type_name)
         fields = fields_of(type_name, {type_name: schema})
-        layout = Layout.of(fields, self._bytes) if fields is not None else None
+        layout = MessageLayout.of(fields, self._bytes) if fields is not None else None
         assert layout is not None
         self._at = {path: (column.at, column.dtype) for path, column in layout.columns.items()}
 

@@ -36,10 +36,10 @@ import yaml  # noqa: E402
 
 from modcal_core.modules.coding import BASES, Coding  # noqa: E402
 from modcal_core.modules.evaluation import Effort, Evaluator, uses_of  # noqa: E402
-from modcal_core.modules.genetic import Archive, Settings, evolve, valid  # noqa: E402
+from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid  # noqa: E402
 from modcal_core.modules.library_data import published  # noqa: E402
 from modcal_core.modules.poe import chain_of  # noqa: E402
-from modcal_core.modules.synthesis import Task  # noqa: E402
+from modcal_core.modules.synthesis import SynthesisTask  # noqa: E402
 from modcal_core.modules.synthesis_data import task_from_data  # noqa: E402
 from modcal_core.robots.kinematics import forward  # noqa: E402
 
@@ -71,11 +71,11 @@ class Run:
         return self.error < LIMIT
 
 
-def two_poses() -> Task:
+def two_poses() -> SynthesisTask:
     return task_from_data(yaml.safe_load((ROOT / "examples/synthesis/two_poses.yaml").read_text()), "two_poses.yaml")
 
 
-def checked(task: Task, genome: np.ndarray, q: np.ndarray) -> float:
+def checked(task: SynthesisTask, genome: np.ndarray, q: np.ndarray) -> float:
     """The worst miss of the arm as the rest of the suite sees it; inf where a limit is broken."""
     chain = chain_of(CODING.assembly(genome), LIBRARY)
     if not ((q >= chain.lower - 1e-9) & (q <= chain.upper + 1e-9)).all():
@@ -84,10 +84,10 @@ def checked(task: Task, genome: np.ndarray, q: np.ndarray) -> float:
     return max(float(max(target.miss(T[k]))) for k, target in enumerate(task.targets))
 
 
-def ours(task: Task, seed: int, budget: int) -> Run:
+def ours(task: SynthesisTask, seed: int, budget: int) -> Run:
     run, start = Run(), time.process_time()
     evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
-    settings = Settings(generations=budget, patience=budget)
+    settings = SearchSettings(generations=budget, patience=budget)
 
     def enough(archive: Archive) -> bool:
         at = archive.verdicts
@@ -105,7 +105,7 @@ def ours(task: Task, seed: int, budget: int) -> Run:
 
 
 def searched(
-    task: Task,
+    task: SynthesisTask,
     evaluator: Evaluator,
     batches: Iterator[np.ndarray],
     budget: int,
@@ -137,14 +137,14 @@ def searched(
     return run
 
 
-def at_random(task: Task, seed: int, budget: int) -> Run:
+def at_random(task: SynthesisTask, seed: int, budget: int) -> Run:
     rng = np.random.default_rng([seed, JOINTS])
     evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
     batches = (valid(CODING, JOINTS, 128, rng) for _ in itertools.count())
     return searched(task, evaluator, batches, budget, [])
 
 
-def as_published(task: Task, seed: int, budget: int) -> Run:
+def as_published(task: SynthesisTask, seed: int, budget: int) -> Run:
     rng = np.random.default_rng([seed, JOINTS])
     weights = {u.name: {**u.options, "weight": u.weight} for u in task.uses if u.weight}
     uses = uses_of({"structure": {}, "reachability": {"tolerance": 0.01}, **weights})
@@ -200,7 +200,7 @@ def main() -> int:
     print("| search | found | judged till then | descents | time, s | worst error | least cost | time, s |")
     print("|---" * 8 + "|")
     # judging takes the longer the more candidates reach the targets; the last two get about as much time as ours
-    searches: list[tuple[str, Callable[[Task, int, int], Run], int, float]] = [
+    searches: list[tuple[str, Callable[[SynthesisTask, int, int], Run], int, float]] = [
         ("ours", ours, chosen.seeds, 1.0),
         ("random", at_random, chosen.others, 1.0),
         ("published", as_published, chosen.others, 1.0),

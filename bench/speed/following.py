@@ -15,8 +15,8 @@ from modcal_core.calibration.identify import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.effects.registry import candidates
+from modcal_core.online.change_detector import ChangeDetector
 from modcal_core.online.estimator import Estimator
-from modcal_core.online.watch import Watch
 
 ROWS = 256
 STATIONS = 160
@@ -37,7 +37,7 @@ def rows() -> Iterator[Row]:
     if apart > 1e-2:
         raise SystemExit(f"the running estimate is {apart:.2g} standard deviations from the batch")
     estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
-    watch = Watch(fit.model, fit.parameters, fit.covariance, fit.spread)
+    watch = ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.spread)
     batch = lambda: identify(fit.model, samples, parameters)  # noqa: E731
     ours, other = pair_ms(lambda: [estimator.update(row) for row in single[:ROWS]], batch, 5)
     yield Row("online", "recursive update, one pose", ours / ROWS, "batch fit of 1000", other)

@@ -11,7 +11,7 @@ from timing import Row, spent_ms
 
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import Evaluator
-from modcal_core.modules.genetic import Settings, evolve
+from modcal_core.modules.genetic import SearchSettings, evolve
 from modcal_core.modules.library_data import published
 from modcal_core.modules.synthesis_data import task_from_data
 
@@ -33,7 +33,7 @@ def rows() -> Iterator[Row]:
             5,
             evaluator,
             np.random.default_rng([0, 5]),
-            Settings(generations=BUDGET, patience=BUDGET),
+            SearchSettings(generations=BUDGET, patience=BUDGET),
             enough=lambda archive: archive.judged >= BUDGET,
         )
         judged.append(archive.judged)

@@ -8,7 +8,7 @@ from articulation.objects import Seen, ideal, noisy
 from finite_differences import assert_jacobian
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.fit import Fit, fit
+from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES
@@ -99,7 +99,7 @@ def test_accuracy_of_a_hinge(
     assert np.quantile([f[1] for f in found], 0.95) <= axis
 
 
-def _chi(found: Fit, seen: Seen) -> tuple[float, float]:
+def _chi(found: JointFit, seen: Seen) -> tuple[float, float]:
     """Squared errors of centre and axis, each over two dimensions, weighed by what the fit says of them."""
     B = np.linalg.svd(seen.axis[None])[2][1:]
     away = B @ (found.model.point - seen.point)

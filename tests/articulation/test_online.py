@@ -10,7 +10,7 @@ from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.models.model import Kind
-from modcal_core.articulation.online import State, Tracker
+from modcal_core.articulation.online import Tracker, TrackerState
 from modcal_core.errors import BadCommand
 
 DEGREE = np.pi / 180.0
@@ -20,7 +20,9 @@ def pulled(kind: Kind, far: float, rng: np.random.Generator, count: int = 200, n
     return noisy(ideal(kind, np.linspace(0.0, far, count), rng, 0.4, 0.08), rng, noise, 0.2 * DEGREE)
 
 
-def watch(tracker: Tracker, seen: Seen, oriented: bool = True, begin: float = 0.0, pull: bool = True) -> list[State]:
+def watch(
+    tracker: Tracker, seen: Seen, oriented: bool = True, begin: float = 0.0, pull: bool = True
+) -> list[TrackerState]:
     return [
         tracker.update(p, R if oriented else None, begin + 0.02 * i, pull)
         for i, (p, R) in enumerate(zip(seen.positions, seen.rotations, strict=True))

@@ -17,7 +17,7 @@ from modcal_core.articulation.choice import choose
 from modcal_core.articulation.fit import fit
 from modcal_core.articulation.models import registry
 from modcal_core.articulation.models.model import Kind
-from modcal_core.articulation.models.parametric import Parameter, ParametricModel
+from modcal_core.articulation.models.parametric import ParametricModel, ShapeParameter
 from modcal_core.articulation.models.parametric_motion import ParametricMotion, PathJoint
 from modcal_core.articulation.models.revolute import MODEL as REVOLUTE
 from modcal_core.articulation.models.revolute import RevoluteJoint
@@ -55,7 +55,7 @@ class Circle(ParametricModel):
     """A hinge, as a package would write it, with furniture's own prior of radii."""
 
     name = "circle"
-    parameters = (Parameter("log_radius", *furniture.RADIUS),)
+    parameters = (ShapeParameter("log_radius", *furniture.RADIUS),)
     lower, upper, unit, share = -3.0, 3.0, "rad", 0.3
 
     def pose(self, values: Array, a: Array) -> Array:

@@ -11,7 +11,7 @@ from modcal_core.calibration.distances import StationDistance, distance_rows
 from modcal_core.calibration.distances_together import common_factor, contradicted_together, without_distances
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.known_distances import contradictions, distances_of
-from modcal_core.calibration.linearise import View, linearise
+from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import excess_spread
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
@@ -169,6 +169,6 @@ def test_derivatives_of_a_move_by_any_angle(place: str) -> None:
 
     model = start.with_effects((effect.with_values(x),))
     around = model.drivers(samples)
-    view = View.of(model, samples, around)
+    view = RowView.of(model, samples, around)
     J = np.stack([view.moved_by(terms)[: 3 * len(samples)] for terms in all_columns(model.effects, around)], axis=1)
     assert_jacobian(predicted, J, x)

@@ -7,7 +7,7 @@ import pytest
 from compliance.toy import PERIOD, T_READY, door, drawer
 
 from modcal_core.articulation.models.registry import joint
-from modcal_core.compliance.course import Course, Pull
+from modcal_core.compliance.path_model import PathModel, Pull
 from modcal_core.geometry import se3
 
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
@@ -20,7 +20,7 @@ def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip
     axis, pitch = flip * truth.axis, 0.02 if kind == "screw" else 0.0
     model = joint(kind, T_READY, axis, truth.point, pitch)
     now = model.pose(flip * 0.1)
-    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    course = PathModel(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     goal = course.goal_at
     assert goal == pytest.approx(flip * (0.3 if kind == "prismatic" else 1.0))
     assert course.opened(course.configuration(now)) == pytest.approx(0.1)
@@ -42,7 +42,7 @@ def test_a_model_from_positions_leaves_a_tool_that_did_not_turn_as_it_is() -> No
     truth = door()
     model = joint("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
     now = se3.transform(T_READY[:3, :3], truth.pose(0.2)[:3, 3])
-    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    course = PathModel(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     for T in course.path():
         assert np.abs(T[:3, :3] - T_READY[:3, :3]).max() < 1e-9
         assert np.linalg.norm(T[:3, 3] - truth.pose(truth.configuration(T[:3, 3]))[:3, 3]) < 1e-9
@@ -52,7 +52,7 @@ def test_a_model_from_positions_leaves_a_tool_that_did_not_turn_as_it_is() -> No
 def test_what_seems_to_turn_about_an_axis_far_off_slides() -> None:
     """A drawer taken for a circle of 8 m is opened by 30 cm, not by 60° of that circle."""
     truth = door(8.0)
-    course = Course(truth, T_READY, T_READY, np.array([-1.0, 0, 0]), 1.0, 0.3, 0.05)
+    course = PathModel(truth, T_READY, T_READY, np.array([-1.0, 0, 0]), 1.0, 0.3, 0.05)
     assert course.way == pytest.approx(0.3)
 
 
@@ -81,7 +81,7 @@ def test_a_model_from_positions_turns_the_tool_with_it() -> None:
     truth = door()
     model = joint("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
     now = truth.pose(0.2)
-    course = Course(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
+    course = PathModel(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     while course.left(course.at) > 0.0:
         T = course.advance(0.01)
     assert np.abs(T - truth.pose(course.opened(course.at))).max() < 1e-9

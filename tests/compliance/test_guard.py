@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from compliance.toy import PANDA, PERIOD, READY, T_READY, limits
 
-from modcal_core.compliance.guard import Guard, Heard, Late, Setpoint
+from modcal_core.compliance.safety_monitor import ArmSetpoint, Late, SafetyMonitor, SensorReadings
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -24,20 +24,22 @@ _PARTS = ("pose", "q", "velocity", "wrench", "stiffness", "frame", "names", "T",
 NASTY = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e12, 1e-300, 0.0, -0.0, 4e-323)
 
 
-def wish(q: Array, velocity: Array | None = None) -> Setpoint:
+def wish(q: Array, velocity: Array | None = None) -> ArmSetpoint:
     speed = np.zeros(7) if velocity is None else velocity
-    return Setpoint(
+    return ArmSetpoint(
         PANDA.base, PANDA.names, forward(PANDA, q), q, speed, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3)
     )
 
 
-def heard(now: float, q: Array = READY) -> Heard:
+def heard(now: float, q: Array = READY) -> SensorReadings:
     joints = dict(zip(PANDA.names, q.tolist(), strict=True))
-    return Heard(joints, now - 0.004, forward(PANDA, q), np.array([5.0, 0, 0, 0, 1.0, 0]), PANDA.tip, now - 0.002)
+    return SensorReadings(
+        joints, now - 0.004, forward(PANDA, q), np.array([5.0, 0, 0, 0, 1.0, 0]), PANDA.tip, now - 0.002
+    )
 
 
-def opened(now: float = 10.0) -> Guard:
-    guard = Guard(PANDA, LIMITS)
+def opened(now: float = 10.0) -> SafetyMonitor:
+    guard = SafetyMonitor(PANDA, LIMITS)
     guard.open(T_READY, READY, now)
     return guard
 
@@ -52,11 +54,11 @@ def test_what_is_good_goes_through_as_it_is() -> None:
         assert guard.check(sent, heard(now, q), now) is sent
 
 
-def _late(part: str, seconds: float) -> Callable[[Heard], Heard]:
+def _late(part: str, seconds: float) -> Callable[[SensorReadings], SensorReadings]:
     return lambda h: replace(h, **{part: getattr(h, part) + seconds})
 
 
-BAD: dict[str, tuple[Callable[[Setpoint], Setpoint], Callable[[Heard], Heard], str]] = {
+BAD: dict[str, tuple[Callable[[ArmSetpoint], ArmSetpoint], Callable[[SensorReadings], SensorReadings], str]] = {
     "NaN joint": (lambda w: replace(w, q=w.q * np.nan), lambda h: h, "finite"),
     "NaN pose": (lambda w: replace(w, pose=w.pose * np.nan), lambda h: h, "finite"),
     "other frame": (lambda w: replace(w, frame="map"), lambda h: h, "frame 'map'"),
@@ -128,7 +130,7 @@ def test_a_singular_posture_does_not_pass() -> None:
     stretched = np.array([0.0, 0.3, 0.0, -0.3, 0.0, 1.9, 0.785])
     least = float(np.linalg.svd(body_jacobian(PANDA, stretched[None])[0], compute_uv=False).min())
     for share in (0.99, 1.01):
-        guard = Guard(PANDA, limits(gain=share * least))
+        guard = SafetyMonitor(PANDA, limits(gain=share * least))
         guard.open(forward(PANDA, stretched), stretched, 10.0)
         with contextlib.nullcontext() if share < 1.0 else pytest.raises(BadCommand, match="singular"):
             guard.check(wish(stretched), heard(10.004, stretched), 10.004)
@@ -141,7 +143,7 @@ def test_beyond_the_limit_of_force_only_what_goes_back_to_the_tool_passes() -> N
     for side, passes in ((1.0, True), (-1.0, False)):
         guard, tool = opened(), READY + 40.0 * side * step  # which lies on one side of where the arm was told to be
 
-        def said(now: float, tool: Array = tool) -> Heard:
+        def said(now: float, tool: Array = tool) -> SensorReadings:
             return replace(heard(now, tool), wrench=pressed)
 
         guard.let_go(10.0)
@@ -206,7 +208,7 @@ class Witness:
         self.now, self.q, self.pose = now, READY, T_READY
         self.velocity, self.joint_velocity = np.zeros(3), np.zeros(7)
 
-    def see(self, out: Setpoint, h: Heard, now: float) -> None:
+    def see(self, out: ArmSetpoint, h: SensorReadings, now: float) -> None:
         self.count += 1
         for array in (out.pose, out.q, out.velocity, out.wrench, out.stiffness):
             assert np.isfinite(array).all()
@@ -250,7 +252,9 @@ def spoiled(rng: np.random.Generator, array: Array) -> Array:
     return out
 
 
-def attacked(rng: np.random.Generator, w: Setpoint, h: Heard, now: float) -> tuple[Setpoint, Heard, float]:
+def attacked(
+    rng: np.random.Generator, w: ArmSetpoint, h: SensorReadings, now: float
+) -> tuple[ArmSetpoint, SensorReadings, float]:
     """One thing made hostile."""
     part = _PARTS[rng.integers(len(_PARTS))]
     if part in ("pose", "q", "velocity", "wrench", "stiffness"):
@@ -285,7 +289,7 @@ def test_nothing_hostile_ever_gets_through(rng: np.random.Generator) -> None:
 
 def fuzz(attempts: int, rng: np.random.Generator) -> int:
     """How many of so many attempts got through, each of them looked at by a witness."""
-    guard, witness = Guard(PANDA, LIMITS), Witness()
+    guard, witness = SafetyMonitor(PANDA, LIMITS), Witness()
     now, q, v = 10.0, READY, np.zeros(7)
     guard.open(T_READY, q, now)
     witness.restart(now)

@@ -10,10 +10,10 @@ import pytest
 from compliance.toy import PANDA, PERIOD, READY, T_READY, Belief, Pulled, Toy, door, drawer, limits, pull
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.guard import Setpoint
 from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.pace import Pace, Patience
-from modcal_core.compliance.task import Joints, Stop, Task, Wait
+from modcal_core.compliance.safety_monitor import ArmSetpoint
+from modcal_core.compliance.speed_governor import Patience, SpeedGovernor
+from modcal_core.compliance.task import ImpedanceTask, JointPositions, Stop, Wait
 from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import forward
@@ -22,7 +22,9 @@ pytestmark = pytest.mark.slow
 
 PEAK, MEAN, ABORT = 40.0, 12.0, 60.0  # N
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
-TASK = Task(direction=BACK, goal_rad=math.radians(40.0), goal_m=0.2)  # by then the model is followed at full speed
+TASK = ImpedanceTask(
+    direction=BACK, goal_rad=math.radians(40.0), goal_m=0.2
+)  # by then the model is followed at full speed
 LIMITS = limits()
 
 
@@ -146,7 +148,7 @@ def test_a_wrong_model_harms_nothing(wrong: JointModel) -> None:
 
 def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
     """The believed axis leads the tool through the arm's own shoulder: said after 8°, not found out at 50°."""
-    far = Task(direction=BACK, goal_m=0.9)
+    far = ImpedanceTask(direction=BACK, goal_m=0.9)
     done = pull(Toy(drawer(), friction=6.0, inertia=4.0), Operation(PANDA, far, LIMITS), trusts=0.05)
     assert done.stop is not None
     assert not done.stop.done
@@ -185,14 +187,16 @@ class Still:
         self.operation, self.now, self.q = operation, 50.0, READY
         self.sensor, self.belief = WrenchSensor([(PANDA.tip, np.eye(4))]), Belief()
 
-    def tick(self, wrench: Array | None = None, joints_age: float = 0.0, hear: bool = True) -> Setpoint | Wait | Stop:
+    def tick(
+        self, wrench: Array | None = None, joints_age: float = 0.0, hear: bool = True
+    ) -> ArmSetpoint | Wait | Stop:
         self.now += PERIOD
         if hear:
             w = np.array([0, 0, 8.0, 0, 0, 0]) + (0.0 if wrench is None else wrench)
             self.sensor.hear(PANDA.tip, w, self.now, self.now, 0.1)
-        joints = Joints(self.q, self.now - joints_age)
+        joints = JointPositions(self.q, self.now - joints_age)
         out = self.operation.tick(self.now, forward(PANDA, self.q), self.sensor, joints, self.belief)
-        if isinstance(out, Setpoint):
+        if isinstance(out, ArmSetpoint):
             self.q = out.q
         return out
 
@@ -207,7 +211,7 @@ class Still:
 def test_a_stack_behind_the_admittance_shall_be_stiff() -> None:
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
-    sent = [out for _ in range(5) if isinstance(out := still.tick(), Setpoint)]
+    sent = [out for _ in range(5) if isinstance(out := still.tick(), ArmSetpoint)]
     assert (sent[-1].stiffness == [3000.0] * 3 + [200.0] * 3).all()
     assert not sent[-1].wrench.any()
 
@@ -215,15 +219,15 @@ def test_a_stack_behind_the_admittance_shall_be_stiff() -> None:
 def test_it_waits_for_what_is_late_and_goes_on_from_rest() -> None:
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
-    last = [out for _ in range(300) if isinstance(out := still.tick(), Setpoint)][-1]
+    last = [out for _ in range(300) if isinstance(out := still.tick(), ArmSetpoint)][-1]
     silent = [still.tick(hear=False) for _ in range(100)]
     assert isinstance(silent[-1], Wait)
     assert "wrench" in silent[-1].why
-    sent = [s for s in silent if isinstance(s, Setpoint)]
+    sent = [s for s in silent if isinstance(s, ArmSetpoint)]
     assert len(sent) <= 0.1 / PERIOD + 1
     last = sent[-1] if sent else last
     again = still.tick()
-    assert isinstance(again, Setpoint)
+    assert isinstance(again, ArmSetpoint)
     assert np.abs(again.q - last.q).max() <= (LIMITS.joint_acceleration * PERIOD**2).max()
 
 
@@ -281,7 +285,7 @@ def test_the_tool_is_not_weighed_while_it_moves() -> None:
 
 
 def test_force_slows_the_pace_down_and_stops_it() -> None:
-    pace = Pace(Patience())
+    pace = SpeedGovernor(Patience())
     free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (10.0, 25.0, 36.0))
     for _ in range(1000):
         pace.step(0.06, free, PERIOD)

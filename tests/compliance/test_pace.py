@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from modcal_core.compliance.pace import Foresight, Pace, Patience
+from modcal_core.compliance.speed_governor import ForcePrediction, Patience, SpeedGovernor
 
 _STEP = 1e-5  # s
 _BRAKE = 2.0  # m/s²
@@ -31,19 +31,19 @@ def test_at_the_speed_in_sight_a_hard_stop_comes_to_just_the_last_force(
     stiffness: float, delay: float, force: float
 ) -> None:
     patience = Patience(last=50.0, hand=stiffness)
-    speed = Pace(patience, brake=_BRAKE).in_sight(force, delay)
+    speed = SpeedGovernor(patience, brake=_BRAKE).in_sight(force, delay)
     assert speed > 0.0
     assert stopped(speed, delay, stiffness, force) == pytest.approx(patience.last, abs=2.0 * stiffness * speed * _STEP)
 
 
 @pytest.mark.parametrize("force", [50.0, 51.0, 1e6])
 def test_at_the_last_force_nothing_is_in_sight(force: float) -> None:
-    assert Pace(Patience()).in_sight(force, 0.05) == 0.0
+    assert SpeedGovernor(Patience()).in_sight(force, 0.05) == 0.0
 
 
 def test_a_force_that_rises_steadily_is_foreseen() -> None:
     """F = r t along one direction, and a moment that falls: F + r s and the moment as it is."""
-    foresight, rate, ahead = Foresight(), 700.0, 0.06
+    foresight, rate, ahead = ForcePrediction(), 700.0, 0.06
     along, about = np.array([2.0, -1.0, 2.0]) / 3.0, np.array([0.0, 0.6, 0.8])
     for k in range(1, 60):
         t = 0.002 * k
@@ -55,13 +55,13 @@ def test_a_force_that_rises_steadily_is_foreseen() -> None:
 
 def test_foresight_sees_no_more_than_there_is() -> None:
     """A force that stands, or is none, is what it is, for whatever time ahead; a reading heard twice says no more."""
-    foresight = Foresight()
+    foresight = ForcePrediction()
     F = np.array([3.0, 4.0, 0.0, 0.0, 0.0, 0.0])
     for k in range(100):
         seen = foresight.ahead(F, 0.004 * k, 10.0)
     assert seen == pytest.approx(F)
-    assert (Foresight().ahead(np.zeros(6), 1.0, 10.0) == 0.0).all()
-    foresight = Foresight()
+    assert (ForcePrediction().ahead(np.zeros(6), 1.0, 10.0) == 0.0).all()
+    foresight = ForcePrediction()
     foresight.ahead(F, 1.0, 0.1)
     once = foresight.ahead(2.0 * F, 1.01, 0.1)
     assert np.linalg.norm(once[:3]) > 10.0
@@ -70,7 +70,7 @@ def test_foresight_sees_no_more_than_there_is() -> None:
 
 def test_braking_goes_on_by_its_way() -> None:
     """v t is what v²/2a is."""
-    pace = Pace(Patience(), brake=_BRAKE)
+    pace = SpeedGovernor(Patience(), brake=_BRAKE)
     pace.speed = 0.06
     t, way = pace.braking, 0.0
     while pace.speed > 0.0:

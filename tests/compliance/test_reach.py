@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from compliance.toy import PANDA, PERIOD, READY, ROOT, T_READY, door, drawer, limits
 
-from modcal_core.compliance.following import Follower
-from modcal_core.compliance.reach import Walk, reach
+from modcal_core.compliance.path_check import PathCheck, reach
+from modcal_core.compliance.setpoint_filter import SetpointFilter
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
 from modcal_core.geometry.single import speeds
@@ -59,7 +59,7 @@ def test_a_joint_that_would_pass_its_limit_is_named() -> None:
 
 def test_a_walk_in_pieces_is_the_same_walk() -> None:
     poses = door().pose(np.linspace(0.0, 1.0, 20))
-    walk, count = Walk(PANDA, poses, READY), 0
+    walk, count = PathCheck(PANDA, poses, READY), 0
     while walk.advance(1) is None:
         count += 1
     assert count > 20
@@ -70,7 +70,7 @@ def test_a_walk_in_pieces_is_the_same_walk() -> None:
 def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -> None:
     """Goals that jump, ticks that jitter: the guard's limits hold, and the last goal is reached."""
     lim = limits(speed=0.2, acceleration=2.0, turning=1.0, turning_acceleration=10.0)
-    follower = Follower(PANDA, lim)
+    follower = SetpointFilter(PANDA, lim)
     follower.begin(READY, T_READY)
     goal, q, T, rates = T_READY, READY, T_READY, np.zeros(3)
     joint_rates, before = np.zeros(7), PERIOD
@@ -95,7 +95,7 @@ def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -
 
 
 def test_a_goal_behind_a_joint_limit_is_not_followed_through_it() -> None:
-    follower = Follower(PANDA, limits())
+    follower = SetpointFilter(PANDA, limits())
     follower.begin(READY, T_READY)
     for k in range(1500):
         follower.step(T_READY @ se3.exp([0, 0, 0, 0, 0, min(0.004 * k, 3.0)]), PERIOD)
@@ -107,7 +107,7 @@ def test_a_goal_behind_a_joint_limit_is_not_followed_through_it() -> None:
 def test_a_tool_measured_by_something_better_is_led_there() -> None:
     """Where the chain is off by some mm, the offset goes along."""
     off = se3.exp([0.003, -0.002, 0.001, 0.004, 0.0, -0.003])
-    follower = Follower(PANDA, limits())
+    follower = SetpointFilter(PANDA, limits())
     follower.begin(READY, off @ T_READY)
     assert np.abs(follower.pose - off @ T_READY).max() < 1e-9
     goal = off @ T_READY @ se3.exp([0.02, 0.0, 0.01, 0.0, 0.05, 0.0])

@@ -7,8 +7,8 @@ import pytest
 from cells import ur10
 from compliance.toy import PANDA, READY, T_READY, limits
 
-from modcal_core.compliance.guard import Guard, Heard, Limits, Setpoint
-from modcal_core.compliance.reach import reach
+from modcal_core.compliance.path_check import reach
+from modcal_core.compliance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
 from modcal_core.compliance.wrench import Load
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
@@ -17,12 +17,12 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian, forward
 
 
-def asked(guard: Guard, chain: Chain, q: Array, now: float) -> None:
+def asked(guard: SafetyMonitor, chain: Chain, q: Array, now: float) -> None:
     """Ask the guard for a posture (n,) at a time, everything else being as it should."""
     T, zero = forward(chain, q), np.zeros(chain.n)
-    wish = Setpoint(chain.base, chain.names, T, q, zero, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3))
+    wish = ArmSetpoint(chain.base, chain.names, T, q, zero, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3))
     joints = dict(zip(chain.names, q.tolist(), strict=True))
-    guard.check(wish, Heard(joints, now - 0.001, T, np.zeros(6), chain.tip, now - 0.001), now)
+    guard.check(wish, SensorReadings(joints, now - 0.001, T, np.zeros(6), chain.tip, now - 0.001), now)
 
 
 @pytest.mark.slow
@@ -31,7 +31,7 @@ def test_an_arm_of_six_axes_is_kept_from_singular_postures(elbow: float, passes:
     chain, q = ur10(), np.array([0.3, -1.0, elbow, -1.3, 1.4, 0.2])
     least = np.linalg.svd(body_jacobian(chain, q[None])[0], compute_uv=False)[-1]
     assert (least > 0.02) == passes
-    guard = Guard(chain, Limits(np.full(6, 1.5), np.full(6, 15.0)))
+    guard = SafetyMonitor(chain, Limits(np.full(6, 1.5), np.full(6, 15.0)))
     guard.open(forward(chain, q), q, 10.0)
     if passes:
         asked(guard, chain, q, 10.004)
@@ -46,7 +46,7 @@ def test_speeds_of_steps_of_unequal_length_change_between_their_middles(share: f
     # 2 ms at rest, then 8 ms at a speed: from the middle of one to the middle of the other pass 5 ms
     bounds = limits()
     speed = share * min(bounds.turning_acceleration, float(bounds.joint_acceleration[6])) * 0.005
-    guard = Guard(PANDA, bounds)
+    guard = SafetyMonitor(PANDA, bounds)
     guard.open(T_READY, READY, 10.0)
     asked(guard, PANDA, READY, 10.002)
     moved = READY + 0.008 * speed * np.eye(7)[6]

@@ -13,9 +13,9 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.registry import joint
-from modcal_core.compliance.guard import Limits, Setpoint
 from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.task import Joints, Stop
+from modcal_core.compliance.safety_monitor import ArmSetpoint, Limits
+from modcal_core.compliance.task import JointPositions, Stop
 from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
@@ -128,7 +128,7 @@ class Pulled:
     stop: Stop | None
     forces: Array
     moments: Array
-    setpoints: list[tuple[float, Setpoint]]
+    setpoints: list[tuple[float, ArmSetpoint]]
     phases: list[str]
     opened: float
 
@@ -166,12 +166,12 @@ def pull(
             belief.trusted = True
             if belief.model is None or (revise and rng is not None and k % 50 == 0):
                 belief.model = _revised(given, revise, rng) if revise and rng is not None else given
-        answer = operation.tick(now, posture_frames(PANDA, q)[1], sensor, Joints(q, stamp), belief)
+        answer = operation.tick(now, posture_frames(PANDA, q)[1], sensor, JointPositions(q, stamp), belief)
         phases.append(operation.phase)
         if isinstance(answer, Stop):
             stop = answer
             break
-        if isinstance(answer, Setpoint):
+        if isinstance(answer, ArmSetpoint):
             setpoints.append((now, answer))
             toy.command = answer.q
         toy.step()

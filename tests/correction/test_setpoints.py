@@ -10,10 +10,10 @@ from calibration.test_effects import started
 from cells import ur10
 from correction.test_compensation import STEEP, calibration_of, true_model
 
-from modcal_core.correction.commander import Commander, Robot, Settings
+from modcal_core.correction.commander import CalibratedRobot, Commander, CommanderSettings
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
-from modcal_core.correction.setpoints import Bounds, Stream
+from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
 from modcal_core.geometry import se3
 from modcal_core.robots.chain import Chain
@@ -21,9 +21,9 @@ from modcal_core.robots.chain import Chain
 AT = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
 
 
-def robot(*amplitudes: float, chain: Chain | None = None) -> Robot:
+def robot(*amplitudes: float, chain: Chain | None = None) -> CalibratedRobot:
     made = calibration_of(true_model(STEEP.started(np.array(amplitudes))))
-    return Robot(Correction(made), chain or ur10(), 3.0)
+    return CalibratedRobot(Correction(made), chain or ur10(), 3.0)
 
 
 def test_bounds_are_the_narrower_of_what_is_described_and_calibrated() -> None:
@@ -51,7 +51,7 @@ def test_a_step_is_as_long_as_the_speed_allows() -> None:
 
 
 def test_a_change_comes_in_without_a_jump_of_position_or_speed() -> None:
-    stream, dt = Stream(), 0.01
+    stream, dt = SetpointStream(), 0.01
     stream.given(np.zeros(1), 0.0)
     stream.take_over(np.array([1e-3]), 0.0, 2e-3, 0.5)
     sent = []
@@ -68,7 +68,7 @@ def test_a_change_comes_in_without_a_jump_of_position_or_speed() -> None:
 
 
 def test_too_large_a_change_is_refused_while_streaming_and_taken_in_a_pause() -> None:
-    stream = Stream()
+    stream = SetpointStream()
     stream.given(np.zeros(1), 10.0)
     with pytest.raises(BadCommand, match="moves a joint by 0.0100"):
         stream.take_over(np.array([1e-2]), 10.1, 2e-3, 0.5)
@@ -80,7 +80,7 @@ def test_too_large_a_change_is_refused_while_streaming_and_taken_in_a_pause() ->
 
 
 def test_a_commander_changes_calibration_in_a_stream_without_a_jump() -> None:
-    settings = Settings(stream=True, horizon=0.2, blend=0.3)
+    settings = CommanderSettings(stream=True, horizon=0.2, blend=0.3)
     commander = Commander(settings)
     first, second = robot(1e-4, 2e-4), robot(-1e-4, 1e-4)
     assert commander.use(first, 0.0)
@@ -104,7 +104,7 @@ def test_a_commander_changes_calibration_in_a_stream_without_a_jump() -> None:
 
 def test_a_commander_keeps_to_limits_that_only_the_description_knows() -> None:
     narrow = replace(ur10(), upper=np.array([0.31, *ur10().upper[1:]]))
-    commander = Commander(Settings(), robot(1e-4, 2e-4, chain=narrow))
+    commander = Commander(CommanderSettings(), robot(1e-4, 2e-4, chain=narrow))
     assert commander.robot is not None
     for beyond, allowed in ((0.005, True), (0.02, False)):
         there = AT + beyond
@@ -117,7 +117,7 @@ def test_a_commander_keeps_to_limits_that_only_the_description_knows() -> None:
 
 
 def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
-    commander = Commander(Settings(stream=True))
+    commander = Commander(CommanderSettings(stream=True))
     at = Conditions.at_rest(AT, 0.0)
     with pytest.raises(BadCommand, match="nothing is corrected"):
         commander.setpoint(np.eye(4), "", at, 0.0)
@@ -134,4 +134,4 @@ def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
 def test_a_robot_must_be_the_one_that_was_calibrated() -> None:
     made = calibration_of(true_model(started("gear")))
     with pytest.raises(BadRobot):
-        Robot.of(made, "<robot name='r'><link name='base_link'/></robot>")
+        CalibratedRobot.of(made, "<robot name='r'><link name='base_link'/></robot>")

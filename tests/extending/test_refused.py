@@ -115,10 +115,10 @@ RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
 
 MODEL = """
 import numpy as np
-from modcal_core.articulation.models.parametric import Parameter, ParametricModel
+from modcal_core.articulation.models.parametric import ParametricModel, ShapeParameter
 
 class Model(ParametricModel):
-    name, parameters, lower, upper = "bend", (Parameter("size", 1.0, 0.1),), 0.0, 1.0
+    name, parameters, lower, upper = "bend", (ShapeParameter("size", 1.0, 0.1),), 0.0, 1.0
     def pose(self, values, a):
         return None
 

@@ -19,11 +19,11 @@ from modcal_core.modules import reaching
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import Effort, Evaluator
-from modcal_core.modules.genetic import Archive, Settings, evolve, valid
+from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.ranking import to_data, to_markdown
 from modcal_core.modules.requirements import REQUIREMENTS, structure
-from modcal_core.modules.synthesis import Judges, Task, allowed, synthesize
+from modcal_core.modules.synthesis import Judges, SynthesisTask, allowed, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.modules.targets import Target
 from modcal_core.robots.kinematics import forward
@@ -33,15 +33,15 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "synthesis" / "two_
 MASKS = ([1, 1, 1, 1, 1, 1], [1, 1, 0, 1, 1, 1], [0, 1, 1, 1, 0, 1], [0, 0, 1, 1, 1, 1], [0, 0, 0, 1, 1, 1])
 
 
-def example(**changes: Any) -> Task:
+def example(**changes: Any) -> SynthesisTask:
     return task_from_data({**yaml.safe_load(EXAMPLE.read_text()), **changes}, "two_poses.yaml")
 
 
-def first_met(task: Task, seed: int, joints: int = 5) -> Archive:
+def first_met(task: SynthesisTask, seed: int, joints: int = 5) -> Archive:
     """A search that ends with the first candidate that meets everything."""
     evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
     rng = np.random.default_rng([seed, joints])
-    return evolve(CODING, joints, evaluator, rng, Settings(), enough=lambda a: bool(a.verdicts.met.any()))
+    return evolve(CODING, joints, evaluator, rng, SearchSettings(), enough=lambda a: bool(a.verdicts.met.any()))
 
 
 # targets
@@ -161,7 +161,7 @@ def test_the_search_makes_nothing_that_breaks_the_rules(rng: np.random.Generator
         assert not structure(genomes, CODING, {}).any()
 
 
-def near_task(**changes: Any) -> Task:
+def near_task(**changes: Any) -> SynthesisTask:
     """Two positions that take an arm of three joints, quickly found."""
     targets = [{"position_m": p, "mask": "000111"} for p in ([0.3, 0.2, 0.4], [-0.25, 0.25, 0.45])]
     search = {"population": 48, "generations": 12, "patience": 2}
@@ -193,10 +193,10 @@ def test_a_requirement_rejects_and_says_so() -> None:
     with pytest.raises(
         NotReachable, match=r"none of \d+ assemblies of 3 to 3 joints .*reachability \d+, obstacles \d+"
     ):
-        synthesize(replace(task, settings=Settings(48, 3)), LIBRARY)
+        synthesize(replace(task, settings=SearchSettings(48, 3)), LIBRARY)
     far = near_task(targets=[{"position_m": [0.0, 0.0, 5.0], "mask": "000111"}], joints={"first": 3, "last": 3})
     with pytest.raises(NotReachable, match="misses a target by") as refusal:
-        synthesize(replace(far, settings=Settings(48, 2)), LIBRARY)
+        synthesize(replace(far, settings=SearchSettings(48, 2)), LIBRARY)
     assert 3.0 < refusal.value.position < 5.0
 
 

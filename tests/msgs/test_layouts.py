@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import fields
-from modcal_msgs_py.layout import Layout
+from modcal_msgs_py.layout import MessageLayout
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.types import definition, jazzy, message_class
@@ -158,12 +158,12 @@ def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator)
     kind = "sensor_msgs/msg/JointState"
     good = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
     described = fields.KNOWN[kind]
-    assert Layout.of(described, good) is not None
-    assert Layout.of(described, b"\x00\x03" + good[2:]) is None  # another encoding
+    assert MessageLayout.of(described, good) is not None
+    assert MessageLayout.of(described, b"\x00\x03" + good[2:]) is None  # another encoding
     for size in range(len(good) - 3):
-        assert Layout.of(described, good[:size]) is None
+        assert MessageLayout.of(described, good[:size]) is None
     for at in range(4, len(good), 4):  # wherever a count may stand
-        Layout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
+        MessageLayout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
 
 
 def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 from nodes.plain_pulls import Pull
 
 from modcal_core.articulation.online import Tracker
-from modcal_core.compliance.guard import Setpoint
 from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.task import Joints, Stop
+from modcal_core.compliance.safety_monitor import ArmSetpoint
+from modcal_core.compliance.task import JointPositions, Stop
 from modcal_core.compliance.wrench import Load
 from modcal_core.robots.kinematics import forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm import Arm, limits, task
+from modcal_nodes.setpoint.arm import SensedArm, limits, task
 from modcal_nodes.simulation.pulling import Pulling
 
 _EVERY = round(IMPEDANCE_SETPOINT["rate_hz"].default / ARTICULATION_ESTIMATOR["rate_hz"].default)
@@ -26,7 +26,7 @@ _STALE = 0.1  # s
 def pull(world: Pulling, urdf: str) -> Pull:
     """Pull with the nodes' default parameters until it says that it is over."""
     chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()}
-    arm = Arm.of(urdf, chosen)
+    arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
     operation, tracker, state = Operation(arm.chain, task(chosen), limits(arm.chain, chosen)), Tracker(), None
     period, opened, begun = operation.limits.period, 0.0, False
@@ -38,10 +38,10 @@ def pull(world: Pulling, urdf: str) -> Pull:
         if k % _EVERY == 0 or state is None:
             pulled = float(np.linalg.norm(operation.force[:3])) > ARTICULATION_ESTIMATOR["pull_n"].default
             state = tracker.update(T[:3, 3], T[:3, :3], now, pulled)
-        answer = operation.tick(now, T, arm.sensor, Joints(q, now), state)
+        answer = operation.tick(now, T, arm.sensor, JointPositions(q, now), state)
         if isinstance(answer, Stop):
             break
-        if isinstance(answer, Setpoint):
+        if isinstance(answer, ArmSetpoint):
             if not begun:
                 world.forget()  # while the tool is tared nothing pulls
             begun = True

@@ -18,7 +18,7 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Estimator, Wander
+from modcal_core.online.estimator import Estimator, RandomWalk
 from modcal_core.online.information import Information, triangular
 
 
@@ -144,7 +144,7 @@ def test_what_wanders_is_followed(place: str) -> None:
     creep = np.outer(np.linspace(0.0, 1e-3, 400), np.ones(3) / np.sqrt(3.0))
     T[:, :3, 3] += creep if place == "base" else (T[:, :3, :3] @ creep[..., None])[..., 0]
     samples = samples_of(cell.world.nominal, cell.samples.q, T)
-    wander = Wander((place,), 3e-5, 1e-7)
+    wander = RandomWalk((place,), 3e-5, 1e-7)
     stiff = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
     free = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander, robust=False)
     for estimator in (stiff, free):

@@ -14,7 +14,7 @@ from modcal_core.calibration.structure import views_of
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import so3
-from modcal_core.online.frozen import Frozen, small_log
+from modcal_core.online.fixed_linearisation import FixedLinearisation, small_log
 from modcal_core.robots.chain import Chain
 
 
@@ -29,7 +29,7 @@ def test_rows_are_those_of_all_samples_at_once(chain: Chain, bent: bool) -> None
         bend = Effect("gear_ratio", joint, "axis", f"position:{joint}", Shape("linear")).started(np.array([1e-3]))
         model, x = model.with_effects((bend,)), np.r_[x, 2e-3]
     at = linearise(model, parameters, x, samples)
-    frozen = Frozen(model, parameters, x)
+    frozen = FixedLinearisation(model, parameters, x)
     N, turned = len(samples), np.cumsum(samples.is_pose) - 1
     M = int(samples.is_pose.sum())
     for i in range(N):

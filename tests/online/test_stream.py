@@ -16,14 +16,14 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.online.estimator import joined
-from modcal_core.online.stream import Stream
+from modcal_core.online.stream import SampleStream
 
 NAMES = ur10().names
 
 
-def play(recording: Recording, stream: Stream | None = None, flush: bool = True) -> Samples:
+def play(recording: Recording, stream: SampleStream | None = None, flush: bool = True) -> Samples:
     """Feed a recording in the order in which its messages were received."""
-    stream = stream or Stream(NAMES)
+    stream = stream or SampleStream(NAMES)
     joints, reading = recording.joints[0], recording.readings[0]
     order = [NAMES.index(n) for n in joints.names]
     back = np.argsort(order)
@@ -81,7 +81,7 @@ def test_a_long_stand_makes_several_samples_of_one_posture() -> None:
 
 
 def test_joints_that_come_late_or_twice_are_counted() -> None:
-    stream = Stream(NAMES)
+    stream = SampleStream(NAMES)
     for stamp in (0.0, 0.01, 0.02, 0.02, 0.015, 0.03):
         stream.joint_state(START + stamp, np.zeros(6))
     assert stream.counts.late == 2
@@ -90,7 +90,7 @@ def test_joints_that_come_late_or_twice_are_counted() -> None:
 
 def test_a_clock_set_back_begins_anew() -> None:
     recording = streams(12)
-    stream = Stream(NAMES)
+    stream = SampleStream(NAMES)
     first = play(recording, stream)
     earlier = with_reading(
         with_joints(recording, stamps=recording.joints[0].stamps - 5000.0), stamps=recording.readings[0].stamps - 5000.0
@@ -122,7 +122,7 @@ def test_encoder_noise_is_no_motion(rng: np.random.Generator) -> None:
 
 @pytest.mark.slow
 def test_memory_is_bounded() -> None:
-    stream = Stream(NAMES)
+    stream = SampleStream(NAMES)
     pose = se3.to_pose(np.eye(4))
     for i in range(40_000):
         stream.joint_state(START + 1e-3 * i, np.full(6, 1e-3 * i))
@@ -135,7 +135,7 @@ def test_memory_is_bounded() -> None:
 @pytest.mark.parametrize("kind", ["nan", "quaternion", "joint"])
 def test_what_is_no_number_is_refused_and_harms_nothing(kind: str) -> None:
     recording = streams(6)
-    stream = Stream(NAMES)
+    stream = SampleStream(NAMES)
     pose = recording.readings[0].values[0].copy()
     stream.joint_state(START - 1.0, np.zeros(6))
     if kind == "joint":
@@ -152,7 +152,7 @@ def test_rules_are_the_recordings() -> None:
     strict = StationRules(least=2.0)
     recording = replace(streams(6, dwell=1.0), warnings=())
     assert len(cut_stations(recording, NAMES)) == 6
-    stream = Stream(NAMES, rules=strict)
+    stream = SampleStream(NAMES, rules=strict)
     joints, reading = recording.joints[0], recording.readings[0]
     for i, stamp in enumerate(joints.stamps):
         stream.joint_state(float(stamp), joints.position[i])

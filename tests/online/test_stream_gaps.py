@@ -8,7 +8,7 @@ import pytest
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.stream import Stream
+from modcal_core.online.stream import SampleStream
 
 START = 1.7e9
 FAST = pytest.param(1000.0, marks=pytest.mark.slow)  # Hz; most of these tests' time
@@ -21,9 +21,9 @@ def truth(t: np.ndarray | float) -> np.ndarray:
     return np.concatenate([0.8 * np.sin(1.1 * t), 0.5 * np.cos(0.7 * t + 0.3)], axis=-1)
 
 
-def heard(joints: np.ndarray, readings: np.ndarray) -> tuple[list[Samples], Stream]:
+def heard(joints: np.ndarray, readings: np.ndarray) -> tuple[list[Samples], SampleStream]:
     """What becomes of readings at these times, among joint states at those, played in the order of their stamps."""
-    stream, out = Stream(("a", "b")), []
+    stream, out = SampleStream(("a", "b")), []
     position = np.zeros(kinds()[POINT].width)
     for t, is_joint in sorted([(t, True) for t in joints] + [(t, False) for t in readings]):
         if is_joint:
@@ -65,7 +65,7 @@ def test_a_gap_in_the_joint_states_costs_at_most_the_readings_in_it(rate: float,
 
 
 def test_readings_without_joint_states_are_counted_and_not_kept_for_ever() -> None:
-    stream = Stream(("a", "b"))
+    stream = SampleStream(("a", "b"))
     position = np.zeros(kinds()[POINT].width)
     for k in range(9000):
         stream.reading(POINT, "tracker", START + 0.005 * k, position)

@@ -17,8 +17,8 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.suspicion import suspect
-from modcal_core.online.watch import Watch
+from modcal_core.online.change_detector import ChangeDetector
+from modcal_core.online.change_hypothesis import suspect
 from modcal_nodes.simulation.world import World
 
 NOISE_M, NOISE_RAD = 5e-5, 5e-5
@@ -30,8 +30,8 @@ def trusted(seed: int, kind: str = "pose") -> tuple[World, Fit]:
     return cell.world, identify(model, cell.samples, choose_parameters(model, views_of(cell.samples)).parameters)
 
 
-def watch_of(fit: Fit) -> Watch:
-    return Watch(fit.model, fit.parameters, fit.covariance, fit.spread)
+def watch_of(fit: Fit) -> ChangeDetector:
+    return ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.spread)
 
 
 def readings(world: World, q: Array, T: Array, rng: Generator, kind: str = "pose") -> Samples:
@@ -45,7 +45,7 @@ def rows(samples: Samples) -> list[Samples]:
     return [samples.select(np.array([i])) for i in range(len(samples))]
 
 
-def after(watch: Watch, samples: Samples) -> tuple[int, float] | None:
+def after(watch: ChangeDetector, samples: Samples) -> tuple[int, float] | None:
     """(samples needed, since when) of an alarm."""
     for i, row in enumerate(rows(samples)):
         if (since := watch.add(row)) is not None:

@@ -14,12 +14,12 @@ from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.errors import BadTable
 from modcal_core.planning.criteria import CRITERIA, criterion, observability
 from modcal_core.planning.exchange import exchange
-from modcal_core.planning.rows import Rows
+from modcal_core.planning.rows import StationRows
 
 
-def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> Rows:
+def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> StationRows:
     J = 4.0 * rng.standard_normal((N, c, P))
-    return Rows(J, np.tile(np.eye(c), (N, 1, 1)), np.ones(P), np.zeros(N), np.zeros(c))
+    return StationRows(J, np.tile(np.eye(c), (N, 1, 1)), np.ones(P), np.zeros(N), np.zeros(c))
 
 
 @pytest.mark.parametrize("reading", ["point", "pose"])

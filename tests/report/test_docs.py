@@ -12,7 +12,7 @@ import pytest
 from report.judged import everything
 from report.reports import delta, warm_cell
 
-from modcal_core.diagnosis.choice import Choice
+from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.report import STAGES
 
@@ -37,7 +37,7 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
     assert report.model is not None
     open_ended = replace(
         report,
-        left=Choice(report.model.effects[0], 1e-4, ("something else",), 0.5),
+        left=EffectChoice(report.model.effects[0], 1e-4, ("something else",), 0.5),
         identifiability=replace(report.identifiability, unobservable=("a",), weak=(("b with c", 0.4),)),
         notes=("A note.",),
     )

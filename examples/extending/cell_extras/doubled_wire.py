@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.measurements.kinds.distance import Distance
+from modcal_core.measurements.kinds.distance import DistanceKind
 from modcal_core.measurements.kinds.kind import Scene, Sight
 
 Array = NDArray[np.float64]
 
 
-class DoubledWire(Distance):
+class DoubledWire(DistanceKind):
     """Twice the distance from a fixed box to the tool. Residuals and zero are those of the distance [m]."""
 
     name = "doubled_wire"

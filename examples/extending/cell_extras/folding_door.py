@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.models.parametric import Parameter, ParametricModel
+from modcal_core.articulation.models.parametric import ParametricModel, ShapeParameter
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ class FoldingDoor(ParametricModel):
     """Leaves of cupboards and wardrobes: 0.2 to 0.7 m wide, the handle somewhere on the outer half of the second."""
 
     name = "folding_door"
-    parameters = (Parameter("log_width", np.log(0.4), 0.3), Parameter("handle_m", 0.15, 0.08, "m"))
+    parameters = (ShapeParameter("log_width", np.log(0.4), 0.3), ShapeParameter("handle_m", 0.15, 0.08, "m"))
     lower, upper = 0.0, 0.5 * np.pi
     unit = "rad"
 

@@ -22,7 +22,7 @@ from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, togethe
 from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
-from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.mechanism import Mechanism, forward
@@ -78,7 +78,7 @@ def prepare(
 
 
 def prepare_pieces(
-    pieces: Iterable[Piece],
+    pieces: Iterable[Stretch],
     chain: Mechanism,
     rules: StationRules | None = None,
     clock_limit: float = LIMIT,

@@ -17,7 +17,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.dropped import Dropped, together
-from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare_pieces
 from modcal_core.report.report import Report
@@ -31,7 +31,7 @@ _WORTH = 0.9  # of the error before
 
 
 @dataclass(frozen=True)
-class Heard:
+class Remembered:
     """What a node remembers: whole recordings, oldest first, and the samples of those it keeps no more.
 
     dropped: what was left out of the latter, by reason.
@@ -48,7 +48,7 @@ class Heard:
 
         A recording that holds nothing to use is passed over when there are others. Raises ModcalError.
         """
-        pieces = (Piece(recording) for recording in self.recordings)
+        pieces = (Stretch(recording) for recording in self.recordings)
         prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit, before=self.samples)
         samples = prepared.samples
         lost = together([self.dropped, prepared.dropped])
@@ -73,7 +73,7 @@ class Job:
     whether to look for effects beyond the geometry.
     """
 
-    heard: Heard
+    heard: Remembered
     chain: Chain
     inertias: Inertias | None
     cell: Cell = field(default_factory=Cell)

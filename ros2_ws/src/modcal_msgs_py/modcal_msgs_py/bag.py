@@ -9,7 +9,7 @@ from pathlib import Path
 
 from modcal_core.errors import BadRobot
 from modcal_core.measurements.origin import Origin
-from modcal_core.measurements.recording import Piece, Recording
+from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
 from modcal_core.prepare import prepare_pieces
 from modcal_core.robot import Robot
@@ -36,7 +36,7 @@ class Bag:
     topics: Topics
     recording: Recording
     heard: Callable[[float], None] = _quiet
-    _pieces: list[Iterator[Piece]] = field(default_factory=list, repr=False, compare=False)
+    _pieces: list[Iterator[Stretch]] = field(default_factory=list, repr=False, compare=False)
 
     def robot(self, base: str | None = None, tip: str | None = None) -> Robot:
         """The robot that the bag describes, from base to tip link. Raises BadRobot where it describes none."""
@@ -72,7 +72,7 @@ class Bag:
         )
         return replace(prepared.samples, origin=origin)
 
-    def _read(self) -> Iterator[Piece]:
+    def _read(self) -> Iterator[Stretch]:
         """All pieces; the first time, behind the one that was read already."""
         return self._pieces.pop() if self._pieces else read_pieces(self.path, heard=self.heard, topics=self.topics)
 

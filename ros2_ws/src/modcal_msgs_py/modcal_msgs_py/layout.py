@@ -46,7 +46,7 @@ class Column:
 
 
 @dataclass
-class Layout:
+class MessageLayout:
     """Where everything stands in messages of ``size`` bytes. columns, texts: by path, such as ``pose/position/x``.
 
     counts: how many there are of what is no number (texts, messages), by path.
@@ -61,7 +61,7 @@ class Layout:
     _mask: NDArray[np.uint64] | None = None
 
     @classmethod
-    def of(cls, fields: Fields, sample: bytes) -> Layout | None:
+    def of(cls, fields: Fields, sample: bytes) -> MessageLayout | None:
         """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR."""
         if len(sample) < _HEAD or sample[0] != 0 or sample[1] not in (0, 1):
             return None
@@ -115,7 +115,7 @@ class Layout:
 class _Walk:
     """A walk through one message, which leaves behind where everything stands."""
 
-    made: Layout
+    made: MessageLayout
     data: bytes
     order: str
     steps: int = 0
@@ -175,7 +175,7 @@ def _aligned(at: int, size: int) -> int:
     return at + -(at - _HEAD) % size
 
 
-def numeric_paths(layout: Layout) -> Iterator[tuple[str, int | None]]:
+def numeric_paths(layout: MessageLayout) -> Iterator[tuple[str, int | None]]:
     """Every number that a signal is made of: (path, place in its array or None), the header left out.
 
     As for messages taken one by one: arrays of up to 32 numbers, and nothing out of arrays of messages.

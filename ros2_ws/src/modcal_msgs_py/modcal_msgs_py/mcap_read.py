@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.dropouts import elsewhen
-from modcal_core.measurements.recording import Listed, Piece, Recording
+from modcal_core.measurements.recording import Listed, Recording, Stretch
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
 from modcal_msgs_py.choosing import Topics, resolve
 from modcal_msgs_py.fields import KNOWN, fields_of
-from modcal_msgs_py.layout import Bytes, Fields, Layout
+from modcal_msgs_py.layout import Bytes, Fields, MessageLayout
 from modcal_msgs_py.mcap_walk import Block
 from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.topics import ADDED, TRANSFORMS
@@ -56,7 +56,7 @@ def read_pieces(
     layouts: bool = True,
     heard: Callable[[float], None] = lambda _: None,
     topics: Topics = _NO_TOPICS,
-) -> Iterator[Piece]:
+) -> Iterator[Stretch]:
     """The same recording in pieces of so many joint states, so that it may be longer than memory holds.
 
     heard: is told the share of the files that has been read.
@@ -78,7 +78,7 @@ def read_pieces(
                     if most is not None and builder.joint_states >= most:
                         recording = builder.recording()
                         if (border := _border(recording)) is not None:
-                            yield Piece(recording, since, border.stamp)
+                            yield Stretch(recording, since, border.stamp)
                             since = border.stamp
                             builder.forget_before(border.received - OVERLAP)
             except BadRecording as error:
@@ -94,7 +94,7 @@ def read_pieces(
             remedy = "check that the topics were published while recording"
             raise BadRecording(str(path), f"holds no message{why}", remedy)
         recording = builder.recording()
-    yield Piece(replace(recording, warnings=(*warnings, *recording.warnings)), since)
+    yield Stretch(replace(recording, warnings=(*warnings, *recording.warnings)), since)
 
 
 def list_topics(path: Path) -> tuple[Listed, ...]:
@@ -147,7 +147,7 @@ class _Reader:
     def __init__(self, file: BagFile, builder: RecordingBuilder, layouts: bool) -> None:
         self._file, self._builder = file, builder
         self._use_layouts = layouts
-        self._layouts: dict[tuple[str, str], list[Layout]] = {}
+        self._layouts: dict[tuple[str, str], list[MessageLayout]] = {}
         self._said: set[tuple[str, str]] = set()
 
     def take(self, block: Block) -> None:
@@ -185,7 +185,9 @@ class _Reader:
             else:
                 self._row_by_row(topic, type_name, fields, block, piece.which)
 
-    def _rows(self, topic: str, type_name: str, layout: Layout, rows: Bytes, received: NDArray[np.float64]) -> None:
+    def _rows(
+        self, topic: str, type_name: str, layout: MessageLayout, rows: Bytes, received: NDArray[np.float64]
+    ) -> None:
         try:
             self._builder.add_rows(topic, type_name, layout, rows, received)
         except BadRecording as error:
@@ -197,7 +199,7 @@ class _Reader:
         failed = 0
         for k, i in enumerate(which.tolist()):
             start, stop = int(block.starts[i]), int(block.stops[i])
-            layout = Layout.of(fields, bytes(block.content[start:stop]))
+            layout = MessageLayout.of(fields, bytes(block.content[start:stop]))
             if layout is None:
                 failed += 1
                 if self._hopeless(topic, type_name, failed, len(which) - k):
@@ -238,12 +240,12 @@ class _Reader:
 class _Piece(NamedTuple):
     """Messages of a block in a row (their numbers) that have one layout, as rows; or none."""
 
-    layout: Layout | None
+    layout: MessageLayout | None
     which: NDArray[np.int64]
     rows: Bytes
 
 
-def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Layout]) -> list[_Piece]:
+def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[MessageLayout]) -> list[_Piece]:
     """These messages of a block, in their order, by layout; nothing where that does not pay.
 
     met: the layouts of this topic so far; new ones are added.
@@ -257,7 +259,7 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[La
     for i in range(len(met) + _MOST_LAYOUTS):
         if i == len(met):
             first = left[0]
-            made = Layout.of(fields, bytes(block.content[starts[first] : starts[first] + sizes[first]]))
+            made = MessageLayout.of(fields, bytes(block.content[starts[first] : starts[first] + sizes[first]]))
             if made is None:
                 break
             met.append(made)

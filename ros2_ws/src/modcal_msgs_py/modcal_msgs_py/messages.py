@@ -27,7 +27,7 @@ from modcal_core.measurements.recording import (
 )
 from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
 from modcal_msgs_py.choosing import Roles, could_be
-from modcal_msgs_py.layout import Bytes, Layout, numeric_paths
+from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
 from modcal_msgs_py.readings import READING, columns_of, stated_by, stated_in
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import (
@@ -148,7 +148,7 @@ class RecordingBuilder:
                 part = f"{PART}{path[1:]}" if len(numbers) > 1 else ""
                 self._signal(topic, f"signal:{topic}{part}", stamp, received, [value])
 
-    def add_rows(self, topic: str, type_name: str, layout: Layout, rows: Bytes, received: Array) -> None:
+    def add_rows(self, topic: str, type_name: str, layout: MessageLayout, rows: Bytes, received: Array) -> None:
         """Take messages of one layout, as rows (n, bytes), received at these times (n,) [s]: ``add`` for each."""
         role = self.role(topic, type_name)
 
@@ -294,7 +294,9 @@ class RecordingBuilder:
         rows = self._joints.setdefault((topic, names), _Rows(3 * n))
         rows.append(stamp, received, np.concatenate([message.position, *rest]))
 
-    def _add_joint_rows(self, topic: str, layout: Layout, stamps: Array, received: Array, columns: list[Array]) -> None:
+    def _add_joint_rows(
+        self, topic: str, layout: MessageLayout, stamps: Array, received: Array, columns: list[Array]
+    ) -> None:
         names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
         n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
@@ -318,7 +320,7 @@ class RecordingBuilder:
             frames = str(one.header.frame_id), str(one.child_frame_id)
             self._transforms.add(*frames, stamp, np.array([received]), values, topic == TF_STATIC)
 
-    def _add_transform_rows(self, topic: str, layout: Layout, received: Array, column: Any) -> None:
+    def _add_transform_rows(self, topic: str, layout: MessageLayout, received: Array, column: Any) -> None:
         if self._transforms is None:
             return
         for i in range(layout.counts["transforms"]):

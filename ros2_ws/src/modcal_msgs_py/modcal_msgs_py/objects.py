@@ -16,7 +16,7 @@ from modcal_msgs_py.stamps import seconds, set_seconds
 
 if TYPE_CHECKING:
     from modcal_core.articulation.joints import JointModel
-    from modcal_core.articulation.online import State
+    from modcal_core.articulation.online import TrackerState
 
 _UNIT = 0.02  # how far from one the length of a quaternion may be
 _PATH_POINTS = 40
@@ -58,7 +58,7 @@ def fill_object_state(message: Any, frame: str, stamp: float, configuration: flo
     return message
 
 
-def status_values(state: State) -> dict[str, str]:
+def status_values(state: TrackerState) -> dict[str, str]:
     """What is believed, as the keys and values of a DiagnosticStatus."""
     return {
         "kind": state.kind,

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_msgs_py.layout import Layout
+from modcal_msgs_py.layout import MessageLayout
 from modcal_msgs_py.topics import POSES
 
 _WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
@@ -52,7 +52,7 @@ _NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
 READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
 
 
-def columns_of(kind: str, type_name: str, layout: Layout, column: Callable[[str], Array]) -> Array:
+def columns_of(kind: str, type_name: str, layout: MessageLayout, column: Callable[[str], Array]) -> Array:
     """Readings (n, width) of a kind, out of messages of this type."""
     if type_name not in _PARTS:
         return np.hstack([column(path) for path in _PATHS[type_name]])

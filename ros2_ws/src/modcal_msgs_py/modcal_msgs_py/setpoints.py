@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.guard import Setpoint
+from modcal_core.compliance.safety_monitor import ArmSetpoint
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -34,7 +34,7 @@ def fill_wrench(message: Any, frame: str, stamp: float, numbers: Array) -> Any:
     return message
 
 
-def fill_target(message: Any, setpoint: Setpoint, stamp: float) -> Any:
+def fill_target(message: Any, setpoint: ArmSetpoint, stamp: float) -> Any:
     """A PoseStamped of where the tool shall be, in the base link."""
     message.header.frame_id = setpoint.frame
     set_seconds(message.header.stamp, stamp)
@@ -43,7 +43,7 @@ def fill_target(message: Any, setpoint: Setpoint, stamp: float) -> Any:
     return message
 
 
-def fill_point(message: Any, setpoint: Setpoint, after: float, with_speed: bool = True) -> Any:
+def fill_point(message: Any, setpoint: ArmSetpoint, after: float, with_speed: bool = True) -> Any:
     """A JointTrajectoryPoint of the joints, to be reached so many seconds after it was sent.
 
     with_speed: false where it is the end of a trajectory, which controllers want to stand at.

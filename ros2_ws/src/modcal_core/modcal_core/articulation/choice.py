@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.evidence import Row, row, still, weigh
-from modcal_core.articulation.fit import Fit, fit
+from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
+from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
+from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
@@ -30,10 +30,10 @@ class Choice:
     """
 
     probabilities: dict[Kind, float]
-    fit: Fit
+    fit: JointFit
     enough: bool
     why: str
-    fits: dict[Kind, Fit]
+    fits: dict[Kind, JointFit]
     follows: bool
     play: float
 
@@ -72,13 +72,13 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
                   float(PLAYS[i % len(PLAYS)]))  # fmt: skip
 
 
-def _rows(scenes: list[Scene], motion: Motion) -> list[Row]:
+def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
     """A kind's rows: of each scene, one for every play."""
-    rows: list[Row] = []
+    rows: list[EvidenceRow] = []
     column = 2
     for k, scene in enumerate(scenes):
         # there and back, as what is most probable at one play is a good guess for the next
-        line: list[Row] = []
+        line: list[EvidenceRow] = []
         for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
             line.append(row(scene, motion, float(play), column=column))
             motion, column = line[-1].motion, line[-1].column
@@ -86,7 +86,7 @@ def _rows(scenes: list[Scene], motion: Motion) -> list[Row]:
     return rows
 
 
-def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
+def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
     """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
     sigma = _scales(found)
     e = found.motion.residuals(track, found.motion.configurations(track, sigma))
@@ -96,7 +96,7 @@ def gross(found: Fit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
-def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
+def _scenes(track: Track, richest: JointFit, most: int) -> list[NodeScene]:
     """The nodes of a track with each size of distortion; none where nothing moved."""
     nodes = Nodes(track.oriented, most)
     for i in range(len(track)):
@@ -106,10 +106,10 @@ def _scenes(track: Track, richest: Fit, most: int) -> list[Scene]:
         return []
     sigma = white_noise(richest.motion.residuals(track, richest.motion.configurations(track, _scales(richest))))
     apart, counts = nodes.apart(), nodes.counts[: nodes.k]
-    return [Scene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
+    return [NodeScene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
 
 
-def _scales(found: Fit) -> tuple[float, float]:
+def _scales(found: JointFit) -> tuple[float, float]:
     return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
 
 
@@ -122,7 +122,7 @@ def white_noise(e: Array) -> tuple[float, float]:
     return position, rotation
 
 
-def _still(track: Track, fits: dict[Kind, Fit], models: Sequence[ArticulationModel]) -> Choice:
+def _still(track: Track, fits: dict[Kind, JointFit], models: Sequence[ArticulationModel]) -> Choice:
     """All samples lie within a few nodes: nothing moved, or too little to tell how."""
     rigid = still(2.0 * track.extent())
     probabilities: dict[Kind, float] = {STILL.name: rigid}
@@ -134,7 +134,7 @@ def _still(track: Track, fits: dict[Kind, Fit], models: Sequence[ArticulationMod
     return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]))
 
 
-def _why(probabilities: dict[Kind, float], chosen: Fit, enough: bool, track: Track) -> str:
+def _why(probabilities: dict[Kind, float], chosen: JointFit, enough: bool, track: Track) -> str:
     seen = chosen.model.sentence(chosen.configurations[chosen.weights > 0.2], track.extent(), chosen.std)
     percent = {kind: f"{100.0 * p:.0f} %" for kind, p in probabilities.items()}
     if enough:

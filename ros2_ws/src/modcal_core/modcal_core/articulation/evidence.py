@@ -31,14 +31,14 @@ from modcal_core.articulation import furniture
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.scene import FIRST_HELD, LOG_SWAYS, SWAYS, Scene
+from modcal_core.articulation.scene import FIRST_HELD, LOG_SWAYS, SWAYS, NodeScene
 from modcal_core.articulation.terms import Terms, UniformTerms, believed
 from modcal_core.articulation.varying_terms import VaryingTerms
 from modcal_core.geometry.so3 import Array
 
 
 @dataclass(frozen=True)
-class Row:
+class EvidenceRow:
     """One kind at one play: its most probable motion, log evidence for each sway (1,) or (7,), which is the best."""
 
     motion: Motion
@@ -46,13 +46,13 @@ class Row:
     column: int
 
 
-def terms_of(scene: Scene, motion: Motion, play: float) -> Terms:
+def terms_of(scene: NodeScene, motion: Motion, play: float) -> Terms:
     """How a motion explains the nodes of a scene, where the play is that [m]."""
     return (UniformTerms if motion.uniform else VaryingTerms).of(scene, motion, play)
 
 
-def row(scene: Scene, motion: Motion, play: float, steps: int = 8, column: int = 2, again: bool = True
-        ) -> Row:  # fmt: skip
+def row(scene: NodeScene, motion: Motion, play: float, steps: int = 8, column: int = 2, again: bool = True
+        ) -> EvidenceRow:  # fmt: skip
     """Climb to the most probable motion at this play (and this of the sways, or the best if again), and weigh it."""
     oriented = scene.track.oriented
     column = column if oriented else 0
@@ -76,16 +76,16 @@ def row(scene: Scene, motion: Motion, play: float, steps: int = 8, column: int =
     best = int(np.argmax(logs + LOG_SWAYS)) if oriented else 0
     if best != column and again:
         return row(scene, motion, play, steps, best, again=False)
-    return Row(motion, logs, best)
+    return EvidenceRow(motion, logs, best)
 
 
-def improved(scene: Scene, motion: Motion, play: float, column: int) -> Motion:
+def improved(scene: NodeScene, motion: Motion, play: float, column: int) -> Motion:
     """The motion after one step towards the most probable one at this play and this of the sways."""
     step, _ = terms_of(scene, motion, play).step(scene, play, column if scene.track.oriented else 0)
     return motion.moved(believed(step) * step)
 
 
-def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
+def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> EvidenceRow:
     """The same row a little later, when nodes have changed a little: one step, and evidence at the best sway and one
     more.
 
@@ -111,7 +111,7 @@ def glance(scene: Scene, before: Row, play: float, turn: int) -> Row:
     if scene.track.oriented:
         logs += [0.0 if c in columns else shift for c in range(len(SWAYS))]
     best = int((logs + LOG_SWAYS).argmax()) if scene.track.oriented else 0
-    return Row(before.motion.moved(believed(step) * step), logs, best)
+    return EvidenceRow(before.motion.moved(believed(step) * step), logs, best)
 
 
 def still(moved: float) -> float:
@@ -128,7 +128,7 @@ def still(moved: float) -> float:
     return float(rigid / (rigid + 1.0 / furniture.SPAN))
 
 
-def weigh(rows: Mapping[Kind, list[Row]], moved: float, log_priors: Array,
+def weigh(rows: Mapping[Kind, list[EvidenceRow]], moved: float, log_priors: Array,
           log_shares: Mapping[Kind, float]) -> tuple[dict[Kind, float], Kind, int, int]:  # fmt: skip
     """Probabilities of all kinds; of those that move the best one, its best row and its best sway.
 

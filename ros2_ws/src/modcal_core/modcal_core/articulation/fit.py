@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.articulation.joints import Joint
+from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.motion import Motion
@@ -34,7 +34,7 @@ _ENOUGH = 1e-3  # of a log-likelihood
 
 
 @dataclass(frozen=True)
-class Fit:
+class JointFit:
     """model; configurations (n,), 0 at the first sample for what has an axis; weights (n,), near 0 for an outlier.
 
     covariance: about an axis of ``axis`` (3, 3), ``start`` (3, 3) [m²], and where it turns ``point`` (3, 3) [m²],
@@ -44,7 +44,7 @@ class Fit:
     chosen. parameters: covariance of the motion's (size, size).
     """
 
-    model: Joint
+    model: PlacedJoint
     configurations: Array
     covariance: dict[str, Array]
     log_likelihood: float
@@ -61,7 +61,7 @@ class Fit:
 
 
 def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
-        start: Motion | None = None) -> Fit:  # fmt: skip
+        start: Motion | None = None) -> JointFit:  # fmt: skip
     """The most likely joint of this type (a name: one about an axis).
 
     start: begin there, else with robust guesses (rng chooses their samples). Raises BadTable where a package's model
@@ -75,7 +75,7 @@ def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator 
 
 
 @dataclass
-class State:
+class ClimbState:
     """A motion, the scales (m, rad) of its residuals, and what they cost together."""
 
     motion: Motion
@@ -85,7 +85,7 @@ class State:
 
 @dataclass(frozen=True)
 class Settled:
-    """What a climb comes to, of any motion: as in ``Fit``, the configurations as the motion counts them."""
+    """What a climb comes to, of any motion: as in ``JointFit``, the configurations as the motion counts them."""
 
     configurations: Array
     weights: Array
@@ -148,7 +148,7 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def climb(track: Track, motion: Motion, prior: bool) -> State:
+def climb(track: Track, motion: Motion, prior: bool) -> ClimbState:
     """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes."""
     sigma = (5e-3, 0.07)
     a = motion.configurations(track, sigma)
@@ -181,7 +181,7 @@ def climb(track: Track, motion: Motion, prior: bool) -> State:
                 motion, damping = tried, max(damping * 0.2, 1e-9)
                 break
             damping = max(damping * 8.0, 1e-6)
-    return State(motion, sigma, cost)
+    return ClimbState(motion, sigma, cost)
 
 
 def _bounded(step: Array) -> Array:
@@ -190,14 +190,14 @@ def _bounded(step: Array) -> Array:
     return step if largest < 0.5 else step * (0.5 / largest)
 
 
-def _told(track: Track, state: State, prior: bool) -> Fit:
+def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     motion, at = state.motion, settled(track, state, prior)
     first = motion.zero(at.configurations)
-    return Fit(motion.joint(first), at.configurations - first, motion.covariance(at.parameters), at.log_likelihood,
+    return JointFit(motion.joint(first), at.configurations - first, motion.covariance(at.parameters), at.log_likelihood,
                at.weights, at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
 
 
-def settled(track: Track, state: State, prior: bool) -> Settled:
+def settled(track: Track, state: ClimbState, prior: bool) -> Settled:
     """Configurations, scales, weights and covariance at the end of a climb."""
     motion, sigma = state.motion, state.sigma
     a = motion.configurations(track, sigma)

@@ -23,7 +23,7 @@ from modcal_core.geometry.so3 import Array
 _EYE = np.eye(3)
 
 
-class Joint(Protocol):
+class PlacedJoint(Protocol):
     """A joint type in its place: what reports ask. kind: name of its type. unit: of configurations, rad, m or 1."""
 
     @property

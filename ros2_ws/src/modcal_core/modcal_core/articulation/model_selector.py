@@ -16,12 +16,12 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.articulation.evidence import Row, glance, improved, weigh
+from modcal_core.articulation.evidence import EvidenceRow, glance, improved, weigh
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES, STILL, log_shares
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, Scene
+from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
 
@@ -49,10 +49,10 @@ class ModelSelector:
         self.probabilities = dict(EVEN)
         self.scale = (1e-3, 0.01)
         self.rounds = 0
-        self._rows: dict[tuple[Kind, int], Row] = {}
+        self._rows: dict[tuple[Kind, int], EvidenceRow] = {}
         self._left: list[tuple[Kind, int, _Stage]] = []
-        self._fresh: Row | None = None
-        self._scene: Scene | None = None
+        self._fresh: EvidenceRow | None = None
+        self._scene: NodeScene | None = None
         self._play, self._column = FEW[1], 0
         self._turn = 0
         self._won: Kind = STILL.name
@@ -85,15 +85,17 @@ class ModelSelector:
 
     def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
         """A step of what is believed, on the nodes of now, at the play and the sway that it was chosen for."""
-        self.motion = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
+        better = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
+        assert isinstance(better, AxisMotion)
+        self.motion = better
 
-    def _now(self, nodes: Nodes) -> Scene:
+    def _now(self, nodes: Nodes) -> NodeScene:
         if len(self._jitter) >= 12:
             shift, turn = (statistics.median(some) for some in zip(*self._jitter, strict=True))
             self.scale = math.sqrt(shift / 2.77), math.sqrt(turn / 4.73)
         track = nodes.track()
         assert track is not None
-        return Scene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
+        return NodeScene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
 
     def _begin(self, nodes: Nodes) -> None:
         """A new round, on the nodes of now."""
@@ -106,7 +108,7 @@ class ModelSelector:
         slots += [(kind, k, "again") for kind in _MODELS for k in FEW]
         self._left = slots[::-1]
 
-    def _slot(self, kind: Kind, i: int, stage: _Stage, scene: Scene) -> None:
+    def _slot(self, kind: Kind, i: int, stage: _Stage, scene: NodeScene) -> None:
         """Weigh one kind at one play: where it was left, or from a new guess, which stays if it is better."""
         known, play = self._rows.get((kind, i)), float(PLAYS[i])
         if stage == "judge" and self._fresh is not None:
@@ -121,15 +123,17 @@ class ModelSelector:
             if guess is None:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
-            self._fresh = glance(scene, Row(guess, level, FIRST if scene.track.oriented else 0), play, -1)
+            self._fresh = glance(scene, EvidenceRow(guess, level, FIRST if scene.track.oriented else 0), play, -1)
             self._left.append((kind, i, "judge"))
 
-    def _guessed(self, kind: Kind, i: int, scene: Scene) -> AxisMotion | None:
+    def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
         known = {other: row.motion for (other, j), row in self._rows.items() if j == i}
-        return _MODELS[kind].quick_guess(scene.track, known, self.rounds)
+        guess = _MODELS[kind].quick_guess(scene.track, known, self.rounds)
+        assert guess is None or isinstance(guess, AxisMotion)
+        return guess
 
-    def _conclude(self, scene: Scene) -> bool:
-        known: dict[Kind, list[Row]] = {}
+    def _conclude(self, scene: NodeScene) -> bool:
+        known: dict[Kind, list[EvidenceRow]] = {}
         for kind in _MODELS:
             rows = [self._rows[kind, i] for i in FEW if (kind, i) in self._rows]
             if rows:
@@ -145,11 +149,12 @@ class ModelSelector:
         chosen = known[best][i]
         self._play, self._column = FEW[i], j
         self.kind = STILL.name if self.probabilities[STILL.name] > 0.5 else best
+        assert isinstance(chosen.motion, AxisMotion)
         self.motion = chosen.motion
         return old != best
 
 
-def _best(rows: list[Row]) -> tuple[int, int]:
+def _best(rows: list[EvidenceRow]) -> tuple[int, int]:
     """The best play and the best sway."""
     i = int(np.argmax([row.evidence.max() for row in rows]))
     return i, int(np.argmax(rows[i].evidence))

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from modcal_core.articulation.joints import Joint
+from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import HAT, Array
@@ -70,7 +70,7 @@ class Motion(ABC):
         """What the prior's density has beside its exponent, in the coordinates of the motion."""
 
     @abstractmethod
-    def joint(self, a: float = 0.0) -> Joint:
+    def joint(self, a: float = 0.0) -> PlacedJoint:
         """The joint, with its configuration 0 where this motion has a."""
 
     @abstractmethod

@@ -32,7 +32,7 @@ Event = Literal["locked", "jammed", "changed"]
 
 
 @dataclass(frozen=True)
-class Settings:
+class TrackerSettings:
     """ahead_m, ahead_rad: how far ahead a prediction must be right, whichever is less. tolerance_m: and how right.
 
     still_m: what a pulled handle moves by while it counts as not moving, within still_s. nodes: most of them.
@@ -47,7 +47,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class State:
+class TrackerState:
     """What is believed after a pose. kind, probabilities: of the joint. model: None until something has moved.
 
     configuration: of this pose [rad or m], 0 where the handle began. trusted: whether the model has predicted well.
@@ -79,8 +79,8 @@ _HELD = 20  # poses for which a model that was trusted lately is not bent by wha
 class Tracker:
     """Takes poses as they come. oriented: whether rotations come too; None: as the first pose has it."""
 
-    def __init__(self, settings: Settings | None = None, oriented: bool | None = None) -> None:
-        self.settings = Settings() if settings is None else settings
+    def __init__(self, settings: TrackerSettings | None = None, oriented: bool | None = None) -> None:
+        self.settings = TrackerSettings() if settings is None else settings
         self._wanted = oriented
         self.reset()
 
@@ -105,7 +105,9 @@ class Tracker:
         self._credit = 0
         self._doubt: int | None = None
 
-    def update(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float, pulled: bool = False) -> State:
+    def update(
+        self, position: ArrayLike, rotation: ArrayLike | None, stamp: float, pulled: bool = False
+    ) -> TrackerState:
         """What is believed after one more pose: position (3,) [m], rotation (3, 3) or None, stamp [s].
 
         pulled: whether somebody pulls at this moment, which tells a handle that rests from one that is stuck.
@@ -221,12 +223,12 @@ class Tracker:
         path = motion.configurations(Track.trusted(nodes.means()[:, :3]), POSITIONS) * motion.length_per_unit
         return float(path.min()), float(path.max())
 
-    def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> State:
+    def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> TrackerState:
         selector, ahead = self._selector, self._check.error
         probabilities = dict(selector.probabilities)
         motion = selector.motion
         if motion is None or selector.kind == STILL.name:
-            return State(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples)
+            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples)
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -236,7 +238,7 @@ class Tracker:
             seen = posed(R, p)
         trusted = self._check.trusted
         a = float(model.configuration(seen))
-        return State(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
+        return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
                      selector.follows)  # fmt: skip
 
 

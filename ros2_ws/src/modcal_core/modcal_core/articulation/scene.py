@@ -38,7 +38,7 @@ FIRST, FIRST_HELD = 2, len(SWAYS) - 3  # where to begin when nothing is known
 
 
 @dataclass(frozen=True)
-class Scene:
+class NodeScene:
     """The nodes that all kinds must explain, and covariances (k, k) of what they do not share with the ideal path.
 
     kernel: of a play of 1. position [m²], rotation [rad²]: noise of nodes, and distortion of what measures. moved: how
@@ -80,7 +80,9 @@ class Scene:
         return so3.log(so3.mean(self.track.rotations).T @ self.track.rotations).T
 
     @classmethod
-    def of(cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float], distorted: float = 1.0) -> Scene:
+    def of(
+        cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float], distorted: float = 1.0
+    ) -> NodeScene:
         """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad].
 
         distorted: how many times the usual distortion is taken.

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dposv
 
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.scene import HELD, LOG_2PI, SWAYS, Scene, whitener
+from modcal_core.articulation.scene import HELD, LOG_2PI, SWAYS, NodeScene, whitener
 from modcal_core.geometry.so3 import Array
 
 _HOLDS = 0.3
@@ -30,11 +30,11 @@ class Terms(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, scene: Scene, motion: Motion, play: float) -> Self:
+    def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
         """Of all nodes, where the play is that [m]."""
 
     @abstractmethod
-    def system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
+    def system(self, scene: NodeScene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
 
     def with_prior(self, total: Array, log_det: float) -> tuple[float, Array, Array, float]:
@@ -43,18 +43,18 @@ class Terms(ABC):
         total.ravel()[len(total) + 1 :: len(total) + 1] += curvature
         return 0.5 * float(total[0, 0]) + cost, total[0, 1:] + gradient, total[1:, 1:], log_det
 
-    def cost(self, scene: Scene, play: float, column: int) -> float:
+    def cost(self, scene: NodeScene, play: float, column: int) -> float:
         """What a step is to lower."""
         squares, _, _, log_det = self.system(scene, play, column)
         return squares + log_det
 
-    def step(self, scene: Scene, play: float, column: int) -> tuple[Array, float]:
+    def step(self, scene: NodeScene, play: float, column: int) -> tuple[Array, float]:
         """Gauss–Newton step, and what it promises."""
         _, g, H, _ = self.system(scene, play, column)
         step = _solved(_lifted(H, 1e-10), g)[0]
         return step, float(-0.5 * g @ step)
 
-    def weighed(self, scene: Scene, play: float, column: int) -> tuple[float, Array]:
+    def weighed(self, scene: NodeScene, play: float, column: int) -> tuple[float, Array]:
         """Log evidence at one sway, with the step that is left taken on the quadratic; and that step."""
         squares, g, H, log_det = self.system(scene, play, column)
         step, half = _solved(_lifted(H, 1e-12), g)
@@ -63,7 +63,7 @@ class Terms(ABC):
         volume = 0.5 * len(g) * LOG_2PI - half
         return gain - squares - log_det + volume + self.motion.log_prior(), step
 
-    def evidence(self, scene: Scene, play: float) -> Array:
+    def evidence(self, scene: NodeScene, play: float) -> Array:
         """Log evidence for each sway."""
         columns = range(len(SWAYS)) if self.oriented else range(1)
         return np.array([self.weighed(scene, play, c)[0] for c in columns])
@@ -80,7 +80,7 @@ class UniformTerms(Terms):
     per: float  # path [m] per radian, squared
 
     @classmethod
-    def of(cls, scene: Scene, motion: Motion, play: float) -> Self:
+    def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
         """Of all nodes, where the play is that."""
         assert isinstance(motion, AxisMotion)
         both, by_a = motion.expanded(scene.track, motion.configurations(scene.track, (1.0, 1e9)))
@@ -90,7 +90,7 @@ class UniformTerms(Terms):
         per = motion.r**2 + motion.h**2
         return cls(motion, scene.track.oriented, _squares(W, position), position.shape[1] * half, turn, mixed, per)
 
-    def system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
+    def system(self, scene: NodeScene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
         total, log_det = self.across.copy(), self.log_det
         if self.turn is not None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from modcal_core.articulation.models.parametric_motion import ParametricMotion
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.scene import HELD, SWAYS, Scene, whitener
+from modcal_core.articulation.scene import HELD, SWAYS, NodeScene, whitener
 from modcal_core.articulation.terms import Terms, about_mean
 from modcal_core.geometry.so3 import Array
 
@@ -48,7 +48,7 @@ class VaryingTerms(Terms):
     turn: Array | None
 
     @classmethod
-    def of(cls, scene: Scene, motion: Motion, play: float) -> Self:
+    def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
         """Of all nodes. play is felt in the system only."""
         assert isinstance(motion, ParametricMotion)
         track = scene.track
@@ -67,7 +67,7 @@ class VaryingTerms(Terms):
         rotation = np.empty((0, width)) if turn is None else turn.reshape(-1, width)
         return cls(motion, track.oriented, position, rotation, beyond, U, t, w, turn)
 
-    def system(self, scene: Scene, play: float, column: int) -> tuple[float, Array, Array, float]:
+    def system(self, scene: NodeScene, play: float, column: int) -> tuple[float, Array, Array, float]:
         """(squares, gradient, curvature, log determinant), with the prior in the first three."""
         P = play**2 * scene.kernel + scene.position
         k = len(P)

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View, geometry_rows
+from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
-from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.parameters import View as Seen
+from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
@@ -68,7 +67,7 @@ def propose(
     truth, other = model.effects[effect], calibration.rivals[effect][rival]
     rest = tuple(e for i, e in enumerate(model.effects) if i != effect)
     imitation = model.with_effects((*rest, other))
-    seen = Seen(calibration.kind, 0)
+    seen = View(calibration.kind, 0)
     parameters = choose_parameters(model, [seen]).parameters
     samples = _candidates(calibration, seen, rng, allowed)
     if len(samples) < len(calibration.postures) + count:
@@ -91,7 +90,7 @@ def propose(
 
 
 def _candidates(
-    calibration: Calibration, seen: Seen, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
+    calibration: Calibration, seen: View, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
 ) -> Samples:
     """What was recorded, then random postures in and around it that are allowed, each come to from either side."""
     model = calibration.calibrated
@@ -130,7 +129,7 @@ def _rows(
 ) -> tuple[Array, Array, Array]:
     """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
     at = Drivers(samples, model.arm or model.drivers(samples).arm)
-    view = View.of(model.with_effects(()), samples, at)
+    view = RowView.of(model.with_effects(()), samples, at)
     moved = np.sum([a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0)
     zero = np.zeros(len(parameters))
     J = np.concatenate(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.linearise import (
-    View,
+    RowView,
     apply_deviations,
     deviations,
     geometry_rows,
@@ -135,7 +135,7 @@ def _between_stations(
     assert known.ends is not None
     now = model_at(model, parameters, values)
     at = model.drivers(known.ends)
-    view = View.of(now, known.ends, at)
+    view = RowView.of(now, known.ends, at)
     gap = view.f.p[-1][:, 1] - view.f.p[-1][:, 0]
     length = max(float(np.linalg.norm(gap)), 1e-9)
     rows = [geometry_rows(view, model, parameters, values)]

@@ -138,7 +138,7 @@ def linearise(
     """
     at = drivers or model.drivers(samples)
     now = model_at(model, parameters, values)
-    view = View.of(now, samples, at)
+    view = RowView.of(now, samples, at)
     if not jacobian:
         return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
     J = geometry_rows(view, model, parameters, values)
@@ -154,7 +154,7 @@ def model_at(model: Model, parameters: Sequence[Parameter], values: Array) -> Mo
     return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
 
 
-def geometry_rows(view: View, model: Model, parameters: Sequence[Parameter], values: Array) -> Array:
+def geometry_rows(view: RowView, model: Model, parameters: Sequence[Parameter], values: Array) -> Array:
     """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values."""
     J = np.empty((len(parameters), view.position.size + view.rotation.size))
     errors = deviations(model, parameters, values[: len(parameters)])
@@ -183,7 +183,7 @@ def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
 
 
 @dataclass
-class View:
+class RowView:
     """Readings and frames of the chain as seen from the root, and how twists anywhere move the tool."""
 
     samples: Samples
@@ -196,7 +196,7 @@ class View:
     _units: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, now: Model, samples: Samples, at: Drivers) -> View:
+    def of(cls, now: Model, samples: Samples, at: Drivers) -> RowView:
         """What these samples show of this model, given their drivers."""
         N = len(samples)
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))

@@ -31,7 +31,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.library import Library, Tolerance
+from modcal_core.modules.library import Library, ModuleTolerance
 from modcal_core.modules.poe import TO_AXIS, Piece, pieces
 
 Key = tuple[str, str]  # serial number, part of the module
@@ -158,7 +158,7 @@ def deviation_of(assembly: Assembly, library: Library, errors: Mapping[Key, Arra
     return np.stack(out)
 
 
-def part_std(tolerance: Tolerance, part: str) -> Array:
+def part_std(tolerance: ModuleTolerance, part: str) -> Array:
     """Standard deviations (6,) [m, rad] of a part about its drawing; a joint's zero is a turn about its axis."""
     std = np.array([tolerance.length] * 3 + [tolerance.angle] * 3)
     if part == TO_AXIS:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View, geometry_rows, model_at
+from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.effects.effect import Term, all_columns
@@ -49,7 +49,7 @@ def _add(
     P = len(parameters)
     at = start.drivers(part)
     now = model_at(start, parameters, values)
-    view = View.of(now, part, at)
+    view = RowView.of(now, part, at)
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])
     terms = all_columns(now.effects, at) if len(values) > P else []
     whole = [j for j, t in enumerate(terms) if len(t) != 1]
@@ -84,7 +84,7 @@ class _Group:
     index: np.ndarray
 
 
-def _groups(terms: list[list[Term]], view: View) -> list[_Group]:
+def _groups(terms: list[list[Term]], view: RowView) -> list[_Group]:
     members: dict[tuple[int, int], list[int]] = {}
     for j, t in enumerate(terms):
         if len(t) == 1:

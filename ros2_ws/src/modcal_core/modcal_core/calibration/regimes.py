@@ -28,7 +28,7 @@ from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
 from modcal_core.calibration.score import errors, outlying, squared_misses
-from modcal_core.calibration.setups import Setup, Sights, Stretches, stretches
+from modcal_core.calibration.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
@@ -131,7 +131,7 @@ class _Search:
         """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
         found: tuple[float, ...] = ()
         for arm in arms:
-            sights = Sights.of(arm, self.samples)
+            sights = SetupReadings.of(arm, self.samples)
             found = self._times(stretches(sights), sights)
             if found:
                 break
@@ -139,7 +139,7 @@ class _Search:
             if not found:
                 return ()
             fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
-            sights = Sights.of(fit.model, self.samples)
+            sights = SetupReadings.of(fit.model, self.samples)
             again = self._times(stretches(sights), sights)
             if again == found or not again:
                 return found
@@ -147,7 +147,7 @@ class _Search:
         return found
 
     @staticmethod
-    def _times(found: Stretches, sights: Sights) -> tuple[float, ...]:
+    def _times(found: Stretches, sights: SetupReadings) -> tuple[float, ...]:
         """Times between stretches; what is shorter than two stations joins its neighbour."""
         ends = [b for a, b in found if b - a >= _LEAST]
         return tuple(float(0.5 * (sights.stamps[b - 1] + sights.stamps[b])) for b in ends if b < len(sights))
@@ -155,7 +155,7 @@ class _Search:
     def start(self, moves: Sequence[Move], samples: Samples | None = None) -> Model:
         """The arm with base, tool and steps as these moves show them, in closed form."""
         samples = self.samples if samples is None else samples
-        sights = Sights.of(self.arm, samples)
+        sights = SetupReadings.of(self.arm, samples)
         at = [move.at for move in moves]
         part = np.searchsorted(at, sights.stamps, side="right")
         base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View
+from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, standard_score
 from modcal_core.geometry import so3
@@ -77,7 +77,7 @@ def errors(model: Model, samples: Samples) -> Errors:
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
     gap, lever = samples.position - T[:, :3, 3], None
     if model.instruments:
-        sights = View.of(model, samples, model.drivers(samples)).sights
+        sights = RowView.of(model, samples, model.drivers(samples)).sights
         if sights is not None:
             lever = sights.lever
             gap[sights.rows] = (sights.residual * lever[sights.rows]).T

@@ -42,7 +42,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Sights:
+class SetupReadings:
     """Readings in order of time, seen from the root of an arm that is taken as it stands.
 
     A: poses of the tip (N, 4, 4). B: readings (N, 4, 4), orientations identity where there are none. poses: whether all
@@ -58,7 +58,7 @@ class Sights:
     setup: Setup
 
     @classmethod
-    def of(cls, model: Model, samples: Samples) -> Sights:
+    def of(cls, model: Model, samples: Samples) -> SetupReadings:
         """What the samples, of positions or poses, show of a model's arm, its base and tool."""
         order = np.argsort(samples.stamps, kind="stable")
         A = se3.inverse(model.chain.T_base_root) @ forward(model.chain, samples.q[order])
@@ -108,7 +108,7 @@ class Sights:
         return Setup(self.base(rows, X), X)
 
 
-def stretches(sights: Sights) -> Stretches:
+def stretches(sights: SetupReadings) -> Stretches:
     """Stretches of readings, in order of time, that have a base, a tool or both of their own; one where nothing moved.
 
     Empty where there are more than a person would move base or tool in one recording.
@@ -138,7 +138,7 @@ def stretches(sights: Sights) -> Stretches:
     return found
 
 
-def _setups(sights: Sights, rows: np.ndarray, near: Setup | None = None) -> Iterator[Setup]:
+def _setups(sights: SetupReadings, rows: np.ndarray, near: Setup | None = None) -> Iterator[Setup]:
     """What these rows may have: a base, a tool, or both of their own."""
     known = near or sights.setup
     yield Setup(known.D, sights.tool(rows, known.D))

@@ -14,7 +14,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.score import usual_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
-from modcal_core.calibration.structure import Choice
+from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.measurements.samples import Samples
@@ -27,7 +27,7 @@ _MOST_KEPT = 200  # postures that a calibration remembers
 def ship(
     samples: Samples,
     chain: Mechanism,
-    choice: Choice,
+    choice: ParameterChoice,
     cell: Cell,
     inertias: Inertias | None = None,
     scored: Fit | None = None,

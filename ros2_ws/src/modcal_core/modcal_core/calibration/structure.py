@@ -120,7 +120,7 @@ def _instrument(model: Model, view: View) -> Instrument | None:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ParameterChoice:
     """parameters: minimal and of full rank, in order of place. left_out: names whose motion others can make."""
 
     parameters: tuple[Parameter, ...]
@@ -133,7 +133,7 @@ def choose_parameters(
     fixed: Sequence[str] = (),
     distances: Sequence[AnyDistance] = (),
     among: Callable[[Parameter], bool] = lambda _: True,
-) -> Choice:
+) -> ParameterChoice:
     """The minimal, full-rank parameters for this model and these views.
 
     fixed: names, places or patterns that must stay as they are. distances: known distances between frames, which can
@@ -157,7 +157,7 @@ def choose_parameters(
     left_out = [
         c.name for j, c in enumerate(candidates) if j not in kept and (every or c.direction in passing or c.of_arm)
     ]
-    return Choice(tuple(parameters), tuple(left_out))
+    return ParameterChoice(tuple(parameters), tuple(left_out))
 
 
 def _counting(model: Model, views: Sequence[View]) -> list[View]:

@@ -15,13 +15,13 @@ from collections.abc import Callable
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.course import Course, Pull
-from modcal_core.compliance.following import Follower
-from modcal_core.compliance.guard import Guard, Heard, Late, Limits, Setpoint
 from modcal_core.compliance.impedance import Impedance
-from modcal_core.compliance.pace import Foresight, Pace
-from modcal_core.compliance.reach import Reach, Walk
-from modcal_core.compliance.task import Belief, Joints, Stop, Task, Wait
+from modcal_core.compliance.path_check import PathCheck, Reach
+from modcal_core.compliance.path_model import PathModel, Pull
+from modcal_core.compliance.safety_monitor import ArmSetpoint, Late, Limits, SafetyMonitor, SensorReadings
+from modcal_core.compliance.setpoint_filter import SetpointFilter
+from modcal_core.compliance.speed_governor import ForcePrediction, SpeedGovernor
+from modcal_core.compliance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
 from modcal_core.compliance.wrench import Tare, WrenchSensor
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
@@ -44,22 +44,22 @@ _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is 
 class Operation:
     """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`."""
 
-    def __init__(self, chain: Chain, task: Task, limits: Limits) -> None:
+    def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits) -> None:
         """For an arm (chain to the tool that is measured)."""
         self.chain, self.task, self.limits = chain, task, limits
         self.phase = "tare"
-        self.guard = Guard(chain, limits)
-        self.follower = Follower(chain, limits)
+        self.guard = SafetyMonitor(chain, limits)
+        self.follower = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
-        self.pace = Pace(task.patience)
+        self.pace = SpeedGovernor(task.patience)
         self.reached: Reach | None = None
-        self.course: Course | None = None
-        self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), Foresight()
+        self.course: PathModel | None = None
+        self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
         self._delay = 0.0  # s from a touch until the arm begins to brake
         self.expected = np.eye(4)
         self._pull: Pull | None = None
         self._tare = Tare(task.tare_s)
-        self._walk: tuple[Walk, Array] | None = None
+        self._walk: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
         self._walked_from = 0.0
         self._untrusted = 0.0
@@ -70,7 +70,7 @@ class Operation:
         self._late, self._caution = math.nan, 1.0
         self._before: tuple[float, Array] | None = None
         self._stop: Stop | None = None
-        self._tell: dict[str, Callable[[float, Array, Belief], None]] = {
+        self._tell: dict[str, Callable[[float, Array, ObjectModel], None]] = {
             "explore": self._explore,
             "check": self._check,
             "follow": self._follow,
@@ -93,8 +93,8 @@ class Operation:
             self._let_go(why, now)
 
     def tick(
-        self, now: float, T_base_tool: Array, sensor: WrenchSensor, joints: Joints, state: Belief
-    ) -> Setpoint | Wait | Stop:
+        self, now: float, T_base_tool: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
+    ) -> ArmSetpoint | Wait | Stop:
         """What to send at time ``now`` [s], or that nothing may be sent yet, or any more.
 
         T_base_tool (4, 4): where the tool is measured. sensor: has heard the last wrench. state: the belief so far.
@@ -118,7 +118,7 @@ class Operation:
 
     # before anything moves
 
-    def _late_input(self, now: float, sensor: WrenchSensor, joints: Joints) -> str:
+    def _late_input(self, now: float, sensor: WrenchSensor, joints: JointPositions) -> str:
         needed = [("joint_states", joints.stamp), ("wrench", sensor.stamp)]
         for what, stamp in needed[:1] if self.phase == "release" else needed:
             if not self._fresh(stamp, now):
@@ -138,7 +138,7 @@ class Operation:
         patience = self.task.patience_s if self.phase != "tare" else _TARE_PATIENCE
         return not math.isnan(self._late) and not 0.0 <= now - self._late <= patience
 
-    def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: Joints) -> Wait | Stop:
+    def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions) -> Wait | Stop:
         if math.isnan(self._since):
             self._since = now
         at_rest = True
@@ -161,8 +161,8 @@ class Operation:
     # while it moves
 
     def _go_on(
-        self, now: float, T: Array, sensor: WrenchSensor, joints: Joints, state: Belief
-    ) -> Setpoint | Wait | Stop:
+        self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
+    ) -> ArmSetpoint | Wait | Stop:
         h = now - self._last
         if not 0.0 < h <= 5.0 * self.limits.period:  # the first, or after a pause: from rest
             if h <= 0.0:
@@ -193,10 +193,10 @@ class Operation:
         self.follower.step(goal, h, self._posture())
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
-        heard = Heard(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
+        heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
         return self.guard.check(self._setpoint(), heard, now)
 
-    def _explore(self, h: float, T: Array, state: Belief) -> None:
+    def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
         ds = self._go(self.task.exploring, h)
@@ -210,7 +210,7 @@ class Operation:
             said = state.event or "no model predicts it"
             self._let_go(f"not understood after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
-    def _check(self, h: float, T: Array, state: Belief) -> None:
+    def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and walk along the way in thought."""
         course, now = self.course, self._last + h
         assert course is not None
@@ -225,7 +225,7 @@ class Operation:
         elif now - self._since > _CHECK_PATIENCE:
             self._let_go("the way was not looked through in time: this is our fault", now)
 
-    def _follow(self, h: float, T: Array, state: Belief) -> None:
+    def _follow(self, h: float, T: Array, state: ObjectModel) -> None:
         course, now = self.course, self._last + h
         assert course is not None
         if state.model is not None and state.trusted and state.model is not course.model:
@@ -255,14 +255,14 @@ class Operation:
         elif self.pace.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
             self._let_go(f"it does not move on: {self._pushed()}, open to {self._said(T)}", now)
 
-    def _arrive(self, h: float, T: Array, state: Belief) -> None:
+    def _arrive(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand where the goal was reached."""
         slow = float(np.abs(self.follower.velocity).max()) <= _STOOD
         if slow or self._last + h - self._since > _STAND_PATIENCE:
             self._stop = Stop(True, f"open to {self._said(T)}", self._opened(T))
             self.guard.close(self._stop.why)
 
-    def _release(self, h: float, T: Array, state: Belief) -> None:
+    def _release(self, h: float, T: Array, state: ObjectModel) -> None:
         """Expect the tool where it is: a servo that is sent where its arm already is holds against nothing.
 
         That is stable however late the tool is measured, and what is felt moves nothing, only a force does.
@@ -297,7 +297,7 @@ class Operation:
             assert self._pull is not None
             moved = T[:3, 3] - self._pull.start[:3, 3]
             goals = self.task.goal_rad, self.task.goal_m
-            self.course = Course(model, self._pull.start, before, moved, *goals, _OVER)
+            self.course = PathModel(model, self._pull.start, before, moved, *goals, _OVER)
             self.expected = self.course.pose(self.course.at)
         else:
             self.expected = self.course.take(model, before)
@@ -307,7 +307,7 @@ class Operation:
         way, turn = speeds(self._checked, goal)
         if self._walk is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
             path = self.course.path(np.linalg.inv(self.follower.offset))
-            self._walk = Walk(self.chain, path, self.follower.q, gain=1.5 * self.limits.gain), goal
+            self._walk = PathCheck(self.chain, path, self.follower.q, gain=1.5 * self.limits.gain), goal
             self._walked_from = self.course.opened(self.course.at)
 
     def _look(self, steps: int) -> Reach | None:
@@ -330,13 +330,13 @@ class Operation:
     def _goal_now(self) -> Array:
         return self.impedance.command(self.expected) if self.task.mode == "admittance" else self.expected
 
-    def _setpoint(self) -> Setpoint:
+    def _setpoint(self) -> ArmSetpoint:
         follower, task = self.follower, self.task
         if task.mode == "admittance":
             stiffness = np.repeat(np.array(task.stack), 3)
         else:
             stiffness = np.diag(self.impedance.gains.matrices()[2]).copy()
-        return Setpoint(
+        return ArmSetpoint(
             self.chain.base,
             self.chain.names,
             follower.pose,

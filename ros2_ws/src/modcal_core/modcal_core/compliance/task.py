@@ -10,7 +10,7 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.compliance.impedance import Gains
-from modcal_core.compliance.pace import Patience
+from modcal_core.compliance.speed_governor import Patience
 from modcal_core.compliance.wrench import DOWN
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
@@ -18,7 +18,7 @@ from modcal_core.geometry.so3 import Array
 Mode = Literal["expected", "admittance"]
 
 
-class Belief(Protocol):
+class ObjectModel(Protocol):
     """What is believed of the object: the state of an articulation Tracker, or the like."""
 
     @property
@@ -35,7 +35,7 @@ class Belief(Protocol):
 
 
 @dataclass(frozen=True)
-class Joints:
+class JointPositions:
     """Positions q (n,) of the chain's joints, in its order, and when they were so [s]."""
 
     q: Array
@@ -59,7 +59,7 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Task:
+class ImpedanceTask:
     """What to do and how gently.
 
     direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to

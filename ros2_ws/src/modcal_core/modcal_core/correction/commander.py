@@ -10,7 +10,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.correction.compensation import Command, compensate
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction, Target
-from modcal_core.correction.setpoints import Bounds, Stream
+from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -21,7 +21,7 @@ _SEED = 1  # of the postures that a goal is also sought from: the same goal gets
 
 
 @dataclass(frozen=True)
-class Settings:
+class CommanderSettings:
     """target: what poses are of. stream: every pose is a setpoint for ``horizon`` [s] ahead. turning, sliding: speeds
     of joints [rad/s, m/s]. tolerance_m, tolerance_rad: of the prediction. switch_step: of a joint, by a new calibration
     in a stream [rad or m], which comes in over ``blend`` [s].
@@ -39,7 +39,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Robot:
+class CalibratedRobot:
     """A calibration that fits the robot that is there. farthest: no desired position lies farther off [m]."""
 
     correction: Correction
@@ -47,7 +47,7 @@ class Robot:
     farthest: float
 
     @classmethod
-    def of(cls, calibration: Calibration, description: str) -> Robot:
+    def of(cls, calibration: Calibration, description: str) -> CalibratedRobot:
         """The robot of a URDF and its calibration. Raises BadRobot where they do not belong together."""
         nominal = calibration.nominal.chain
         chain = read_chain(description, nominal.base, nominal.tip)
@@ -57,13 +57,13 @@ class Robot:
         ends = np.linalg.norm(chain.origins[0, :3, 3]) + np.linalg.norm(model.T_tip_tool[:3, 3])
         return cls(Correction(calibration), chain, 1.05 * (chain.reach() + away + float(ends)))
 
-    def bounds(self, settings: Settings) -> Bounds:
+    def bounds(self, settings: CommanderSettings) -> Bounds:
         """What both the description and the calibration allow."""
         return Bounds.of((self.described, self.correction.chain), settings.turning, settings.sliding)
 
 
 @dataclass(frozen=True)
-class Setpoint:
+class JointSetpoint:
     """What to send. q: joint positions (n,). seconds: when to be there. command: what it was computed as."""
 
     q: Array
@@ -75,13 +75,13 @@ class Setpoint:
 class Commander:
     """The robot in use, one that waits for its turn, and the stream of setpoints."""
 
-    settings: Settings = field(default_factory=Settings)
-    robot: Robot | None = None
-    waiting: Robot | None = None
-    _stream: Stream = field(default_factory=Stream)
+    settings: CommanderSettings = field(default_factory=CommanderSettings)
+    robot: CalibratedRobot | None = None
+    waiting: CalibratedRobot | None = None
+    _stream: SetpointStream = field(default_factory=SetpointStream)
     _wish: tuple[Array, str] | None = None
 
-    def use(self, robot: Robot, now: float) -> bool:
+    def use(self, robot: CalibratedRobot, now: float) -> bool:
         """Correct with this calibration from now on; whether that is so, or it must wait for the stream to pause."""
         self.waiting = robot
         if self.robot is None or not self._stream.running(now):
@@ -110,7 +110,7 @@ class Commander:
             self._stream.take_over(command.q, now, self.settings.switch_step, self.settings.blend)
         self.robot, self.waiting = self.waiting, None
 
-    def setpoint(self, desired: Array, frame: str, at: Conditions, now: float) -> Setpoint:
+    def setpoint(self, desired: Array, frame: str, at: Conditions, now: float) -> JointSetpoint:
         """The setpoint for a desired true pose (4, 4) in a frame, "" for the base link, from the posture ``at.q``.
 
         Raises ModcalError for what the arm must not follow.
@@ -124,17 +124,17 @@ class Commander:
         q = self._stream.setpoint(command.q, now) if settings.stream else command.q
         bounds.require_within(q)
         if not settings.stream:
-            return Setpoint(q, bounds.seconds(q, at.q), command)
+            return JointSetpoint(q, bounds.seconds(q, at.q), command)
         bounds.require_step(q, at.q, settings.horizon)
         self._wish = desired, frame
-        return Setpoint(q, settings.horizon, command)
+        return JointSetpoint(q, settings.horizon, command)
 
-    def sent(self, setpoint: Setpoint, now: float) -> None:
+    def sent(self, setpoint: JointSetpoint, now: float) -> None:
         """Note that a setpoint went out."""
         if self.settings.stream:
             self._stream.given(setpoint.q, now)
 
-    def _solve(self, robot: Robot, desired: Array, frame: str, at: Conditions, wide: bool) -> Command:
+    def _solve(self, robot: CalibratedRobot, desired: Array, frame: str, at: Conditions, wide: bool) -> Command:
         settings = self.settings
         rng = np.random.default_rng(_SEED) if wide else None
         command = compensate(
@@ -153,7 +153,7 @@ class Commander:
         return command
 
 
-def corrected_urdf(robot: Robot, description: str) -> str:
+def corrected_urdf(robot: CalibratedRobot, description: str) -> str:
     """The URDF with the calibrated geometry in it. Raises ModcalError."""
     return calibrated_urdf(description, robot.described, robot.correction.chain)
 

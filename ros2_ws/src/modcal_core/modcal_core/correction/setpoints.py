@@ -64,7 +64,7 @@ class Bounds:
         return max(float((np.abs(q - now) / self.speed).max()), _LEAST_SECONDS)
 
 
-class Stream:
+class SetpointStream:
     """The setpoints of one stream, kept free of jumps when the calibration behind them changes."""
 
     def __init__(self) -> None:

@@ -27,7 +27,7 @@ _MOST_RIVALS = 4
 
 
 @dataclass(frozen=True)
-class Choice:
+class EffectChoice:
     """The chosen effect, the chance that noise would look as good, what would explain it as well, the share of the
     squared residual that it explains, and the first of its rivals as effects.
     """
@@ -45,7 +45,7 @@ def choose(
     fit: Fit,
     refused: set[tuple[str, str, str, str]],
     incumbent: Effect | None = None,
-) -> Choice | None:
+) -> EffectChoice | None:
     """The effect to believe, or None when all that explain anything were refused.
 
     incumbent: an effect that stands already, which another must beat by more than a tie.
@@ -79,7 +79,7 @@ def choose(
         names = (f"tracker all by {chosen.public_driver}", *names)
     share = float(evidence.explained[best])
     started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MOST_RIVALS])
-    return Choice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
+    return EffectChoice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View
+from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.diagnosis.memory import last_moves, moments_on_base, play, slipped
 from modcal_core.effects.effect import place_index
@@ -82,7 +82,7 @@ def dependence(
     if samples.stations < _LEAST or not isinstance(model.chain, Chain) or model.instruments:
         return None
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
-    view = View.of(model, samples, model.drivers(samples))
+    view = RowView.of(model, samples, model.drivers(samples))
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
     residual = _drawn_in((residual * weight)[:, rows])
@@ -106,7 +106,7 @@ def dependence(
     return _named(found, least) or _by_motion(model, view, residual, weight[:, rows], rows)
 
 
-def _by_motion(model: Model, view: View, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:
+def _by_motion(model: Model, view: RowView, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:
     """The joint along whose motion most of the residual (6, N) lies, station by station, whatever it goes with.
 
     A residual that points anywhere lies along a motion by one part in as many as a reading has components.
@@ -174,7 +174,7 @@ def _orthonormal(J: Array) -> Array:
     return np.asarray(J.T @ vector[:, keep] / np.sqrt(value[keep]))
 
 
-def _pairs(model: Model, samples: Samples, view: View, constant: bool) -> Iterator[_Pair]:
+def _pairs(model: Model, samples: Samples, view: RowView, constant: bool) -> Iterator[_Pair]:
     """Every place with every driver."""
     builder = _Builder(model, samples, view)
     yield from builder.of_joints(constant)
@@ -187,7 +187,7 @@ def _pairs(model: Model, samples: Samples, view: View, constant: bool) -> Iterat
 class _Builder:
     """Columns of places times numbers of drivers."""
 
-    def __init__(self, model: Model, samples: Samples, view: View) -> None:
+    def __init__(self, model: Model, samples: Samples, view: RowView) -> None:
         self.model, self.samples, self.view = model, samples, view
         self.at = model.drivers(samples)
         self.chain = model.serial

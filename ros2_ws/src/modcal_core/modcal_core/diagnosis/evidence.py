@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 
 from modcal_core.calibration.distributions import beyond_gumbel, gumbel_of, log10_beyond_f
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import View, linearise
+from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
 from modcal_core.effects.drivers import Drivers
@@ -283,7 +283,7 @@ class _Space:
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
     """
 
-    view: View
+    view: RowView
     weight: Array
     residual: Array
     Q: Array
@@ -297,7 +297,7 @@ class _Space:
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
         now = linearise(fit.model, fit.parameters, values, samples, drivers=at)
-        view = View.of(fit.model, samples, at)
+        view = RowView.of(fit.model, samples, at)
         J = np.empty((6, len(samples), len(now.J)))  # of a frozen model without effects nothing is fitted
         for p, row in enumerate(now.J):
             J[..., p] = _by_sample(row, view) * weight
@@ -344,7 +344,7 @@ def _drawn_in(residual: Array) -> Array:
     return residual * np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def _by_sample(row: Array, view: View) -> Array:
+def _by_sample(row: Array, view: RowView) -> Array:
     """A row of a linearisation, (3 N + 3 M,), as (6, N)."""
     N = view.position.shape[1]
     out = np.zeros((6, N))

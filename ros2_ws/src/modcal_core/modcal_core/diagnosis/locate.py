@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Spread
-from modcal_core.diagnosis.choice import Choice, choose
+from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.effects.families import unknown
 from modcal_core.effects.registry import candidates
@@ -24,7 +24,7 @@ _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplit
 _MOST_SCANNED = 500  # samples; more are thinned evenly
 
 
-def located(fit: Fit, samples: Samples) -> Choice | None:
+def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     """The candidate that explains most of what the fit leaves over, None where none explains much.
 
     Constant errors are looked for where the fit has no parameters of its own.

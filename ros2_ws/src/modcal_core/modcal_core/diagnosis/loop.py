@@ -18,7 +18,7 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_misses
 from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.diagnosis.choice import Choice, choose
+from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
@@ -79,7 +79,7 @@ class Diagnosis:
 
     fit: Fit
     causes: tuple[Cause, ...]
-    left: Choice | None
+    left: EffectChoice | None
     maps: tuple[EvidenceMap, ...] = ()
 
 
@@ -141,7 +141,7 @@ def _searched(
         tuple(known),
         reject,
     )
-    left: Choice | None = None
+    left: EffectChoice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
     flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
@@ -193,7 +193,7 @@ class _Search:
         self._geometric = self.fit
         self._stale = False  # whether the causes' own fits are those of another order
 
-    def add(self, choice: Choice) -> bool:
+    def add(self, choice: EffectChoice) -> bool:
         """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
         before, causes = self.fit, list(self.causes)
         missed = self._missed(before)

@@ -127,7 +127,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Piece:
+class Stretch:
     """A stretch of a recording that is too long to be held whole.
 
     It begins a little before ``since`` and goes on a little after ``until`` (stamps of joint states [s]), so that what

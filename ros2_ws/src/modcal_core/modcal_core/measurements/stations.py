@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Piece:
+class TrackSamples:
     """Samples of one reading track, before they are put together."""
 
     q: Array
@@ -95,7 +95,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
     return replace(samples, approach=_approach(samples, t, q), effort=_held(samples, t, effort, rules))
 
 
-def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> Piece:
+def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> TrackSamples:
     pairs = _paired(track.stamps, t)
     gaps = np.diff(np.sort(track.stamps))
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
@@ -130,13 +130,13 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
 
 def _as_is(
     track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, acceleration: Array, moving: bool
-) -> Piece:
+) -> TrackSamples:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
-    return Piece(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
+    return TrackSamples(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
 
 
-def _nothing(track: ReadingTrack, joints: int) -> Piece:
+def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
     none = np.empty((0, joints))
     return _as_is(track, np.empty(0, int), none, none, none, moving=False)
 
@@ -152,7 +152,7 @@ def _course(t: Array, q: Array) -> CubicSpline:
     return CubicSpline(t[keep] - t[0], q[keep])
 
 
-def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> Piece:
+def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> TrackSamples:
     """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
     if len(np.unique(t)) < 4:
         return _nothing(track, q.shape[1])
@@ -164,7 +164,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
 
 
-def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
+def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSamples:
     """One sample a dwell: means on the manifold, and the standard deviations of those means."""
     order = np.argsort(track.stamps, kind="stable")
     stamps = track.stamps[order]
@@ -194,7 +194,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> Piece:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
     still = np.zeros_like(q_mean)
-    return Piece(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
 
 
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved

@@ -42,7 +42,7 @@ class Arms:
 
 
 @dataclass(frozen=True)
-class Bodies:
+class ModuleBodies:
     """What moves with each joint of N arms, seen from the frame behind its motion; base and gripper apart.
 
     points: corners of the tubes' middle lines, (N, n, P, 3) [m]; radius: of the tubes between them, (N, n, P - 1) [m],
@@ -133,7 +133,7 @@ class Catalogue:
         M[:, -1] = M[:, -1] @ self._T_gripper
         return Arms(M, self._revolute[genes], self._lower[genes], self._upper[genes])
 
-    def bodies(self, genomes: np.ndarray) -> Bodies:
+    def bodies(self, genomes: np.ndarray) -> ModuleBodies:
         """Tubes, masses and strengths of genomes (N, n + 1)."""
         genes = genomes[:, 1:]
         count, n = genes.shape
@@ -149,7 +149,7 @@ class Catalogue:
         mass, moment = self._mass[genes], self._moment[genes]
         mass[:, -1] += self._tool_mass
         moment[:, -1] += self._tool_mass * se3.apply(T, self._tool_centre)
-        return Bodies(
+        return ModuleBodies(
             points,
             radius,
             self._base_points[genomes[:, 0]],

@@ -26,7 +26,7 @@ Judge = Callable[[np.ndarray], Verdicts]
 
 
 @dataclass(frozen=True)
-class Settings:
+class SearchSettings:
     """How a search goes about it.
 
     patience: generations without one that costs 1 % less, after which it ends, once one meets everything.
@@ -76,7 +76,7 @@ def evolve(
     joints: int,
     judge: Judge,
     rng: np.random.Generator,
-    settings: Settings,
+    settings: SearchSettings,
     watch: Callable[[Generation], None] | None = None,
     enough: Callable[[Archive], bool] | None = None,
 ) -> Archive:
@@ -144,7 +144,7 @@ def _unseen(genomes: np.ndarray, seen: set[bytes]) -> np.ndarray:
 
 
 def _offspring(
-    coding: Coding, parents: np.ndarray, seen: set[bytes], rng: np.random.Generator, settings: Settings
+    coding: Coding, parents: np.ndarray, seen: set[bytes], rng: np.random.Generator, settings: SearchSettings
 ) -> np.ndarray:
     """New genomes, of parents in their order, best first; the best of all stay parents, so none is lost."""
     wanted = settings.population - settings.newcomers

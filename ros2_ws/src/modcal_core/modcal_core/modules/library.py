@@ -25,7 +25,7 @@ TURNS = 4  # and neighbours are bolted at one of four quarter turns
 
 
 @dataclass(frozen=True)
-class Point:
+class ModulePoint:
     """A point that moves with the module's length: ``xyz + length · along``, each (3,) [m, 1], in the input frame."""
 
     xyz: Array
@@ -49,13 +49,13 @@ class ModuleType:
 
     name: str
     role: str
-    output: Point
+    output: ModulePoint
     R: Array
     revolute: bool = True
     code: int = 0
     first: float = 0.0
     step: float = 0.0
-    elbows: tuple[Point, ...] = ()
+    elbows: tuple[ModulePoint, ...] = ()
     lower: float = -np.inf
     upper: float = np.inf
     velocity: float = 1.0
@@ -82,7 +82,7 @@ class ModuleType:
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class ModuleTolerance:
     """Standard deviations of a physical thing about its drawing: per axis [m, rad], and of a joint's zero [rad]."""
 
     length: float
@@ -96,8 +96,8 @@ class Library:
 
     name: str
     types: Mapping[str, ModuleType]
-    module: Tolerance = Tolerance(3e-4, 1e-3, 3e-3)
-    interface: Tolerance = Tolerance(3e-5, 2e-4)
+    module: ModuleTolerance = ModuleTolerance(3e-4, 1e-3, 3e-3)
+    interface: ModuleTolerance = ModuleTolerance(3e-5, 2e-4)
 
     def type(self, name: str, what: str = "module") -> ModuleType:
         """The kind with this name. Raises BadTable with the names that come close."""

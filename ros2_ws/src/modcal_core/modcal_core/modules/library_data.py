@@ -11,7 +11,18 @@ import numpy as np
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.modules.library import BASE, GRIPPER, JOINT, LINK, ROLES, SIZES, Library, ModuleType, Point, Tolerance
+from modcal_core.modules.library import (
+    BASE,
+    GRIPPER,
+    JOINT,
+    LINK,
+    ROLES,
+    SIZES,
+    Library,
+    ModulePoint,
+    ModuleTolerance,
+    ModuleType,
+)
 
 FORMAT = 1
 _SEE = "see docs/modules.md"
@@ -125,7 +136,7 @@ def _type(name: str, stated: Any, what: str) -> ModuleType:
     return made
 
 
-def _tolerance(stated: Any, default: Tolerance, what: str) -> Tolerance:
+def _tolerance(stated: Any, default: ModuleTolerance, what: str) -> ModuleTolerance:
     data = _mapping(stated or {}, what, {"length_m", "angle_rad", "zero_rad"})
     values = (
         _number(data.get("length_m", default.length), f"{what}: length_m"),
@@ -134,7 +145,7 @@ def _tolerance(stated: Any, default: Tolerance, what: str) -> Tolerance:
     )
     if min(values[:2]) <= 0.0 or values[2] < 0.0 or max(values) > 1.0:
         raise BadTable(what, "standard deviations are above 0 and below 1 (m, rad)", _SEE)
-    return Tolerance(*values)
+    return ModuleTolerance(*values)
 
 
 def _mapping(data: Any, what: str, keys: set[str] | None) -> Mapping[str, Any]:
@@ -146,8 +157,8 @@ def _mapping(data: Any, what: str, keys: set[str] | None) -> Mapping[str, Any]:
     return data
 
 
-def _point(data: Mapping[str, Any], what: str) -> Point:
-    return Point(
+def _point(data: Mapping[str, Any], what: str) -> ModulePoint:
+    return ModulePoint(
         _three(data.get("xyz", (0, 0, 0)), f"{what}: xyz"),
         _three(data.get("along", (0, 0, 0)), f"{what}: along"),
     )

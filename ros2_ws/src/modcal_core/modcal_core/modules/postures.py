@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.modules.catalogue import Arms, Bodies
+from modcal_core.modules.catalogue import Arms, ModuleBodies
 from modcal_core.modules.targets import Target
 
 
@@ -18,7 +18,7 @@ class Postures:
     """N arms at S postures for each of K targets. q: (N, K, S, n) [rad, m]."""
 
     arms: Arms
-    bodies: Bodies
+    bodies: ModuleBodies
     targets: tuple[Target, ...]
     q: Array
 

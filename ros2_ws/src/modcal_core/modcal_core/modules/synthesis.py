@@ -24,7 +24,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import MET, Evaluator, Use, Verdicts
-from modcal_core.modules.genetic import Archive, Generation, Settings, evolve
+from modcal_core.modules.genetic import Archive, Generation, SearchSettings, evolve
 from modcal_core.modules.library import JOINT, LINK, Library
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.requirements import REACH
@@ -36,7 +36,7 @@ Watch = Callable[[Generation], None]
 
 
 @dataclass(frozen=True)
-class Task:
+class SynthesisTask:
     """What an arm is wanted for.
 
     first, last: numbers of joints to be tried; modules: kinds of joints and links that may be used, all where it is
@@ -47,7 +47,7 @@ class Task:
     uses: tuple[Use, ...]
     first: int
     last: int = 7
-    settings: Settings = field(default_factory=Settings)
+    settings: SearchSettings = field(default_factory=SearchSettings)
     listed: int = 10
     modules: tuple[str, ...] = ()
     name: str = "task"
@@ -86,13 +86,15 @@ class Tally:
 class Synthesis:
     """The results, best first; of assemblies of the same kinds of modules in the same order only the best."""
 
-    task: Task
+    task: SynthesisTask
     ranking: tuple[Candidate, ...]
     tallies: tuple[Tally, ...]
     seed: int
 
 
-def synthesize(task: Task, library: Library, seed: int = 0, workers: int = 1, watch: Watch | None = None) -> Synthesis:
+def synthesize(
+    task: SynthesisTask, library: Library, seed: int = 0, workers: int = 1, watch: Watch | None = None
+) -> Synthesis:
     """The best assemblies of the library for a task, of as few joints as can be.
 
     watch: called after every generation. Raises NotReachable where none of up to ``task.last`` joints was found.
@@ -137,7 +139,7 @@ def allowed(library: Library, modules: tuple[str, ...]) -> Library:
 class Judges:
     """Processes that judge candidates; with one worker it is done here. A context manager."""
 
-    def __init__(self, library: Library, task: Task, seed: int, workers: int) -> None:
+    def __init__(self, library: Library, task: SynthesisTask, seed: int, workers: int) -> None:
         self._arguments = library, task.targets, task.uses, seed
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
@@ -180,14 +182,14 @@ def _judged(genomes: np.ndarray) -> Verdicts:
     return _evaluator(genomes)
 
 
-def _tally(archive: Archive, task: Task, joints: int, generations: int) -> Tally:
+def _tally(archive: Archive, task: SynthesisTask, joints: int, generations: int) -> Tally:
     broken = archive.verdicts.broken
     rejected = {use.name: int((broken == i).sum()) for i, use in enumerate(task.uses) if use.hard}
     met, descents = int((broken == MET).sum()), int(archive.verdicts.descents.sum())
     return Tally(joints, archive.judged, met, rejected, generations, descents)
 
 
-def _ranking(archive: Archive, task: Task, coding: Coding) -> tuple[Candidate, ...]:
+def _ranking(archive: Archive, task: SynthesisTask, coding: Coding) -> tuple[Candidate, ...]:
     out: list[Candidate] = []
     seen = set()
     for i in archive.verdicts.order():
@@ -201,7 +203,7 @@ def _ranking(archive: Archive, task: Task, coding: Coding) -> tuple[Candidate, .
     return tuple(out)
 
 
-def _candidate(archive: Archive, i: int, task: Task, coding: Coding, rank: int) -> Candidate:
+def _candidate(archive: Archive, i: int, task: SynthesisTask, coding: Coding, rank: int) -> Candidate:
     genome, at = archive.genomes[i], archive.verdicts
     assembly = coding.assembly(genome, f"{task.name}_{rank}")
     # not what the search says: the arm as every other part of the suite sees it
@@ -212,7 +214,7 @@ def _candidate(archive: Archive, i: int, task: Task, coding: Coding, rank: int) 
     return Candidate(assembly, coding.text(genome), float(at.cost[i]), terms, at.q[i], error, np.array(misses, float))
 
 
-def _none_found(task: Task, tallies: list[Tally], missing: float, joints: int) -> NotReachable:
+def _none_found(task: SynthesisTask, tallies: list[Tally], missing: float, joints: int) -> NotReachable:
     judged = sum(t.judged for t in tallies)
     counts = [(name, sum(t.rejected.get(name, 0) for t in tallies)) for name in tallies[-1].rejected]
     reasons = ", ".join(f"{name} {count}" for name, count in counts if count)

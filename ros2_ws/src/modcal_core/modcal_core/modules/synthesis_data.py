@@ -13,9 +13,9 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.evaluation import uses_of
-from modcal_core.modules.genetic import Settings
+from modcal_core.modules.genetic import SearchSettings
 from modcal_core.modules.requirements import REQUIREMENTS, Requirement
-from modcal_core.modules.synthesis import Task
+from modcal_core.modules.synthesis import SynthesisTask
 from modcal_core.modules.targets import Target
 
 FORMAT = 1
@@ -29,7 +29,7 @@ _ROTATIONS = ("rotation", "rpy_rad", "quaternion_xyzw", "z_axis")
 
 
 @refusing
-def task_from_data(data: Any, source: str) -> Task:
+def task_from_data(data: Any, source: str) -> SynthesisTask:
     """The task that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
     keys = ("modcal_synthesis", "name", "targets", "requirements", "joints", "search", "listed", "modules")
     top = _mapping(data, source, keys)
@@ -43,7 +43,7 @@ def task_from_data(data: Any, source: str) -> Task:
         raise BadTable(f"{source}: targets", "is not a list of poses", _SEE)
     targets = tuple(_target(item, f"{source}: target {i + 1}", i) for i, item in enumerate(stated))
     first, last = _joints(top.get("joints") or {}, f"{source}: joints", max(t.constraints for t in targets))
-    return Task(
+    return SynthesisTask(
         targets=targets,
         uses=uses_of(_requirements(top.get("requirements"), f"{source}: requirements")),
         first=first,
@@ -166,11 +166,11 @@ def _joints(stated: Any, what: str, needed: int) -> tuple[int, int]:
     return first, last
 
 
-def _settings(stated: Any, what: str) -> Settings:
+def _settings(stated: Any, what: str) -> SearchSettings:
     data = _mapping(stated, what, ("population", "generations", "patience"))
-    default = {f.name: getattr(Settings(), f.name) for f in fields(Settings)}
+    default = {f.name: getattr(SearchSettings(), f.name) for f in fields(SearchSettings)}
     least = {"population": 32, "generations": 1, "patience": 1}
-    return Settings(**{k: _whole(data.get(k, default[k]), f"{what}: {k}", least[k], 100_000) for k in least})
+    return SearchSettings(**{k: _whole(data.get(k, default[k]), f"{what}: {k}", least[k], 100_000) for k in least})
 
 
 def _mapping(data: Any, what: str, keys: Sequence[str] | None) -> Mapping[str, Any]:

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.identify import priors
-from modcal_core.calibration.linearise import View as Seen
-from modcal_core.calibration.linearise import linearise, model_at
+from modcal_core.calibration.linearise import RowView, linearise, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import HUBER_Z, Spread, robust_weights, score_of_one
 from modcal_core.calibration.parameters import Parameter, View
@@ -26,7 +25,7 @@ from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import SHARED, Samples
-from modcal_core.online.frozen import Frozen
+from modcal_core.online.fixed_linearisation import FixedLinearisation
 from modcal_core.online.information import Information
 
 KEPT = 512  # samples that can be linearised again
@@ -47,7 +46,7 @@ class Update:
 
 
 @dataclass(frozen=True)
-class Wander:
+class RandomWalk:
     """Places that may move with time, and how fast. places: of "base", "tool" and joints. metres, radians: standard
     deviation after one second [m/√s, rad/√s].
     """
@@ -68,7 +67,7 @@ class Wander:
         samples = general_samples(model, views, each=max(12, -(-len(parameters) // len(views))))
         bare = model.with_effects(())
         J = linearise(bare, parameters, np.zeros(len(parameters)), samples).J
-        seen = Seen.of(bare, samples, bare.drivers(samples))
+        seen = RowView.of(bare, samples, bare.drivers(samples))
         moved = [seen.unit_column(place_index(place, model.chain), d) for place in self.places for d in range(6)]
         ways = np.zeros((count, len(moved)))
         ways[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
@@ -88,7 +87,7 @@ class Estimator:
         parameters: Sequence[Parameter],
         spread: Spread,
         covariance: Array | None = None,
-        wander: Wander | None = None,
+        wander: RandomWalk | None = None,
         kind: str = POSE,
         robust: bool = True,
         kept: int = KEPT,
@@ -114,7 +113,7 @@ class Estimator:
         self._now = self._before
         self.values = begin
         self._point = begin  # where samples are linearised
-        self._frozen: Frozen | None = None
+        self._frozen: FixedLinearisation | None = None
         self._kept: list[Samples] = []
         self._weights: list[float] = []
         self._rows: list[Rows] = []  # of each that is kept, linearised at the point
@@ -144,7 +143,7 @@ class Estimator:
             self._take_priors(sample)
         self._let_wander(float(sample.stamps[0]))
         if self._frozen is None:
-            self._frozen = Frozen(self.start, self.parameters, self._point)
+            self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
         rows = _whitened(residual + J.dot(self._point), J, self._noise(sample, len(residual)))
         now = self._now.with_rows(rows)

@@ -7,9 +7,9 @@ import numpy as np
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Estimator, Wander
-from modcal_core.online.suspicion import Suspicion, suspect
-from modcal_core.online.watch import Watch
+from modcal_core.online.change_detector import ChangeDetector
+from modcal_core.online.change_hypothesis import ChangeHypothesis, suspect
+from modcal_core.online.estimator import Estimator, RandomWalk
 
 _RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
 
@@ -22,7 +22,7 @@ class Live:
     frames that the calibration does not know, and of kinds that are no positions.
     """
 
-    def __init__(self, calibration: Calibration, wander: Wander | None = None) -> None:
+    def __init__(self, calibration: Calibration, wander: RandomWalk | None = None) -> None:
         """Begin with a calibration that carries its uncertainty; raises ValueError for one that does not."""
         known = calibration.uncertainty
         if known is None:
@@ -31,8 +31,8 @@ class Live:
         self.calibration = calibration
         model, spread = calibration.calibrated, calibration.spread
         self.estimator = Estimator(model, known.parameters, spread, covariance, wander, calibration.kind)
-        self.watch = Watch(model, known.parameters, covariance, spread)
-        self.suspicion: Suspicion | None = None
+        self.watch = ChangeDetector(model, known.parameters, covariance, spread)
+        self.suspicion: ChangeHypothesis | None = None
         self.changed: float | None = None
         self.since = 0
         self.strange = 0

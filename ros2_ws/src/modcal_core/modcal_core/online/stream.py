@@ -60,7 +60,7 @@ class _Ended:
     approach: Array
 
 
-class Stream:
+class SampleStream:
     """Samples of one arm from messages as they arrive. Stamps in seconds, joints in the order of ``names``."""
 
     def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Wander
+from modcal_core.online.change_hypothesis import ChangeHypothesis
+from modcal_core.online.estimator import RandomWalk
 from modcal_core.online.live import Live
-from modcal_core.online.suspicion import Suspicion
 
 ASKED, BETTER = "asked", "better"
 LEARNING, TRUSTED, SUSPECTED = "learning", "trusted", "suspected"
@@ -34,7 +34,7 @@ class Policy:
 class Supervisor:
     """Holds the trusted calibration and the candidate, and says when to solve."""
 
-    def __init__(self, policy: Policy, wander: Wander | None = None) -> None:
+    def __init__(self, policy: Policy, wander: RandomWalk | None = None) -> None:
         self.policy = policy
         self._wander = wander
         self.live: Live | None = None
@@ -65,7 +65,7 @@ class Supervisor:
         return SUSPECTED if self.suspicion else TRUSTED
 
     @property
-    def suspicion(self) -> Suspicion | None:
+    def suspicion(self) -> ChangeHypothesis | None:
         """What seems to have changed since the model was trusted."""
         return self.live.suspicion if self.live else None
 

@@ -23,7 +23,7 @@ from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.elementary import ElementaryChain, Motion, elementary
+from modcal_core.planning.elementary import ElementaryChain, ElementaryMotion, elementary
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh
 from modcal_core.robots.table_rows import read_rows
@@ -83,10 +83,10 @@ def dh_closed_chain(
     rows = read_rows(table, "dh", {key for key, _ in _DH})
     columns = {key: rows.column(key) for key, _ in _DH}
     factors: list[Factor] = []
-    steps: list[Array | Motion] = []
+    steps: list[Array | ElementaryMotion] = []
 
     def add(name: str, direction: int) -> None:
-        steps.append(Motion(direction, parameter=len(factors)))
+        steps.append(ElementaryMotion(direction, parameter=len(factors)))
         factors.append(Factor(name, "m" if direction < 3 else "rad"))
 
     for d in range(3):
@@ -96,7 +96,7 @@ def dh_closed_chain(
         add(f"base/r{'xyz'[d]}", 3 + d)
     steps.append(rows.T_base)
     for k, joint in enumerate(chain.names):
-        steps.append(Motion(5 if chain.revolute[k] else 2, joint=k))
+        steps.append(ElementaryMotion(5 if chain.revolute[k] else 2, joint=k))
         for pair in (_DH[:2], _DH[2:]):  # a turn about and a shift along one axis commute
             xi = np.zeros(6)
             for key, direction in pair:
@@ -136,13 +136,13 @@ def chain_of_parameters(model: Model, parameters: Sequence[Parameter]) -> Closed
     for j, p in enumerate(parameters):
         at.setdefault(p.place, []).append((p.direction, j))
     M = chain.along_z
-    steps: list[Array | Motion] = [model.T_frame_base[0] @ M[0]]
+    steps: list[Array | ElementaryMotion] = [model.T_frame_base[0] @ M[0]]
     for k in range(chain.n + 1):
         if k == chain.n:
             steps.append(model.T_tip_tool)
-        steps += [Motion(d, parameter=j) for d, j in sorted(at.get(k, []))]
+        steps += [ElementaryMotion(d, parameter=j) for d, j in sorted(at.get(k, []))]
         if k < chain.n:
-            steps += [Motion(5 if chain.revolute[k] else 2, joint=k), M[k + 1]]
+            steps += [ElementaryMotion(5 if chain.revolute[k] else 2, joint=k), M[k + 1]]
     return ClosedChain(chain, tuple(Factor(p.name, p.unit) for p in parameters), elementary(steps))
 
 

@@ -23,7 +23,7 @@ _BLOCK = 16_000  # arms times postures that are moved at once; more does not fit
 
 
 @dataclass(frozen=True)
-class Motion:
+class ElementaryMotion:
     """direction: 0 … 5, shift along x y z or turn about x y z. joint, parameter: which of them makes it, else −1."""
 
     direction: int
@@ -38,7 +38,7 @@ class ElementaryChain:
     steps: constants (4, 4) [m] and motions, from the measuring frame to the point. parameters: how many there are.
     """
 
-    steps: tuple[Array | Motion, ...]
+    steps: tuple[Array | ElementaryMotion, ...]
     parameters: int = field(default=0)
 
     def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
@@ -51,7 +51,7 @@ class ElementaryChain:
     def _positions(self, q: Array, x: Array) -> Array:
         p = np.zeros((3, len(x), len(q)))
         for step in reversed(self.steps):
-            if not isinstance(step, Motion):
+            if not isinstance(step, ElementaryMotion):
                 p = (step[:3, :3] @ p.reshape(3, -1)).reshape(p.shape) + step[:3, 3, None, None]
                 continue
             size = q[None, :, step.joint] if step.joint >= 0 else x[:, step.parameter, None]
@@ -70,7 +70,7 @@ class ElementaryChain:
         T = np.tile(np.eye(4), (N, 1, 1))
         axes, origins, kinds = np.zeros((self.parameters, N, 3)), np.zeros((self.parameters, N, 3)), {}
         for step in self.steps:
-            if not isinstance(step, Motion):
+            if not isinstance(step, ElementaryMotion):
                 T = T @ step
             elif step.joint >= 0:
                 xi = np.zeros((N, 6))
@@ -89,8 +89,8 @@ class ElementaryChain:
         return J
 
 
-def elementary(steps: Sequence[Array | Motion]) -> ElementaryChain:
+def elementary(steps: Sequence[Array | ElementaryMotion]) -> ElementaryChain:
     """The chain of these steps; its parameters are numbered 0, 1, … without a gap."""
-    numbers = sorted(s.parameter for s in steps if isinstance(s, Motion) and s.parameter >= 0)
+    numbers = sorted(s.parameter for s in steps if isinstance(s, ElementaryMotion) and s.parameter >= 0)
     assert numbers == list(range(len(numbers))), numbers
     return ElementaryChain(tuple(steps), len(numbers))

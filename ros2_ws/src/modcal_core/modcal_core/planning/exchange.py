@@ -18,7 +18,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.criteria import ACCURACY, Criterion
-from modcal_core.planning.rows import Rows
+from modcal_core.planning.rows import StationRows
 
 _SHORTLIST = 24
 _BETTER = 1e-9  # of the criterion, that counts as better
@@ -38,7 +38,7 @@ class Exchange:
 
 
 def exchange(
-    rows: Rows,
+    rows: StationRows,
     count: int,
     criterion: Criterion,
     rng: np.random.Generator,
@@ -66,7 +66,7 @@ def exchange(
     return Exchange(np.sort(chosen), value, tuple(v for _, v, _ in ends), used)
 
 
-def _grown(rows: Rows, count: int, criterion: Criterion, base: Array) -> np.ndarray:
+def _grown(rows: StationRows, count: int, criterion: Criterion, base: Array) -> np.ndarray:
     H, free = base.copy(), np.ones(len(rows), dtype=bool)
     chosen = np.empty(count, dtype=int)
     for k in range(count):
@@ -77,7 +77,7 @@ def _grown(rows: Rows, count: int, criterion: Criterion, base: Array) -> np.ndar
 
 
 def _improved(
-    rows: Rows, chosen: np.ndarray, criterion: Criterion, base: Array, rng: np.random.Generator, passes: int
+    rows: StationRows, chosen: np.ndarray, criterion: Criterion, base: Array, rng: np.random.Generator, passes: int
 ) -> tuple[np.ndarray, float, int]:
     chosen = chosen.copy()
     free = np.ones(len(rows), dtype=bool)
@@ -102,7 +102,7 @@ def _improved(
     return chosen, value, used
 
 
-def best_candidate(rows: Rows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:
+def best_candidate(rows: StationRows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:
     """The free candidate that is best added to H, and the criterion with it."""
     J = rows.J
     if criterion.by_determinant or criterion.name == ACCURACY:

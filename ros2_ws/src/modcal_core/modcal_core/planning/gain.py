@@ -62,7 +62,7 @@ def left_by(J: Array, std: Array, sizes: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointGain:
     """Gains before and after measurements. seen: 1 − (deviation after / before)², (P,): 0 nothing is learned, 1 all."""
 
     before: Gain
@@ -76,7 +76,7 @@ class Joint:
         return (self.before.share >= NAMED) & (left > _LEFT)
 
 
-def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> Joint:
+def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> JointGain:
     """Sensitivity and observability together: derivatives G (N, 3, P) where it counts, J (R, P) of what is measured.
 
     std: of each reading [m or rad], (R,). sizes: Δg (P,) [m, rad].
@@ -84,4 +84,4 @@ def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> Joint:
     before = np.diag(sizes**2)
     after = left_by(J, std, sizes)
     seen = 1.0 - np.diag(after) / np.maximum(sizes**2, 1e-300)
-    return Joint(gains(G, before), gains(G, after), np.where(sizes > 0.0, seen, 0.0))
+    return JointGain(gains(G, before), gains(G, after), np.where(sizes > 0.0, seen, 0.0))

@@ -17,7 +17,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy, Workspace
 from modcal_core.planning.closed_chain import one_frame_model
 from modcal_core.planning.designs import sobol_postures
-from modcal_core.planning.rows import Rows, position_rows, station_rows
+from modcal_core.planning.rows import StationRows, position_rows, station_rows
 from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
 from modcal_core.robots.chain import Chain
@@ -47,18 +47,18 @@ class Ground:
     parameters: tuple[Parameter, ...]
     reading: str
     q: Array
-    rows: Rows
+    rows: StationRows
     workspace: Workspace
     free_q: Array
     shares: tuple[float, float]
-    known: Rows | None = None
+    known: StationRows | None = None
 
     @property
     def given(self) -> Array | None:
         """What is known already, (P, P), in units of the prior."""
         return None if self.known is None else self.known.information(np.arange(len(self.known)))
 
-    def accuracy(self, rows: Rows) -> Accuracy:
+    def accuracy(self, rows: StationRows) -> Accuracy:
         """The accuracy from these stations and those that are known already."""
         every = rows if self.known is None else rows.joined(self.known)
         return self.workspace.accuracy(every.covariance(np.arange(len(every))))

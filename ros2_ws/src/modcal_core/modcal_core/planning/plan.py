@@ -21,7 +21,7 @@ from modcal_core.planning.exchange import Exchange, exchange
 from modcal_core.planning.ground import CANDIDATES, Ground, random_accuracies, survey
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.route import Route, route
-from modcal_core.planning.rows import Rows, station_rows
+from modcal_core.planning.rows import StationRows, station_rows
 from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import clearance, visible
 from modcal_core.robots.chain import Chain
@@ -125,7 +125,7 @@ class Chosen:
     """Stations (k, n), what they tell, the accuracy they give, and the criterion: one value a start, then refined."""
 
     q: Array
-    rows: Rows
+    rows: StationRows
     accuracy: Accuracy
     values: tuple[float, ...]
 
@@ -138,7 +138,9 @@ def chosen_stations(ground: Ground, count: int, good: Criterion, starts: int, rn
     return Chosen(q, rows, accuracy, (*found.starts, value))
 
 
-def refined(ground: Ground, found: Exchange, good: Criterion, rng: np.random.Generator) -> tuple[Array, Rows, float]:
+def refined(
+    ground: Ground, found: Exchange, good: Criterion, rng: np.random.Generator
+) -> tuple[Array, StationRows, float]:
     """Stations (k, n) near those that were found and better, what they tell, and the criterion.
 
     Round by round every station gets candidates around it, allowed and seen, and the exchange goes on among these.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View, geometry_rows
+from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.structure import exact_samples
@@ -26,7 +26,7 @@ from modcal_core.planning.site import Noise
 
 
 @dataclass(frozen=True)
-class Rows:
+class StationRows:
     """N stations with c numbers read at each: 3 of a point, 6 of a pose.
 
     J: derivatives times the prior's standard deviations, over the readings' that the fit supposes, (N, c, P). noise:
@@ -41,11 +41,11 @@ class Rows:
     unrepeated: Array
     spread: Array
 
-    def of(self, chosen: np.ndarray) -> Rows:
+    def of(self, chosen: np.ndarray) -> StationRows:
         """These stations alone."""
         return replace(self, J=self.J[chosen], noise=self.noise[chosen], unrepeated=self.unrepeated[chosen])
 
-    def joined(self, other: Rows) -> Rows:
+    def joined(self, other: StationRows) -> StationRows:
         """These stations and others of the same fit."""
         return replace(
             self,
@@ -73,14 +73,14 @@ class Rows:
 
 def station_rows(
     model: Model, parameters: Sequence[Parameter], q: Array, kind: str, noise: Noise, spread: Array | None = None
-) -> Rows:
+) -> StationRows:
     """The rows of stations at postures q (N, n) [rad, m], read as points or poses through the model's one frame.
 
     spread: that of other stations of the same fit; that of these where it is not given.
     """
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
-    view = View.of(model, samples, model.drivers(samples))
+    view = RowView.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
     turning = model.chain.revolute
@@ -96,14 +96,14 @@ def station_rows(
     weight = 1.0 / np.sqrt(read**2 + spread)
     R = Jq @ Jq.transpose(0, 2, 1)
     R[:, np.arange(J.shape[1]), np.arange(J.shape[1])] += read**2
-    return Rows(J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, spread)
+    return StationRows(J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, spread)
 
 
 def position_rows(model: Model, parameters: Sequence[Parameter], q: Array, noise: Noise) -> tuple[Array, Array]:
     """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
-    view = View.of(model, samples, model.drivers(samples))
+    view = RowView.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     turning = model.chain.revolute
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)

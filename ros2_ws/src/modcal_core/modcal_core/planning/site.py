@@ -33,7 +33,7 @@ class Cone:
 
 
 @dataclass(frozen=True)
-class Tracker:
+class SiteTracker:
     """position: (3,) [m]. view: its field of view; None where it turns every way. nearest, farthest: range [m]."""
 
     position: Array
@@ -43,7 +43,7 @@ class Tracker:
 
 
 @dataclass(frozen=True)
-class Target:
+class SiteTarget:
     """What the tracker sees. position: (3,) in the tip [m]. facing: from where it is seen; None: from everywhere."""
 
     position: Array = field(default_factory=lambda: np.array([0.05, 0.0, 0.1]))
@@ -85,8 +85,8 @@ class Site:
     robot's, by joint [rad, m]. box: (2, 3) corners [m] between which the target's accuracy counts; None: everywhere.
     """
 
-    tracker: Tracker | None = None
-    target: Target = field(default_factory=Target)
+    tracker: SiteTracker | None = None
+    target: SiteTarget = field(default_factory=SiteTarget)
     noise: Noise = field(default_factory=Noise)
     spheres: tuple[Ball, ...] = ()
     link_radius: float | None = None
@@ -120,8 +120,8 @@ def site_from_data(data: Any, source: str) -> Site:
     box = part["workspace"].get("box_m")
     return Site(
         tracker=_tracker(part["tracker"], f"{source}, tracker") if part["tracker"] else None,
-        target=Target(
-            _point(part["target"], "position_m", f"{source}, target", Target().position),
+        target=SiteTarget(
+            _point(part["target"], "position_m", f"{source}, target", SiteTarget().position),
             _cone(part["target"], f"{source}, target"),
         ),
         noise=Noise(
@@ -183,9 +183,9 @@ def _cone(data: Mapping[str, Any], what: str) -> Cone | None:
     return Cone(axis / length, float(np.radians(angle)))
 
 
-def _tracker(data: Mapping[str, Any], what: str) -> Tracker:
+def _tracker(data: Mapping[str, Any], what: str) -> SiteTracker:
     near, far = _pair(data["range_m"], f"{what}: range_m") if "range_m" in data else (0.0, np.inf)
-    return Tracker(_point(data, "position_m", what), _cone(data, what), near, far)
+    return SiteTracker(_point(data, "position_m", what), _cone(data, what), near, far)
 
 
 def _pair(values: Any, what: str) -> tuple[float, float]:

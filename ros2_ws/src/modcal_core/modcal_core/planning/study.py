@@ -9,7 +9,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain
 from modcal_core.planning.designs import sobol_postures
-from modcal_core.planning.gain import Joint, joint_use
+from modcal_core.planning.gain import JointGain, joint_use
 from modcal_core.planning.sensitivity import Sensitivity, sensitivity
 from modcal_core.planning.variance import OUTPUTS, SobolIndices, sobol_indices
 
@@ -39,7 +39,7 @@ class Study:
     indices: Sensitivity
     variance: dict[str, SobolIndices]
     measured: Measured
-    joint: Joint
+    joint: JointGain
 
 
 def study(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.articulation.choice import Choice, gross
-from modcal_core.articulation.fit import Fit
+from modcal_core.articulation.fit import JointFit
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
@@ -80,7 +80,7 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
     }
 
 
-def _joint_data(fit: Fit) -> dict[str, Any]:
+def _joint_data(fit: JointFit) -> dict[str, Any]:
     """Where a joint lies and what its shape is, and how well that is known."""
     data = fit.model.data(fit.configurations, fit.std)
     own = data.get("parameters", {})  # state their own

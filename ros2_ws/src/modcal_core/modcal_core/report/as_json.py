@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.score import ErrorSize
-from modcal_core.diagnosis.choice import Choice
+from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import STAGES, Report
 from modcal_core.verdict.floor import reading_scatter_mm
@@ -107,7 +107,7 @@ def _effect(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _unexplained(size: float, left: Choice | None) -> dict[str, Any]:
+def _unexplained(size: float, left: EffectChoice | None) -> dict[str, Any]:
     if left is None:
         return {"place": None, "driver": None, "size_mm": size}
     return {

@@ -13,7 +13,7 @@ from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
-from modcal_core.diagnosis.choice import Choice
+from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
 from modcal_core.files import write_folder
 from modcal_core.geometry.so3 import Array
@@ -66,7 +66,7 @@ class Report:
     rejected: int
     errors: dict[str, Errors]
     effects: tuple[Finding, ...] = ()
-    left: Choice | None = None
+    left: EffectChoice | None = None
     identifiability: Identifiability | None = None
     parameters: tuple[tuple[str, float, float, str], ...] = ()
     left_out: tuple[str, ...] = ()

@@ -29,7 +29,7 @@ class Against:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ChartGroup:
     """Charts of what one step took away, or of what is left in the end. opened: shown at once."""
 
     title: str
@@ -38,7 +38,7 @@ class Comparison:
     opened: bool = False
 
 
-def comparisons(report: Report) -> tuple[Comparison, ...]:
+def comparisons(report: Report) -> tuple[ChartGroup, ...]:
     """Before and after geometry, before and after each effect, and what is left at the end."""
     if not len(report.scored):
         return ()
@@ -51,14 +51,14 @@ def comparisons(report: Report) -> tuple[Comparison, ...]:
         sizes = f"{_rms(before):.3f} to {_rms(after):.3f} mm RMS"
         text = "Dashes: before. Dots: after. All three components of the residual, on one scale."
         charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
-        out.append(Comparison(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
+        out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
     charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
     text = (
         "The residual of the final model: x as circles, y as triangles, z as squares. "
         "A pattern here is an effect that the model lacks."
     )
-    return (*out, Comparison(f"What is left: {_rms(final):.3f} mm RMS", text, charts, opened=True))
+    return (*out, ChartGroup(f"What is left: {_rms(final):.3f} mm RMS", text, charts, opened=True))
 
 
 def axes_of(report: Report) -> list[Against]:

@@ -26,7 +26,7 @@ _MOST_STAGES = 7
 
 
 @dataclass(frozen=True)
-class Scene:
+class ReportScene:
     """All in the arm's base [m]. points: where the tool is, (N, 3). stages: name and misses (N, 3). paths: of the arm
     at the points ``shown``, polylines (k, 3). names: of the points. partly: some readings see along one line only.
     """
@@ -49,7 +49,7 @@ class Scene:
         }
 
 
-def scene(report: Report) -> Scene | None:
+def scene(report: Report) -> ReportScene | None:
     """The scene of a report's held-out samples; None where no model or no sample is at hand."""
     model, scored = report.model, report.scored
     if model is None or not len(scored):
@@ -64,7 +64,7 @@ def scene(report: Report) -> Scene | None:
     shown = thinned(len(samples), _MOST_POSTURES)
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
-    return Scene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()))
+    return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()))
 
 
 def _in_base(model: Model, samples: Samples, errors: Errors, rows: np.ndarray, indirect: np.ndarray) -> Array:
@@ -90,7 +90,7 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
     return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
 
 
-def still(drawn: Scene) -> Chart:
+def still(drawn: ReportScene) -> Chart:
     """The same from the side and from above, for paper and where no script runs."""
     from matplotlib.figure import Figure
 

@@ -24,7 +24,7 @@ _MOST_REFUSED = 6  # steps in a row that made it worse
 
 
 @dataclass(frozen=True)
-class Postures:
+class InverseResult:
     """What the rows came to; leading axes are those of the poses and starts, broadcast.
 
     q: joint positions (..., n) [rad, m], within the limits. error: (..., 6) [m, rad] seen from the tip, zero where the
@@ -45,12 +45,12 @@ class Postures:
         """Angles left [rad], (...)."""
         return np.linalg.norm(self.error[..., 3:], axis=-1)
 
-    def best(self) -> Postures:
+    def best(self) -> InverseResult:
         """For each pose the start, along the last batch axis, that came nearest; the first of those that arrived."""
         size = np.where(self.met, -1.0, np.linalg.norm(self.error, axis=-1))
         k = np.argmin(size, axis=-1)[..., None]
         q, error = (np.take_along_axis(a, k[..., None], axis=-2)[..., 0, :] for a in (self.q, self.error))
-        return Postures(q, error, np.take_along_axis(self.met, k, axis=-1)[..., 0])
+        return InverseResult(q, error, np.take_along_axis(self.met, k, axis=-1)[..., 0])
 
 
 def inverse_batch(
@@ -60,7 +60,7 @@ def inverse_batch(
     mask: ArrayLike = ALL_SIX,
     weights: ArrayLike | None = None,
     tolerance: float = TOLERANCE,
-) -> Postures:
+) -> InverseResult:
     """Where damped Newton steps lead from every start towards its pose; a start that gets nowhere is no error.
 
     T_base_tip: poses (..., 4, 4) in the base [m]; starts: (..., n) [rad, m], put within the limits; their leading axes
@@ -77,7 +77,7 @@ def inverse_batch(
     out = np.zeros((len(q), 6))
     out[:, wanted] = error[:, wanted]
     met = np.abs(out).max(axis=1, initial=0.0) <= tolerance
-    return Postures(q.reshape(*shape, chain.n), out.reshape(*shape, 6), met.reshape(shape))
+    return InverseResult(q.reshape(*shape, chain.n), out.reshape(*shape, 6), met.reshape(shape))
 
 
 def _descend(

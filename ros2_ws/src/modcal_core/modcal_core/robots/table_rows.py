@@ -32,7 +32,7 @@ _ROW = {"name", "type", "lower", "upper"}
 
 
 @dataclass(frozen=True)
-class Rows:
+class TableRows:
     """A table that was read. rows: the mappings of the joints, checked for names that do not belong."""
 
     names: list[str]
@@ -59,7 +59,7 @@ class Rows:
         )
 
 
-def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> Rows:
+def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> TableRows:
     """The joints of a table of this convention, whose rows have these keys beside the common ones. Raises BadTable."""
     what = f"{convention} table"
     if not isinstance(table, Mapping):
@@ -79,7 +79,7 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> Rows
         if row.get("type", "revolute") not in ("revolute", "prismatic"):
             raise BadTable(f"{what}, joint {name}", f"is of type {row['type']}", "make it revolute or prismatic")
         names.append(name)
-    return Rows(
+    return TableRows(
         names=names,
         revolute=[row.get("type", "revolute") == "revolute" for row in rows],
         lower=[number(row, "lower", name, -np.inf) for row, name in zip(rows, names, strict=True)],

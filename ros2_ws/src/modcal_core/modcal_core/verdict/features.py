@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View
+from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.diagnosis.memory import moments_on_base, play, slipped
 from modcal_core.effects.effect import place_index
@@ -108,7 +108,7 @@ class _Builder:
     def __init__(self, model: Model, samples: Samples, weight: Array) -> None:
         self.samples, self.weight = samples, weight
         self.at = model.drivers(samples)
-        self.view = View.of(model, samples, self.at)
+        self.view = RowView.of(model, samples, self.at)
         chain = model.chain
         self.chain = chain
         self.places = [place_index(name, chain) for name in chain.names]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import View
+from modcal_core.calibration.linearise import RowView
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
@@ -73,7 +73,7 @@ def two_groups(case: Case) -> TwoGroups | None:
     if len(rows) < _LEAST or not isinstance(chain, Chain) or not is_direct(case.samples.kinds):
         return None
     samples = case.samples.select(rows)
-    view = View.of(case.model, samples, case.model.drivers(samples))
+    view = RowView.of(case.model, samples, case.model.drivers(samples))
     weight = weights(case.spread, samples)
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
@@ -91,7 +91,7 @@ def two_groups(case: Case) -> TwoGroups | None:
     return next((said for share, said, _ in found if share >= _PLAINER * best), None)
 
 
-def _motions(chain: Chain, view: View, weight: Array) -> Iterator[_Motion]:
+def _motions(chain: Chain, view: RowView, weight: Array) -> Iterator[_Motion]:
     N = weight.shape[1]
 
     def unit(place: int, direction: int) -> Array:

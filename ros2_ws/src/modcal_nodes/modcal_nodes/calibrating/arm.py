@@ -10,7 +10,7 @@ from modcal_core.calibration.store import fingerprint
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.online.stream import Stream
+from modcal_core.online.stream import SampleStream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.readings import READING
@@ -24,7 +24,7 @@ class KnownArm:
         """description: given by a parameter, so that none is taken from the topic; empty: to be heard."""
         self.description = description
         self.chain: Chain | None = None
-        self.stream: Stream | None = None
+        self.stream: SampleStream | None = None
         self.trouble = ""
         self._given, self._base, self._tip = bool(description), base, tip
         self._tried: tuple[str, frozenset[str]] | None = None
@@ -61,7 +61,7 @@ class KnownArm:
             self.trouble = f"joint_states does not name {', '.join(n for n in chain.names if n not in names)} yet"
             return False
         self.chain, self.trouble = chain, ""
-        self.stream = Stream(chain.names)
+        self.stream = SampleStream(chain.names)
         self._largest, self._reach = joint_limits(chain), chain.reach()
         return True
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.online.stream import Stream
+from modcal_core.online.stream import SampleStream
 from modcal_core.online.supervisor import SUSPECTED, Supervisor
 from modcal_core.resolve import Comparison
 from modcal_nodes.calibrating.standing import Standing
@@ -83,7 +83,7 @@ def collected(supervisor: Supervisor) -> str:
     return f"{supervisor.stations} of {wanted} stations, then {then}"
 
 
-def sample_status(supervisor: Supervisor, refused: int, stream: Stream | None, times: Times) -> Status:
+def sample_status(supervisor: Supervisor, refused: int, stream: SampleStream | None, times: Times) -> Status:
     """How many stations there are, what was left out, and how long updates take."""
     facts: dict[str, object] = {"messages refused": refused}
     if stream is not None:

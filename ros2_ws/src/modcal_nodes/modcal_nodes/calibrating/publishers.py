@@ -9,8 +9,8 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, String
 
+from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import Estimator
-from modcal_core.online.suspicion import Suspicion
 from modcal_core.resolve import Comparison
 from modcal_nodes.ros.running import LATCHED
 
@@ -48,7 +48,7 @@ class Publishers:
         if np.isfinite(comparison.before):
             self._before.publish(Float64(data=float(comparison.before)))
 
-    def change(self, suspicion: Suspicion) -> None:
+    def change(self, suspicion: ChangeHypothesis) -> None:
         """Publish that something has changed, and what it may be; the model is not to be trusted blindly."""
         data = {
             "place": suspicion.place,

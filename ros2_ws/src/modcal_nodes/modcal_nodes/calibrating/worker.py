@@ -17,7 +17,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.files import calibration_files
-from modcal_core.resolve import Comparison, Heard, Job, resolve
+from modcal_core.resolve import Comparison, Job, Remembered, resolve
 from modcal_core.robots.chain import Chain
 from modcal_nodes.calibrating.standing import Standing, standing_of
 from modcal_nodes.ros.child_process import settle_in
@@ -55,7 +55,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     )
 
 
-def condense(heard: Heard, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
+def condense(heard: Remembered, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
     """The samples of everything heard, at most so many, and what was left out. Raises ModcalError without any."""
     samples, _, lost = heard.prepared(chain, clock_limit, most)
     return samples, lost

@@ -22,7 +22,7 @@ from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
 from modcal_nodes.fleet.pool import run_here
 from modcal_nodes.fleet.room import room
-from modcal_nodes.fleet.run import Plan, plan, run
+from modcal_nodes.fleet.run import FleetPlan, plan, run
 from modcal_nodes.fleet.task import DONE, Outcome, Task
 from modcal_nodes.fleet.work import do
 from modcal_nodes.io.options import Options
@@ -119,7 +119,7 @@ def fleet_command(
     return 2 if left else 0
 
 
-def _data(planned: Plan, compared: Compared) -> dict[str, Any]:
+def _data(planned: FleetPlan, compared: Compared) -> dict[str, Any]:
     states = [row["state"] for row in compared.rows]
     return {
         "modcal_fleet": 1,
@@ -137,7 +137,7 @@ def _status(row: Row) -> Text:
     return Text(STATUS_WORDS[status], STYLES[status]) if status in STYLES else Text()
 
 
-def _show(planned: Plan, compared: Compared, page: Console) -> None:
+def _show(planned: FleetPlan, compared: Compared, page: Console) -> None:
     """A line for each robot, then those that could not be calibrated."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("robot", "recordings", "last", "RMS mm before", "after", "status", "over time"):

@@ -17,7 +17,7 @@ from modcal_core.modules.library import Library
 from modcal_core.modules.picture import picture
 from modcal_core.modules.ranking import described, sentence, to_data, to_markdown
 from modcal_core.modules.spec import assembly_to_data
-from modcal_core.modules.synthesis import Synthesis, Task, Watch, synthesize
+from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import console
@@ -76,7 +76,7 @@ def synthesis_files(result: Synthesis, library: Library, library_file: Path | No
 
 
 @contextmanager
-def _progress(task: Task) -> Iterator[Watch | None]:
+def _progress(task: SynthesisTask) -> Iterator[Watch | None]:
     """Something to call after every generation; nothing is shown where nobody looks."""
     error = console(stderr=True)
     if not error.is_terminal:

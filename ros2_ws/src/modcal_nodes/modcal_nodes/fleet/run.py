@@ -20,7 +20,7 @@ Runner = Callable[[Sequence[Task]], Generator[Outcome, None, None]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class FleetPlan:
     """What there is to do. tasks: one for each bag. kept: rows of those that are done already, by name."""
 
     out: Path
@@ -34,7 +34,7 @@ class Plan:
         return [task for task in self.tasks if task.name not in self.kept]
 
 
-def plan(given: Sequence[str], out: Path, options: Options, again: bool = False) -> Plan:
+def plan(given: Sequence[str], out: Path, options: Options, again: bool = False) -> FleetPlan:
     """The bags that are meant, and which of them are done already. again: none is.
 
     Raises BadRecording where there is no bag, BadTable where something else stands where a result would.
@@ -49,11 +49,11 @@ def plan(given: Sequence[str], out: Path, options: Options, again: bool = False)
             raise BadTable(str(folder), "holds something that modcal fleet did not write", "give --out another folder")
     sources = {task.name: made_from(task) for task in tasks}
     kept = {task.name: row for task in tasks if (row := kept_row(out, task, sources[task.name])) is not None}
-    return Plan(out, tasks, sources, {} if again else kept)
+    return FleetPlan(out, tasks, sources, {} if again else kept)
 
 
 def run(
-    planned: Plan,
+    planned: FleetPlan,
     runner: Runner,
     robot_by: str,
     refit_base: bool = False,
@@ -78,7 +78,9 @@ def run(
     return compared
 
 
-def _written(planned: Plan, rows: Mapping[str, Row], robot_by: str, refit_base: bool, refit_tool: bool) -> Compared:
+def _written(
+    planned: FleetPlan, rows: Mapping[str, Row], robot_by: str, refit_base: bool, refit_tool: bool
+) -> Compared:
     """Compare what is done, and write both tables, if anything is."""
     done = [rows[task.name] for task in planned.tasks if task.name in rows]
     done = [{**row, "robot": robot_of_bag(Path(row["bag"]), row.get("model"), robot_by)} for row in done]

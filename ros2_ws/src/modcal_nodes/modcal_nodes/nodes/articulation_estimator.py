@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.online import Settings, State, Tracker
+from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
 from modcal_core.articulation.urdf import describe
 from modcal_core.compliance.wrench import Load
 from modcal_core.errors import BadCommand, ModcalError
@@ -56,7 +56,7 @@ class ArticulationEstimator(GuardedNode):
                 f"parameter input {chosen['input']!r}", "is no input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
         follow(self, ARTICULATION_ESTIMATOR, chosen)
-        self._tracker = Tracker(Settings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
+        self._tracker = Tracker(TrackerSettings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
         self._chain: Chain | None = None
         self._joints: JointsHeard | None = None
         self._names: frozenset[str] = frozenset()
@@ -92,7 +92,7 @@ class ArticulationEstimator(GuardedNode):
 
     def _forget(self) -> None:
         self._tracker.reset()
-        self._state: State | None = None
+        self._state: TrackerState | None = None
         self._told: JointModel | None = None
         self._told_at = self._last = -np.inf
         self._frame = ""
@@ -197,7 +197,7 @@ class ArticulationEstimator(GuardedNode):
 
     # what it says
 
-    def _tell_model(self, state: State, stamp: float) -> None:
+    def _tell_model(self, state: TrackerState, stamp: float) -> None:
         """Publish the model, when it says something else than the last one that was published."""
         assert state.model is not None
         soon = stamp - self._told_at < 1.0 / self._chosen["model_hz"]
@@ -223,7 +223,7 @@ class ArticulationEstimator(GuardedNode):
             marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
             self._axis.publish(marks)
 
-    def _publish_status(self, state: State, stamp: float) -> None:
+    def _publish_status(self, state: TrackerState, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
         status = DiagnosticStatus(
             level=WARN if state.event else OK,

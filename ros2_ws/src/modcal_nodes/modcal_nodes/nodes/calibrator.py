@@ -21,9 +21,9 @@ from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Wander
+from modcal_core.online.change_hypothesis import ChangeHypothesis
+from modcal_core.online.estimator import RandomWalk
 from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
-from modcal_core.online.suspicion import Suspicion
 from modcal_core.resolve import Job
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
@@ -76,14 +76,14 @@ class Calibrator(GuardedNode):
         self._files = dict(state.files or {})
         self._candidate: Solved | None = None
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
-        wander = Wander(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
+        wander = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
         self._supervisor = Supervisor(_policy(chosen), wander)
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
         self._verdict = _NOTHING
         self._standing: Standing | None = None  # of the trusted model
         self._refused = 0
-        self._said: Suspicion | None = None
+        self._said: ChangeHypothesis | None = None
         self._times = Times()
 
         self._outputs = Publishers(self)

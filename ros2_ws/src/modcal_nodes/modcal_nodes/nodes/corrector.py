@@ -14,7 +14,14 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
+from modcal_core.correction.commander import (
+    CalibratedRobot,
+    Commander,
+    CommanderSettings,
+    JointSetpoint,
+    corrected_urdf,
+    finite,
+)
 from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements.approach import Approach
@@ -52,7 +59,7 @@ class Corrector(GuardedNode):
         self._urdf = self._chosen["robot_description"]
         self._joints: JointsHeard | None = None
         self._approach, self._signals = Approach(), SignalsHeard()
-        self._announced: Robot | None = None
+        self._announced: CalibratedRobot | None = None
         self._last = -np.inf
         self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
         self._counts = {"poses": 0, "commands": 0}
@@ -128,7 +135,7 @@ class Corrector(GuardedNode):
             self._refusal = _NO_ROBOT_YET
             return
         try:
-            robot = Robot.of(self._calibration, self._urdf)
+            robot = CalibratedRobot.of(self._calibration, self._urdf)
             corrected_urdf(robot, self._urdf)
         except ModcalError as error:
             self._drop(str(error))
@@ -179,7 +186,7 @@ class Corrector(GuardedNode):
             self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
             self._last = now
 
-    def _correct(self, robot: Robot, joints: JointsHeard, at: Conditions) -> None:
+    def _correct(self, robot: CalibratedRobot, joints: JointsHeard, at: Conditions) -> None:
         """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
@@ -226,7 +233,7 @@ class Corrector(GuardedNode):
                 "range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them"
             )
 
-    def _send(self, names: tuple[str, ...], setpoint: Setpoint, now: float) -> None:
+    def _send(self, names: tuple[str, ...], setpoint: JointSetpoint, now: float) -> None:
         finite(setpoint.q, np.array(setpoint.seconds))
         message = JointTrajectory(joint_names=list(names))
         set_seconds(message.header.stamp, now)
@@ -258,7 +265,7 @@ class Corrector(GuardedNode):
             Status("commands", WARN if said else OK, said or "nothing was refused of late", commands),
         ]
 
-    def _calibration_status(self, robot: Robot) -> Status:
+    def _calibration_status(self, robot: CalibratedRobot) -> Status:
         correction = robot.correction
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
         said = self._refusals.recent("calibration")
@@ -270,7 +277,7 @@ class Corrector(GuardedNode):
             said = "was recorded at another time: drifts are held as they were: calibrate again"
         return Status("calibration", WARN if said else OK, said or "in use", facts)
 
-    def _correction_status(self, robot: Robot) -> Status:
+    def _correction_status(self, robot: CalibratedRobot) -> Status:
         now, joints, correction = self._now(), self._joints, robot.correction
         facts = {"poses": self._counts["poses"]}
         assert joints is not None
@@ -290,11 +297,11 @@ class Corrector(GuardedNode):
         return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
 
 
-def _settings(chosen: dict[str, Any]) -> Settings:
+def _settings(chosen: dict[str, Any]) -> CommanderSettings:
     """The core's settings; raises BadTable for a target that there is none of."""
     if chosen["target"] not in ("tip", "tool"):
         raise BadTable(f"target '{chosen['target']}'", "is neither tip nor tool", "set one of them")
-    return Settings(
+    return CommanderSettings(
         target=chosen["target"],
         stream=chosen["stream"],
         horizon=chosen["horizon_s"],

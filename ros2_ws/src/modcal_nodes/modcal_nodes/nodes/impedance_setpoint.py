@@ -22,9 +22,9 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.articulation.urdf import read
-from modcal_core.compliance.guard import Setpoint
 from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.task import Joints, Stop, Wait
+from modcal_core.compliance.safety_monitor import ArmSetpoint
+from modcal_core.compliance.task import JointPositions, Stop, Wait
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_msgs_py.commands import JointsHeard, desired_pose
@@ -37,7 +37,7 @@ from modcal_nodes.ros.pending import waiting
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
-from modcal_nodes.setpoint.arm import Arm, limits, task
+from modcal_nodes.setpoint.arm import SensedArm, limits, task
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
@@ -74,7 +74,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._chosen = values(self, IMPEDANCE_SETPOINT)
         self._active = self._configured = False
         self._urdf = ""
-        self._arm: Arm | None = None
+        self._arm: SensedArm | None = None
         self._joints: JointsHeard | None = None
         self._object = ObjectHeard(read)
         self._operation: Operation | None = None
@@ -300,7 +300,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._operation is not None:
             raise BadCommand("robot_description", "changes while it pulls", "it is taken when the pull is over")
         self._arm = self._joints = None
-        arm = Arm.of(urdf, self._chosen)
+        arm = SensedArm.of(urdf, self._chosen)
         self._arm, self._joints = arm, JointsHeard(arm.chain.names, arm.chain.lower, arm.chain.upper)
 
     def _take_joints(self, message: JointState) -> None:
@@ -354,8 +354,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             stamp, T = -np.inf, np.eye(4)  # too old for anything, which the operation waits for
             self._refusals.refuse("tool_pose", str(error))
         q = joints.position.copy()
-        answer = operation.tick(now, T, arm.sensor, Joints(q, stamp), self._object.at(now))
-        if isinstance(answer, Setpoint):
+        answer = operation.tick(now, T, arm.sensor, JointPositions(q, stamp), self._object.at(now))
+        if isinstance(answer, ArmSetpoint):
             self._send(answer, now)
             self._tell(OK, operation.phase)
         elif isinstance(answer, Wait):
@@ -375,7 +375,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             raise BadCommand("tool_pose", "nothing was heard of late", "start the corrector, or set calibrated: false")
         return min(stamp, self._tool[0]), self._tool[1]
 
-    def _send(self, setpoint: Setpoint, now: float) -> None:
+    def _send(self, setpoint: ArmSetpoint, now: float) -> None:
         assert self._arm is not None
         tip = self._arm.chain.tip
         self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, 1.0 / self._chosen["rate_hz"]))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.compliance.guard import Limits
-from modcal_core.compliance.pace import Patience
-from modcal_core.compliance.task import Task
+from modcal_core.compliance.safety_monitor import Limits
+from modcal_core.compliance.speed_governor import Patience
+from modcal_core.compliance.task import ImpedanceTask
 from modcal_core.compliance.wrench import Load, WrenchSensor
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -20,7 +20,7 @@ from modcal_core.robots.urdf import read_chain
 
 
 @dataclass(frozen=True)
-class Arm:
+class SensedArm:
     """The chain to the tool, and its force sensor. farthest: no tool lies farther off [m]."""
 
     urdf: str
@@ -29,7 +29,7 @@ class Arm:
     farthest: float
 
     @classmethod
-    def of(cls, urdf: str, chosen: dict[str, Any]) -> Arm:
+    def of(cls, urdf: str, chosen: dict[str, Any]) -> SensedArm:
         """The arm of a URDF. Raises BadRobot."""
         chain = read_chain(urdf, chosen["base"] or None, chosen["tip"] or None)
         frames = [(chain.tip, np.eye(4))]
@@ -60,7 +60,7 @@ def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
     )
 
 
-def task(chosen: dict[str, Any]) -> Task:
+def task(chosen: dict[str, Any]) -> ImpedanceTask:
     """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
@@ -74,7 +74,7 @@ def task(chosen: dict[str, Any]) -> Task:
                 "change them",
             )
     goal = chosen["goal"]
-    out = Task(
+    out = ImpedanceTask(
         direction=_vector("direction", chosen),
         goal_rad=goal or chosen["goal_rad"],
         goal_m=goal or chosen["goal_m"],

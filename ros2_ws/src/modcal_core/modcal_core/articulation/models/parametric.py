@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from modcal_core.articulation.guesses import ROUGH, best_of, few, middle_rotation
 from modcal_core.articulation.models.model import ArticulationModel
 from modcal_core.articulation.models.parametric_motion import ParametricMotion
-from modcal_core.articulation.models.shape import Parameter, Shape
+from modcal_core.articulation.models.shape import PathShape, ShapeParameter
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
-__all__ = ["Parameter", "ParametricModel"]
+__all__ = ["ParametricModel", "ShapeParameter"]
 _TRIPLES = 6
 _PLACES = 3  # of each three samples
 _GRID = 48  # points of the path among which they are looked for
@@ -30,7 +30,7 @@ _KEEP = 3
 Rows: TypeAlias = NDArray[np.integer[Any]]
 
 
-class ParametricModel(Shape, ArticulationModel):
+class ParametricModel(PathShape, ArticulationModel):
     """A joint type of one's own: derive from it, state name, parameters, lower, upper and unit, and write ``pose``.
 
     share: how often it is met among all that moves. As of screws, unless stated.
@@ -44,7 +44,7 @@ class ParametricModel(Shape, ArticulationModel):
         return best_of(_places(some, self, rng), some, _KEEP)
 
 
-def _places(track: Track, own: Shape, rng: np.random.Generator) -> Iterator[ParametricMotion]:
+def _places(track: Track, own: PathShape, rng: np.random.Generator) -> Iterator[ParametricMotion]:
     p = track.positions
     middle = np.median(p, axis=0)
     triples = list(_triples(p, rng))

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.articulation.models.shape import FARTHEST, Shape
+from modcal_core.articulation.models.shape import FARTHEST, PathShape
 from modcal_core.articulation.motion import Motion, quick_log
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3
@@ -45,7 +45,7 @@ class ParametricMotion(Motion):
     middle: about which the object turns (3,) [m], the middle of the track.
     """
 
-    model: Shape
+    model: PathShape
     values: Array
     T: Array
     R: Array | None

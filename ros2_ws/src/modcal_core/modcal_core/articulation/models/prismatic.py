@@ -51,7 +51,7 @@ class PrismaticJoint(JointModel):
 class PrismaticMotion(AxisMotion):
     """It goes along column 0 of G."""
 
-    kind: ClassVar[str] = "prismatic"  # type: ignore[misc]
+    kind: ClassVar[str] = "prismatic"
     made: ClassVar[type[JointModel]] = PrismaticJoint
     frame_turns: ClassVar[int] = 2
 

@@ -18,7 +18,7 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models import prismatic, revolute, rigid, screw
 from modcal_core.articulation.models.axis import AxisModel
 from modcal_core.articulation.models.model import ArticulationModel, Kind
-from modcal_core.articulation.models.shape import REMEDY, Shape
+from modcal_core.articulation.models.shape import REMEDY, PathShape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.packages import added
@@ -80,6 +80,6 @@ def _fault(model: ArticulationModel) -> str:
         share = float(model.share)
     except (AttributeError, TypeError, ValueError) as error:
         return f"does not state its share ({error})"
-    if isinstance(model, Shape) and (fault := model.fault()):
+    if isinstance(model, PathShape) and (fault := model.fault()):
         return fault
     return "" if 0.0 < share < _MOST_SHARE else f"its share is {share:g}, not between 0 and {_MOST_SHARE:g}"

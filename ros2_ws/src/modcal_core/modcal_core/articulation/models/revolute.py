@@ -87,7 +87,7 @@ class RevoluteJoint(JointModel):
 class RevoluteMotion(AxisMotion):
     """It goes round the axis at p + r G[:, 1]."""
 
-    kind: ClassVar[str] = "revolute"  # type: ignore[misc]
+    kind: ClassVar[str] = "revolute"
     turns: ClassVar[bool] = True
     made: ClassVar[type[JointModel]] = RevoluteJoint
     frame_turns: ClassVar[int] = 3

@@ -52,7 +52,7 @@ class RigidJoint(JointModel):
 class RigidMotion(AxisMotion):
     """A start, which may shift in all directions."""
 
-    kind: ClassVar[str] = "rigid"  # type: ignore[misc]
+    kind: ClassVar[str] = "rigid"
     moves: ClassVar[bool] = False
     made: ClassVar[type[JointModel]] = RigidJoint
     frame_turns: ClassVar[int] = 0

@@ -58,7 +58,7 @@ class ScrewJoint(RevoluteJoint):
 class ScrewMotion(RevoluteMotion):
     """It rises by h a radian."""
 
-    kind: ClassVar[str] = "screw"  # type: ignore[misc]
+    kind: ClassVar[str] = "screw"
     made: ClassVar[type[JointModel]] = ScrewJoint
     sizes: ClassVar[int] = 2
     radius_at: ClassVar[int] = -2

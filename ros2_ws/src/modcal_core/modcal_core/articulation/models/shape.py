@@ -25,7 +25,7 @@ _UNITS = ("rad", "m", "1")
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ShapeParameter:
     """A number of a model's shape, before any object is seen: normal about mean with std, in the model's own unit."""
 
     name: str
@@ -34,7 +34,7 @@ class Parameter:
     unit: str = "1"
 
 
-class Shape(ABC):
+class PathShape(ABC):
     """A path with the orientation along it.
 
     name: of the joint type. parameters: with what is known of them beforehand. lower, upper: between which
@@ -42,7 +42,7 @@ class Shape(ABC):
     """
 
     name: str
-    parameters: Sequence[Parameter]
+    parameters: Sequence[ShapeParameter]
     lower: float
     upper: float
     unit: str = "1"

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from modcal_core.calibration.kernels.sweeps import Postures
+from modcal_core.calibration.kernels.sweeps import PostureBlock
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
@@ -29,12 +29,12 @@ _PARTS, _SIGNS = [1, 0, 0, 1, 2], np.array([1.0, 1.0, 1.0, -1.0, 1.0])
 
 
 @lru_cache
-def columns_of(revolute: tuple[bool, ...], frames: int, orientations: bool) -> Columns:
+def columns_of(revolute: tuple[bool, ...], frames: int, orientations: bool) -> DistinctColumns:
     """The columns of a chain with these joints; arms of one kind share them."""
-    return Columns(revolute, frames, orientations)
+    return DistinctColumns(revolute, frames, orientations)
 
 
-class Columns:
+class DistinctColumns:
     """The different columns U of a chain: first the axes of all places, then their turns. Nothing in it changes.
 
     frames: how many errors in front of the arm are told apart. axes: how many of the columns are axes.
@@ -86,7 +86,7 @@ class Columns:
         A = (twists[:, None] @ made[row])[:, 0]
         return A[:, : self.count], A[:, self.count :]
 
-    def write(self, M: Array, at: Postures, t: Array, root: Array, frame: np.ndarray | None, out: Array) -> None:
+    def write(self, M: Array, at: PostureBlock, t: Array, root: Array, frame: np.ndarray | None, out: Array) -> None:
         """Write the columns of a block of B postures, seen from the root, into out (count, 3, B).
 
         M: (n, 4, 4). t: the tool in the places, (n, B, 4). root: square roots of the samples' weights, (B,). frame: the

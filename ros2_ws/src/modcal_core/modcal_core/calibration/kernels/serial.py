@@ -20,7 +20,7 @@ from modcal_core.calibration.kernels import turns
 from modcal_core.calibration.kernels.columns import columns_of
 from modcal_core.calibration.kernels.sweeps import (
     Constants,
-    Postures,
+    PostureBlock,
     moments,
     orientation_of_tool,
     sums,
@@ -200,8 +200,8 @@ class SerialSystem:
     def _blocks(self) -> list[slice]:
         return _slices(0, self._count, BLOCK)
 
-    def _postures(self, rows: slice) -> Postures:
-        return Postures(self._q[rows], self._turn[:, rows], self._half[:, rows], self._revolute)
+    def _postures(self, rows: slice) -> PostureBlock:
+        return PostureBlock(self._q[rows], self._turn[:, rows], self._half[:, rows], self._revolute)
 
     def _reading(self, rows: slice) -> Array:
         """Positions read, seen from the root, (B, 4) [m]."""

@@ -25,7 +25,7 @@ from modcal_core.geometry.so3 import Array
 
 
 @dataclass(frozen=True)
-class Postures:
+class PostureBlock:
     """Joint positions of a block of B postures. q: (B, n) [rad, m]. turn: e^{iq}, (n, B). half: e^{iq/2}, (n, B), where
     orientations are asked for. revolute: (n,).
     """
@@ -64,7 +64,7 @@ _MIRROR = np.array([1.0, -1.0, 1.0, 0.0])
 _MIRRORED = np.outer(_MIRROR, _MIRROR)
 
 
-def tool_in_places(constants: Constants, at: Postures) -> Array:
+def tool_in_places(constants: Constants, at: PostureBlock) -> Array:
     """The tool in the frames of places 0 … n − 1, (n, B, 4) [m]."""
     out = np.empty((at.n, at.count, 4))
     xy = out.view(complex)[:, :, 0]
@@ -79,7 +79,7 @@ def tool_in_places(constants: Constants, at: Postures) -> Array:
     return out
 
 
-def orientation_of_tool(constants: Constants, at: Postures) -> Complex:
+def orientation_of_tool(constants: Constants, at: PostureBlock) -> Complex:
     """Quaternions of the tool in the root, (B, 2)."""
     here, other = np.empty((2, at.count, 2), dtype=complex)
     here[:] = constants.last
@@ -108,7 +108,7 @@ def sums(t: Array, wrench: Array) -> Array:
     return np.matmul(t.T, wrench)
 
 
-def sums_in_places(constants: Constants, at: Postures, t: Array, wrench: Array) -> Array:
+def sums_in_places(constants: Constants, at: PostureBlock, t: Array, wrench: Array) -> Array:
     """The same for the wrench as seen from places 0 … n, (n + 1, 1 or 2, 4, 4).
 
     t: the tool in the places, (n, B, 4). wrench: seen from the root; it is written over.

@@ -20,7 +20,7 @@ from modcal_core.measurements.recording import RANGE, ReadingTrack
 _MOST_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
 
-class Distance(Kind):
+class DistanceKind(Kind):
     """Distance from a fixed anchor to the target, with the scale's zero unknown."""
 
     name = RANGE

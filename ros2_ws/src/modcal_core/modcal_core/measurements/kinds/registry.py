@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.bearing import Bearing
-from modcal_core.measurements.kinds.distance import Distance
+from modcal_core.measurements.kinds.distance import DistanceKind
 from modcal_core.measurements.kinds.kind import MESSAGES, Kind
 from modcal_core.measurements.kinds.positions import Point, Pose
 from modcal_core.measurements.kinds.ray import Ray
@@ -24,7 +24,7 @@ from modcal_core.measurements.samples import KIND_NAMES, Samples
 
 GROUP = "modcal.measurement_kinds"
 _LONGEST = KIND_NAMES.itemsize // 4  # letters
-_OWN: tuple[Kind, ...] = (Pose(), Point(), Distance(), Bearing(), Touch(), Ray())
+_OWN: tuple[Kind, ...] = (Pose(), Point(), DistanceKind(), Bearing(), Touch(), Ray())
 
 
 @cache

@@ -46,7 +46,7 @@ class Reach:
         return low + (at - k) * (high - low)
 
 
-class Walk:
+class PathCheck:
     """A walk along poses that goes on when told to."""
 
     def __init__(
@@ -141,9 +141,9 @@ class Walk:
 def reach(chain: Chain, poses: Sequence[Array], q0: Array, **limits: float) -> Reach:
     """The joints for a path of poses (m, 4, 4) of the tip in the base, from a posture (n,), as far as it is reached.
 
-    limits: as of :class:`Walk`.
+    limits: as of :class:`PathCheck`.
     """
-    walk = Walk(chain, poses, np.asarray(q0, dtype=float), **limits)
+    walk = PathCheck(chain, poses, np.asarray(q0, dtype=float), **limits)
     while (done := walk.advance(100)) is None:
         pass
     return done

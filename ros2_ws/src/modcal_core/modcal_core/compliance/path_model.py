@@ -90,7 +90,7 @@ class Pull:
         return self._d
 
 
-class Course:
+class PathModel:
     """The way of a handle that a model knows, from where it was closed to a goal."""
 
     def __init__(

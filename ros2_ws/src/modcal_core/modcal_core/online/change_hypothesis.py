@@ -14,14 +14,14 @@ import numpy as np
 
 from modcal_core.effects.effect import length_direction
 from modcal_core.geometry.so3 import Array
-from modcal_core.online.watch import Seen, Watch
+from modcal_core.online.change_detector import ChangeDetector, Seen
 from modcal_core.robots.gravity import payload_wrench
 
 _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are not told apart
 
 
 @dataclass(frozen=True)
-class Suspicion:
+class ChangeHypothesis:
     """place, direction, driver: as in reports. since: [s]. size: RMS of how far the tool is moved [m]. same_as: what
     would explain it as well. gain: of squared standard deviations that it takes away, of ``total``.
     """
@@ -60,7 +60,7 @@ class _Hypothesis:
         return f"{self.place} {self.direction} by {self.driver}"
 
 
-def suspect(watch: Watch, since: float) -> Suspicion:
+def suspect(watch: ChangeDetector, since: float) -> ChangeHypothesis:
     """The hypothesis that explains best what the watch has seen since this stamp [s]."""
     seen = [s for s in watch.seen if s.stamp >= since]
     residual = np.stack([s.residual for s in seen])
@@ -77,10 +77,10 @@ def suspect(watch: Watch, since: float) -> Suspicion:
     judged.sort(key=lambda j: -j[0])
     score, best, gain, size = judged[0]
     rivals = tuple(h.label for s, h, _, _ in judged[1:] if s > score - _AS_GOOD)
-    return Suspicion(best.place, best.direction, best.driver, since, size, gain, total, rivals)
+    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, gain, total, rivals)
 
 
-def _hypotheses(watch: Watch, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
+def _hypotheses(watch: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
     chain = watch.model.serial
     n, F = chain.n, len(watch.model.frames)
     motions = np.stack([s.motions for s in seen])  # (m, 6, C)

@@ -15,7 +15,7 @@ from math import asin, sqrt
 
 import numpy as np
 
-from modcal_core.calibration.linearise import Deviations, View, deviations, model_at
+from modcal_core.calibration.linearise import Deviations, RowView, deviations, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.effects.effect import all_columns, motion
@@ -30,7 +30,7 @@ _EYE = np.eye(6)
 _AT_ROOT = np.eye(7, 6)  # the frame of the first joint is the root
 
 
-class Frozen:
+class FixedLinearisation:
     """Residual and derivatives of single samples at these values of a model's parameters and effects."""
 
     def __init__(self, start: Model, parameters: Sequence[Parameter], values: Array) -> None:
@@ -60,7 +60,7 @@ class Frozen:
         residual, J, reading = self._seen(sample, sample.position[0] / scale[0], _carried(T_root_place)[..., :6])
         if self._effects:
             position, rotation = residual[:3, None], residual[3:, None].reshape(3, -1)
-            view = View(sample, np.flatnonzero(sample.is_pose), f, position, rotation, reading[:, None])
+            view = RowView(sample, np.flatnonzero(sample.is_pose), f, position, rotation, reading[:, None])
             more = [view.moved_by(terms) for terms in all_columns(self._model.effects, at)]
             J = np.concatenate([J, np.stack(more, axis=1)], axis=1)
         return residual, J

@@ -19,7 +19,7 @@ from modcal_core.calibration.noise import Spread
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.frozen import Frozen
+from modcal_core.online.fixed_linearisation import FixedLinearisation
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one
@@ -48,7 +48,7 @@ class Seen:
         return float(self.sample.stamps[0])
 
 
-class Watch:
+class ChangeDetector:
     """Watches the residuals of a model that is trusted."""
 
     def __init__(self, model: Model, parameters: Sequence[Parameter], covariance: Array, spread: Spread) -> None:
@@ -63,7 +63,7 @@ class Watch:
         )
         self._covariance = covariance[np.ix_(moving, moving)]
         self._spread = spread
-        self._frozen = Frozen(model, self.directions, np.zeros(len(self.directions)))
+        self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
         self.seen: list[Seen] = []
         self.largest = 0.0
         C = len(self.directions)

@@ -62,7 +62,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Setpoint:
+class ArmSetpoint:
     """What an arm is told. pose (4, 4): of the tool in ``frame``. q, velocity (n,): of the joints ``names``.
 
     wrench (6,): to be exerted on top of it. stiffness (6,): of the stack that follows, along and about the tool's axes.
@@ -80,7 +80,7 @@ class Setpoint:
 
 
 @dataclass(frozen=True)
-class Heard:
+class SensorReadings:
     """What the arm's sensors say. joints: name to position. T_base_tool (4, 4): where the tool is measured to be.
 
     wrench (6,): on the tool, in frame ``wrench_frame``, which must be the tool's. Stamps [s].
@@ -107,7 +107,7 @@ class _Last:
     rates: tuple[Array, Array, Array] = field(default=(np.zeros(3), np.zeros(3), np.zeros(0)))
 
 
-class Guard:
+class SafetyMonitor:
     """Lets setpoints through, or raises BadCommand. ``shut`` says why it lets nothing through any more, if so."""
 
     def __init__(self, chain: Chain, limits: Limits, tool_frame: str = "") -> None:
@@ -136,7 +136,7 @@ class Guard:
         """Let nothing through from now on."""
         self.shut = self.shut or why
 
-    def check(self, wish: Setpoint, heard: Heard, now: float) -> Setpoint:
+    def check(self, wish: ArmSetpoint, heard: SensorReadings, now: float) -> ArmSetpoint:
         """The setpoint, if it may go out at time ``now`` [s]. Raises Late for a late input, BadCommand else."""
         if self.shut or self._last is None:
             raise BadCommand("setpoint", f"the guard is shut ({self.shut})", "see to that and begin anew")
@@ -161,7 +161,7 @@ class Guard:
             raise BadCommand("clock", "went back", "begin anew at the new time")
         self._now = now
 
-    def _check_heard(self, heard: Heard, now: float) -> None:
+    def _check_heard(self, heard: SensorReadings, now: float) -> None:
         limits = self.limits
         needed = [("joint_states", heard.joints_stamp), ("wrench", heard.wrench_stamp)]
         letting_go = 0.0 <= now - self._let_go <= _LETTING_GO
@@ -195,7 +195,7 @@ class Guard:
             return BadCommand("moment", said, "see what holds the object")
         return None
 
-    def _check_form(self, wish: Setpoint) -> None:
+    def _check_form(self, wish: ArmSetpoint) -> None:
         chain, limits = self.chain, self.limits
         if wish.frame != chain.base:
             raise BadCommand("setpoint", f"is in frame '{wish.frame}', not '{chain.base}'", "give it in the base link")
@@ -218,7 +218,7 @@ class Guard:
             if not (array.min() >= 0.0 and array[:3].max() <= way and array[3:].max() <= turn):
                 raise BadCommand(f"setpoint's {what}", f"is not within 0 and {way:g}, {turn:g}", "ask for less")
 
-    def _check_motion(self, wish: Setpoint, heard: Heard, now: float, last: _Last) -> _Last:
+    def _check_motion(self, wish: ArmSetpoint, heard: SensorReadings, now: float, last: _Last) -> _Last:
         limits, chain = self.limits, self.chain
         out = (wish.q < chain.lower) | (wish.q > chain.upper)
         if out.any():

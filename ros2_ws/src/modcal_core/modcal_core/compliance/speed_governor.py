@@ -55,7 +55,7 @@ class Patience:
         return min(max(min(left), 0.0), 1.0)
 
 
-class Foresight:
+class ForcePrediction:
     """What a force will have come to when all that is under way has been done."""
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class Foresight:
         return F * np.repeat(1.0 + seconds * rising / np.maximum(sizes, 1e-9), 3)
 
 
-class Pace:
+class SpeedGovernor:
     """The speed along the path [m/s], which gathers gently and brakes hard."""
 
     def __init__(self, patience: Patience, gather: float = 0.15, brake: float = 2.0) -> None:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from modcal_core.compliance.guard import Limits
+from modcal_core.compliance.safety_monitor import Limits
 from modcal_core.geometry.single import rotation_vector
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -23,7 +23,7 @@ _SPARE = 0.5  # 1/s at which spare joints go to the chosen posture
 _EDGE = 1e-4  # rad or m from a limit where a joint stops
 
 
-class Follower:
+class SetpointFilter:
     """q (n,), velocity (n,) and pose (4, 4) of the last step; ``offset`` (4, 4): pose = offset · FK(q).
 
     The offset is the identity unless the tool is measured by something that knows better than the chain does.
