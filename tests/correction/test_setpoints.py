@@ -10,7 +10,7 @@ from calibration.test_effects import started
 from cells import ur10
 from correction.test_compensation import STEEP, calibration_of, true_model
 
-from modcal_core.correction.commander import Commander, Robot, Settings
+from modcal_core.correction.commander import Commander, CorrectedRobot, Settings
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
 from modcal_core.correction.setpoints import Bounds, Stream
@@ -21,9 +21,9 @@ from modcal_core.robots.chain import Chain
 AT = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
 
 
-def robot(*amplitudes: float, chain: Chain | None = None) -> Robot:
+def robot(*amplitudes: float, chain: Chain | None = None) -> CorrectedRobot:
     made = calibration_of(true_model(STEEP.started(np.array(amplitudes))))
-    return Robot(Correction(made), chain or ur10(), 3.0)
+    return CorrectedRobot(Correction(made), chain or ur10(), 3.0)
 
 
 def test_bounds_are_the_narrower_of_what_is_described_and_calibrated() -> None:
@@ -134,4 +134,4 @@ def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
 def test_a_robot_must_be_the_one_that_was_calibrated() -> None:
     made = calibration_of(true_model(started("gear")))
     with pytest.raises(BadRobot):
-        Robot.of(made, "<robot name='r'><link name='base_link'/></robot>")
+        CorrectedRobot.of(made, "<robot name='r'><link name='base_link'/></robot>")

@@ -39,7 +39,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Robot:
+class CorrectedRobot:
     """A calibration that fits the robot that is there. farthest: no desired position lies farther off [m]."""
 
     correction: Correction
@@ -47,7 +47,7 @@ class Robot:
     farthest: float
 
     @classmethod
-    def of(cls, calibration: Calibration, description: str) -> Robot:
+    def of(cls, calibration: Calibration, description: str) -> CorrectedRobot:
         """The robot of a URDF and its calibration. Raises BadRobot where they do not belong together."""
         nominal = calibration.nominal.chain
         chain = read_chain(description, nominal.base, nominal.tip)
@@ -76,12 +76,12 @@ class Commander:
     """The robot in use, one that waits for its turn, and the stream of setpoints."""
 
     settings: Settings = field(default_factory=Settings)
-    robot: Robot | None = None
-    waiting: Robot | None = None
+    robot: CorrectedRobot | None = None
+    waiting: CorrectedRobot | None = None
     _stream: Stream = field(default_factory=Stream)
     _wish: tuple[Array, str] | None = None
 
-    def use(self, robot: Robot, now: float) -> bool:
+    def use(self, robot: CorrectedRobot, now: float) -> bool:
         """Correct with this calibration from now on; whether that is so, or it must wait for the stream to pause."""
         self.waiting = robot
         if self.robot is None or not self._stream.running(now):
@@ -134,7 +134,7 @@ class Commander:
         if self.settings.stream:
             self._stream.given(setpoint.q, now)
 
-    def _solve(self, robot: Robot, desired: Array, frame: str, at: Conditions, wide: bool) -> Command:
+    def _solve(self, robot: CorrectedRobot, desired: Array, frame: str, at: Conditions, wide: bool) -> Command:
         settings = self.settings
         rng = np.random.default_rng(_SEED) if wide else None
         command = compensate(
@@ -153,7 +153,7 @@ class Commander:
         return command
 
 
-def corrected_urdf(robot: Robot, description: str) -> str:
+def corrected_urdf(robot: CorrectedRobot, description: str) -> str:
     """The URDF with the calibrated geometry in it. Raises ModcalError."""
     return calibrated_urdf(description, robot.described, robot.correction.chain)
 

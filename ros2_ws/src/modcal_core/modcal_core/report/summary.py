@@ -17,7 +17,7 @@ _RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
 
 
 @dataclass(frozen=True)
-class Line:
+class SummaryLine:
     """A sentence. tone: what it means to the reader."""
 
     text: str
@@ -25,7 +25,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Grid:
+class SummaryTable:
     """A table. words: how many columns, from the left, hold words; the others hold numbers."""
 
     header: tuple[str, ...]
@@ -33,19 +33,19 @@ class Grid:
     words: int = 1
 
 
-def summary(report: Report) -> tuple[Grid | Line, ...]:
+def summary(report: Report) -> tuple[SummaryTable | SummaryLine, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
 
-def text(blocks: Sequence[Grid | Line]) -> str:
+def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
     """The same as plain text, a line for each row and sentence."""
     return "\n".join(
-        line for block in blocks for line in ([block.text] if isinstance(block, Line) else _laid_out(block))
+        line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
     )
 
 
-def _blocks(report: Report) -> Iterator[Grid | Line]:
+def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -53,27 +53,27 @@ def _blocks(report: Report) -> Iterator[Grid | Line]:
             numbers = [f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max)]
             rows.append((stage, *numbers, "" if angle is None else f"{angle.rms:.4f}"))
     names = ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg")
-    yield Grid((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
+    yield SummaryTable((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
     seen = report.identifiability
     if seen is not None:
-        yield Line(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
+        yield SummaryLine(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
         for name in seen.unobservable:
-            yield Line(f"not shown by these stations: {name}", "doubt")
+            yield SummaryLine(f"not shown by these stations: {name}", "doubt")
     if report.effects:
         yield _effects(report)
-        yield from map(Line, report.story)
+        yield from map(SummaryLine, report.story)
     for note in report.notes:
-        yield Line(note, "doubt")
+        yield SummaryLine(note, "doubt")
     yield from map(_account, accounts(report.judged))
-    yield Line(report.verdict, TONES[report.status])
+    yield SummaryLine(report.verdict, TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
-        yield Line(f"Open: {reason}", "reason")
+        yield SummaryLine(f"Open: {reason}", "reason")
     if report.tolerance is not None:
         met = report.tolerance
-        yield Line(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
+        yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
 
 
-def _account(one: Account) -> Grid:
+def _account(one: Account) -> SummaryTable:
     """Where the squared error of the nominal model went."""
     rows = []
     for line in one.lines:
@@ -81,18 +81,18 @@ def _account(one: Account) -> Grid:
         numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
         rows.append((line.words, *numbers))
     rows.append(("nominal model", f"{one.total:.4g}", "", ""))
-    return Grid(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
+    return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 
 
-def _effects(report: Report) -> Grid:
+def _effects(report: Report) -> SummaryTable:
     rows = tuple(
         (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
         for f in report.effects
     )
-    return Grid(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
+    return SummaryTable(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
 
 
-def _laid_out(grid: Grid) -> list[str]:
+def _laid_out(grid: SummaryTable) -> list[str]:
     wide = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
     return [
         "  ".join(

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.report.report import Report
-from modcal_core.report.summary import TONES, Grid, Line, Tone, summary
+from modcal_core.report.summary import TONES, SummaryLine, SummaryTable, Tone, summary
 from modcal_core.verdict.verdict import Status
 
 STYLES: dict[Tone, str] = {
@@ -23,13 +23,13 @@ STATUS_STYLES: dict[Status, str] = {status: STYLES[tone] for status, tone in TON
 def show_report(report: Report, console: Console) -> None:
     """Print before and after, what the data could not tell, and the verdict."""
     for block in summary(report):
-        if isinstance(block, Line):
+        if isinstance(block, SummaryLine):
             console.print(block.text, style=STYLES[block.tone], highlight=False, markup=False)
         else:
             console.print(_table(block))
 
 
-def _table(grid: Grid) -> Table:
+def _table(grid: SummaryTable) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for i, name in enumerate(grid.header):
         words = i < grid.words

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.commander import Commander, Robot, Setpoint, Settings, corrected_urdf, finite
+from modcal_core.correction.commander import Commander, CorrectedRobot, Setpoint, Settings, corrected_urdf, finite
 from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements.approach import Approach
@@ -52,7 +52,7 @@ class Corrector(GuardedNode):
         self._urdf = self._chosen["robot_description"]
         self._joints: JointsHeard | None = None
         self._approach, self._signals = Approach(), SignalsHeard()
-        self._announced: Robot | None = None
+        self._announced: CorrectedRobot | None = None
         self._last = -np.inf
         self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
         self._counts = {"poses": 0, "commands": 0}
@@ -128,7 +128,7 @@ class Corrector(GuardedNode):
             self._refusal = _NO_ROBOT_YET
             return
         try:
-            robot = Robot.of(self._calibration, self._urdf)
+            robot = CorrectedRobot.of(self._calibration, self._urdf)
             corrected_urdf(robot, self._urdf)
         except ModcalError as error:
             self._drop(str(error))
@@ -179,7 +179,7 @@ class Corrector(GuardedNode):
             self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
             self._last = now
 
-    def _correct(self, robot: Robot, joints: JointsHeard, at: Conditions) -> None:
+    def _correct(self, robot: CorrectedRobot, joints: JointsHeard, at: Conditions) -> None:
         """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
@@ -258,7 +258,7 @@ class Corrector(GuardedNode):
             Status("commands", WARN if said else OK, said or "nothing was refused of late", commands),
         ]
 
-    def _calibration_status(self, robot: Robot) -> Status:
+    def _calibration_status(self, robot: CorrectedRobot) -> Status:
         correction = robot.correction
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
         said = self._refusals.recent("calibration")
@@ -270,7 +270,7 @@ class Corrector(GuardedNode):
             said = "was recorded at another time: drifts are held as they were: calibrate again"
         return Status("calibration", WARN if said else OK, said or "in use", facts)
 
-    def _correction_status(self, robot: Robot) -> Status:
+    def _correction_status(self, robot: CorrectedRobot) -> Status:
         now, joints, correction = self._now(), self._joints, robot.correction
         facts = {"poses": self._counts["poses"]}
         assert joints is not None

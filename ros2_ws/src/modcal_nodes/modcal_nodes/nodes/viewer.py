@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.commander import Robot
+from modcal_core.correction.commander import CorrectedRobot
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.picture import tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
@@ -52,7 +52,7 @@ class Viewer(GuardedNode):
         self._calibration: Calibration | None = None
         self._text = self._change = self._missing = self._unseen = self._frame = ""
         self._refusal = _NOTHING_YET
-        self._robot: Robot | None = None
+        self._robot: CorrectedRobot | None = None
         self._signals = SignalsHeard()
         self._stations = Stations(chosen["stations"])
         self._judged: Judged | None = None
@@ -140,7 +140,7 @@ class Viewer(GuardedNode):
         base, tip = self._chosen["base"], self._chosen["tip"]
         if self._calibration is not None and self._urdf:
             try:
-                self._robot = Robot.of(self._calibration, self._urdf)
+                self._robot = CorrectedRobot.of(self._calibration, self._urdf)
                 self._refusal, base, tip = "", self._robot.described.base, self._robot.described.tip
             except ModcalError as error:
                 self._refusal = str(error)
