@@ -3,9 +3,10 @@
 The real arm is played by a UR5 whose links are displaced by 1 mm and 1 mrad; a script of yours reads its own files.
 """
 
-import modcal
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+import modcal
 
 TABLE = [  # theta, d, a, alpha of the drawing [rad, m]
     (0, 0.089159, 0, np.pi / 2), (0, 0, -0.425, 0), (0, 0, -0.39225, 0),

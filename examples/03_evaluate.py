@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-import modcal
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+import modcal
 
 URDF = Path(__file__).resolve().parent / "robots" / "ur10.urdf"
 rng = np.random.default_rng(2)

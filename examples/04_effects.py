@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-import modcal
 import numpy as np
+
+import modcal
 
 URDF = Path(__file__).resolve().parent / "robots" / "ur10.urdf"
 TEETH, AMPLITUDE = 101, 2e-4  # of the gear: its error repeats so often a turn, with so many radians

@@ -1,7 +1,8 @@
 """How does it open? The joint of a door from a track of its handle: what kind, about which axis, how sure."""
 
-import modcal
 import numpy as np
+
+import modcal
 
 rng = np.random.default_rng(4)
 HINGE, RADIUS = np.array([0.6, 1.2, 0.0]), 0.72  # m

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-import modcal
 import numpy as np
+
+import modcal
 
 URDF = Path(__file__).resolve().parent / "robots" / "ur10.urdf"
 

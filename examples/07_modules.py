@@ -1,8 +1,9 @@
 """An arm bolted together from modules: its kinematics from the list of modules, then calibrated as any other arm."""
 
-import modcal
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+import modcal
 
 rng = np.random.default_rng(7)
 # (size, turn) of the base, then of each joint and link: joint, turn of the link on it, link, size, turn of what follows

@@ -1,8 +1,9 @@
 """A Delta robot whose arms are not as long as they were drawn: measured points in, its constants out."""
 
-import modcal
 import numpy as np
 from scipy.optimize import fsolve
+
+import modcal
 
 rng = np.random.default_rng(8)
 DRAWN = {"offset": 0.12, "proximal": 0.20, "distal": 0.46}  # m

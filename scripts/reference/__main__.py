@@ -10,17 +10,22 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import api
 import graph
 import settings
 import verbs
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES: dict[str, Callable[[], str]] = {"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page}
+PAGES: dict[str, Callable[[], str]] = {
+    **{"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page},
+    **api.pages(),
+}
 HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
 SOURCES = {
     "cli.md": "modcal_nodes/cli",
     "parameters.md": "modcal_nodes/ros/parameters.py",
     "topics.md": "the running nodes",
+    **dict.fromkeys(api.pages(), "the docstrings of `modcal_core` and `modcal_msgs_py`"),
 }
 
 
@@ -36,7 +41,7 @@ def main() -> int:
         if not file.is_file() or file.read_text(encoding="utf-8") != text:
             stale.append(name)
             if not chosen.check:
-                chosen.folder.mkdir(parents=True, exist_ok=True)
+                file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_text(text, encoding="utf-8")
     if stale and chosen.check:
         print(f"out of date: {', '.join(stale)}: run make reference", file=sys.stderr)

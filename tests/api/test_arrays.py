@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import modcal
 import numpy as np
 import pytest
 
+import modcal
 from modcal_core.errors import BadRecording, ModcalError
 
 N = 20

@@ -12,11 +12,11 @@ import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
-import modcal
 import numpy as np
 import pytest
 from cells import record, ur10
 
+import modcal
 import modcal_core
 from modcal_core.errors import BadRecording, BadRobot, BadTable, MissingDriver, NotEnoughData
 from modcal_core.geometry.read_only import arrays_in

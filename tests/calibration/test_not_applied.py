@@ -147,8 +147,8 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect) -> None:
 def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     """A drift over the rows of one table, and a second table of the same cell at another time of day."""
     made = record(7, 160, noise_m=1e-5, noise_rad=1e-5)
-    drifting = replace(made.samples, clock=False)
-    drifting.position[:] += np.linspace(0.0, 5e-4, 160)[:, None]
+    drifted = made.samples.position + np.linspace(0.0, 5e-4, 160)[:, None]
+    drifting = replace(made.samples, clock=False, position=drifted)
     calibration = calibrate(drifting, CHAIN, np.random.default_rng(0)).calibration
     assert any(e.driver == "time" for e in calibration.calibrated.effects)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))

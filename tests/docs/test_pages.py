@@ -33,7 +33,7 @@ DOCS = ROOT / "docs"
 PAGES = [DOCS / "tutorial.md", *sorted((DOCS / "howto").glob("*.md"))]
 FORKED = Path(__file__).with_name("forked.py")
 BALL = [0.0, 0.0, 0.05]  # m, seen from the hand
-RUNS, MUST_EXIST, SHOWN = "bash", "console", ("yaml",)
+RUNS, MUST_EXIST, SHOWN = "bash", "console", ("yaml", "python")
 NODES = ROOT / "ros2_ws" / "src" / "modcal_nodes"
 
 

@@ -25,7 +25,7 @@ class SummaryLine:
 
 
 @dataclass(frozen=True)
-class SummaryGrid:
+class SummaryTable:
     """A table. words: how many columns, from the left, hold words; the others hold numbers."""
 
     header: tuple[str, ...]
@@ -33,19 +33,19 @@ class SummaryGrid:
     words: int = 1
 
 
-def summary(report: Report) -> tuple[SummaryGrid | SummaryLine, ...]:
+def summary(report: Report) -> tuple[SummaryTable | SummaryLine, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
 
-def text(blocks: Sequence[SummaryGrid | SummaryLine]) -> str:
+def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
     """The same as plain text, a line for each row and sentence."""
     return "\n".join(
         line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
     )
 
 
-def _blocks(report: Report) -> Iterator[SummaryGrid | SummaryLine]:
+def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -53,7 +53,7 @@ def _blocks(report: Report) -> Iterator[SummaryGrid | SummaryLine]:
             numbers = [f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max)]
             rows.append((stage, *numbers, "" if angle is None else f"{angle.rms:.4f}"))
     names = ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg")
-    yield SummaryGrid((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
+    yield SummaryTable((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
     seen = report.identifiability
     if seen is not None:
         yield SummaryLine(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
@@ -73,7 +73,7 @@ def _blocks(report: Report) -> Iterator[SummaryGrid | SummaryLine]:
         yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
 
 
-def _account(one: Account) -> SummaryGrid:
+def _account(one: Account) -> SummaryTable:
     """Where the squared error of the nominal model went."""
     rows = []
     for line in one.lines:
@@ -81,18 +81,18 @@ def _account(one: Account) -> SummaryGrid:
         numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
         rows.append((line.words, *numbers))
     rows.append(("nominal model", f"{one.total:.4g}", "", ""))
-    return SummaryGrid(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
+    return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 
 
-def _effects(report: Report) -> SummaryGrid:
+def _effects(report: Report) -> SummaryTable:
     rows = tuple(
         (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
         for f in report.effects
     )
-    return SummaryGrid(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
+    return SummaryTable(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
 
 
-def _laid_out(grid: SummaryGrid) -> list[str]:
+def _laid_out(grid: SummaryTable) -> list[str]:
     wide = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
     return [
         "  ".join(

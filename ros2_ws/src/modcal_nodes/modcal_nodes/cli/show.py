@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.report.report import Report
-from modcal_core.report.summary import TONES, SummaryGrid, SummaryLine, Tone, summary
+from modcal_core.report.summary import TONES, SummaryTable, SummaryLine, Tone, summary
 from modcal_core.verdict.verdict import Status
 
 STYLES: dict[Tone, str] = {
@@ -29,7 +29,7 @@ def show_report(report: Report, console: Console) -> None:
             console.print(_table(block))
 
 
-def _table(grid: SummaryGrid) -> Table:
+def _table(grid: SummaryTable) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for i, name in enumerate(grid.header):
         words = i < grid.words
