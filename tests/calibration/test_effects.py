@@ -149,7 +149,10 @@ def moved(bare: Model, samples: Samples, effects: tuple[Effect, ...]) -> Array:
     return bare.with_effects(effects).predict_samples(samples)[:, :3, 3] - bare.predict_samples(samples)[:, :3, 3]
 
 
-def test_normal_equations_are_those_of_the_whole_jacobian() -> None:
+@pytest.mark.parametrize("block", [2000, 30])
+def test_normal_equations_are_those_of_the_whole_jacobian(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many samples are taken at once."""
+    monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
     samples = recorded(100)
     model = cell(samples, tuple(started(name) for name in ("gear", "curve", "bearing", "bump", "latency", "sensor")))
     parameters = choose_parameters(model, views_of(samples)).parameters

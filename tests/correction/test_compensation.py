@@ -221,6 +221,17 @@ def test_what_cannot_be_is_refused(rng: np.random.Generator) -> None:
         Correction(calibration_of(true_model(effort))).require(at)
 
 
+@pytest.mark.parametrize("tolerances", [(1.0, 1e-18), (1e-18, 1.0)], ids=["rotation", "position"])
+def test_both_tolerances_must_be_met(tolerances: tuple[float, float]) -> None:
+    """No command is as near as the one that is asked for here, in rotation or in position."""
+    correction = Correction(calibration_of(true_model(started("gear"))))
+    at = Conditions.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
+    desired = correction.pose(at.q + 0.05, at.arriving(at.q + 0.05), "tip", "")
+    compensate(correction, desired, at.q, at)
+    with pytest.raises(NotReachable, match="misses it by"):
+        compensate(correction, desired, at.q, at, tolerance_m=tolerances[0], tolerance_rad=tolerances[1])
+
+
 def test_one_temperature_is_enough(rng: np.random.Generator) -> None:
     """A value that was heard once holds, whatever the lag."""
     correction = Correction(calibration_of(true_model(started("late sensor"))))

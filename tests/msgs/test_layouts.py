@@ -166,6 +166,20 @@ def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator)
         MessageLayout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
 
 
+@pytest.mark.parametrize("frame", ["", "a", "four", "longer"])
+def test_nothing_is_left_free_before_an_empty_sequence(frame: str) -> None:
+    """Numbers begin at a multiple of their size, but where there are none the next count follows at once."""
+    kind = "sensor_msgs/msg/JointState"
+    message = filled(kind, np.random.default_rng(0), 2, frame)
+    message.velocity = np.empty(0)
+    said = bytes(jazzy().serialize_cdr(message, kind))
+    layout = Layout.of(fields.KNOWN[kind], said)
+    assert layout is not None
+    rows = layout.rows(np.frombuffer(bytes(8) + said + bytes(layout.width), np.uint8), np.array([8]))
+    assert layout.fits(rows).all()
+    assert layout.numbers(rows, "effort").tolist() == [message.effort.tolist()]
+
+
 def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Generator) -> None:
     kind = TYPES["/joint_states"]
     path = tmp_path / "bad.mcap"

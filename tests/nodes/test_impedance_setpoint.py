@@ -21,7 +21,7 @@ from modcal_msgs_py.stamps import seconds
 pytestmark = pytest.mark.dds
 # towards −x of the base, seen from the Panda's hand that points down
 BACK = "[-1.0, 0.0, 0.0]"
-GOAL = 0.3  # rad
+GOAL = 0.2  # rad
 
 
 @dataclass

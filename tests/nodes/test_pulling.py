@@ -24,8 +24,8 @@ pytestmark = pytest.mark.dds
 
 def opened(folder: Path, seed: int, **chosen: Any) -> Opening:
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
-    # half of the way that bench/pulling.py goes: by then the model is known and followed at full speed
-    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=0.5)
+    # a third of the way that bench/pulling.py goes: by then the model is known and followed at full speed
+    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=0.35)
     print(f"{scene.kind}, {scene.grasp}, radius {scene.radius:.2f} m, {opening.seconds:.1f} s: {opening.pull}")
     return opening
 

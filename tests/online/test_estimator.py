@@ -156,6 +156,22 @@ def test_what_wanders_is_followed(place: str) -> None:
     assert missed[0] > 2e-4
 
 
+def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
+    """After 25 s without a reading that says anything, the tool may be elsewhere by five times its way of one second."""
+    cell = record(6, 60)
+    fit = batch(cell.samples, cell.world.nominal)
+    wander = Wander(("tool",), 3e-4, 1e-7)
+    estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander)
+    row = cell.samples.select(np.array([0]))
+    estimator.update(row)
+    before = estimator.covariance
+    blind = np.full(1, 1e6)
+    estimator.update(replace(row, stamps=row.stamps + 25.0, sigma_position=blind, sigma_rotation=blind))
+    J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), row).J[:, :3]
+    grown = J.T @ (estimator.covariance - before) @ J
+    assert np.abs(grown / (5.0 * wander.metres) ** 2 - np.eye(3)).max() < 0.02
+
+
 def test_an_outlier_is_counted_and_has_no_say() -> None:
     cell = record(7, 200)
     fit = batch(cell.samples, cell.world.nominal)

@@ -64,6 +64,23 @@ def sagging(q: Array, mass: float, compliance: Array) -> Array:
     return out
 
 
+def test_positions_and_orientations_are_weighed_by_their_own_scatter(rng: Generator) -> None:
+    """In rad orientations scatter here 40 times as much as positions in m: whitened, both come out as one."""
+    cell = record(3, 80, noise_rad=40.0 * NOISE_M)
+    model = fit_cell(cell.world.nominal, cell.samples, Cell()).model
+    fit = identify(model, cell.samples, choose_parameters(model, views_of(cell.samples)).parameters)
+    q = rng.uniform(-2.0, 2.0, (60, 6))
+    T = cell.world.tool_in_tracker(q)
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(40.0 * NOISE_M * rng.standard_normal((60, 3)))
+    T[:, :3, 3] += NOISE_M * rng.standard_normal((60, 3))
+    watch = watch_of(fit)
+    for row in rows(samples_of(cell.world.nominal, q, T)):
+        watch.add(row)
+    squares = np.mean(np.array([seen.residual for seen in watch.seen]) ** 2, axis=0)
+    assert 0.7 < squares[:3].mean() < 1.4
+    assert 0.7 < squares[3:].mean() < 1.4
+
+
 CHANGES = ["tool", "base", "joint", "link", "payload"]
 
 
