@@ -47,12 +47,12 @@ def test_a_recording_shorter_than_the_lags_looked_for(seconds: float) -> None:
     assert found is None or abs(found.offset) < 0.02
 
 
-def test_a_clock_that_is_set_while_recording(rng: np.random.Generator) -> None:
-    recording = streams(60)
+def test_a_clock_that_is_set_while_recording() -> None:
+    recording = streams(80)
     track, reading = recording.joints[0], recording.readings[0]
     chain = ur10()
     q = track.position[:, [track.names.index(name) for name in chain.names]]
     middle = float(np.median(reading.stamps))
     jumped = reading.stamps + np.where(reading.stamps < middle, 1.4, 0.0)
-    with pytest.raises(BadRecording, match=r"jumps by -1\.40 s"):
+    with pytest.raises(BadRecording, match=r"jumps by -1\.(39|40|41) s"):
         clock_offset(replace(reading, stamps=jumped), track.stamps, q, lambda p: forward(chain, p)[:, :3, 3])
