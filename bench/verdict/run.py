@@ -31,6 +31,7 @@ from typing import Any  # noqa: E402
 import conventions  # noqa: E402, F401 (registers its kinds)
 import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
+import fresh_fourth  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401

@@ -105,7 +105,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "robot description is no URDF": (lambda: replace(stations(), robot_description="<sdf/>"), [], "is <sdf>, not <robot>"),
     "another robot's URDF": (
         lambda: replace(stations(), robot_description=URDF.read_text().replace('"-0.612 0 0"', '"-0.4 0 0"')), [],
-        "check that the URDF",
+        "the origin of joint elbow_joint in the URDF looks wrong",
     ),
     "5 stations for 42 parameters": (lambda: few(stations()), [], "5 stations for 30 parameters: the 50% of them that fit give 15"),
     "--fix names nothing": (stations, ["--fix", "elbow"], "fixed parameter 'elbow': names no parameter"),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cells import ur10
 from cli.recordings import streams, with_joints, with_reading
 
+from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import clock_offset
 from modcal_core.robots.kinematics import forward
 
@@ -42,3 +45,14 @@ def test_a_recording_shorter_than_the_lags_looked_for(seconds: float) -> None:
     q = track.position[j][:, order]
     found = clock_offset(reading.rows(r), track.stamps[j], q, lambda p: forward(chain, p)[:, :3, 3])
     assert found is None or abs(found.offset) < 0.02
+
+
+def test_a_clock_that_is_set_while_recording() -> None:
+    recording = streams(80)
+    track, reading = recording.joints[0], recording.readings[0]
+    chain = ur10()
+    q = track.position[:, [track.names.index(name) for name in chain.names]]
+    middle = float(np.median(reading.stamps))
+    jumped = reading.stamps + np.where(reading.stamps < middle, 1.4, 0.0)
+    with pytest.raises(BadRecording, match=r"jumps by -1\.(39|40|41) s"):
+        clock_offset(replace(reading, stamps=jumped), track.stamps, q, lambda p: forward(chain, p)[:, :3, 3])

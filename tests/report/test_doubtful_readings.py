@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,11 @@ from modcal_core.calibration.score import Errors
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
-from modcal_core.verdict.readings import coarse
+from modcal_core.verdict.readings import coarse, cut_off
 
 CHAIN = ur10()
 
@@ -117,3 +119,36 @@ def test_readings_in_a_plane() -> None:
     made = record(7, 60)
     with pytest.raises(BadRecording, match="coordinate z of the readings"):
         said(replace(made.samples, position=made.samples.position * [1.0, 1.0, 0.0]))
+
+
+def test_a_coordinate_that_is_cut_off() -> None:
+    """As a depth camera writes its greatest distance for all that is farther; noise alone repeats nothing."""
+    samples = record(5, 80).samples
+    assert cut_off(samples) == ()
+    position = samples.position.copy()
+    position[:, 2] = np.minimum(position[:, 2], np.quantile(position[:, 2], 0.8))
+    (sentence,) = cut_off(replace(samples, position=position))
+    assert "coordinate z of the readings is exactly" in sentence
+    assert "at 16 of 80 stations, its largest value" in sentence
+    position = samples.position.copy()
+    position[::10] = 0.0
+    (sentence,) = cut_off(replace(samples, position=position))
+    assert "positions are exactly (0, 0, 0) m at 8 of 80 stations" in sentence
+    assert cut_off(replace(samples, position=np.round(samples.position, 2))) == ()  # rounded columns repeat themselves
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (lambda x: x.astype(np.float16).astype(float), "11 binary digits"),
+        (lambda x: np.round(x / 0.000254) * 0.000254, "rounded to 0.254 mm"),
+    ],
+)
+def test_digits_that_are_no_decimals(write: Callable[[Array], Array], said: str) -> None:
+    samples = record(6, 60).samples
+    written = replace(samples, position=write(samples.position))
+    missed = written.position - samples.position
+    left = Errors(missed, np.zeros((60, 3)))
+    (sentence,) = coarse(left, written)
+    assert said in sentence
+    assert coarse(Errors(20.0 * missed, np.zeros((60, 3))), written) == ()

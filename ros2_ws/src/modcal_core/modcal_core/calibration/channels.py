@@ -252,6 +252,8 @@ class _Channels:
         Y, n = self.turned[0], self.chain.n
         h = self.samples.position - self.A[:, :3, 3] @ Y.T
         known = [np.broadcast_to(np.eye(3), self.before[0].shape), Y @ self.A[:, :3, :3]]
+        if self._placed(known, h)[0] < self.limit:
+            return None
         found: list[tuple[float, int, Array]] = []
         for j in range(1, n):
             miss, solution = self._placed([*known, Y @ self.before[j]], h)

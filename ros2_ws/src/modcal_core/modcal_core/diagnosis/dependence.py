@@ -36,6 +36,7 @@ _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
 _MOST_SIGNALS = 20
 _SMALL = 1e-9
+_HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be worth naming beside that
 _ALONG = 0.6  # share of the squares along one joint's motion beyond chance, from which that joint is named
 
 
@@ -103,7 +104,10 @@ def dependence(
         if X.shape[1]:
             share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
             found.append((share, X.shape[1], pair.place, pair.driver))
-    return _named(found, least) or _by_motion(model, view, residual, weight[:, rows], rows)
+    named, moved = _named(found, least), _by_motion(model, view, residual, weight[:, rows], rows)
+    if named is None or (moved is not None and named.share < _HALF * moved.share):
+        return moved
+    return named
 
 
 def _by_motion(model: Model, view: RowView, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:

@@ -167,7 +167,7 @@ def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
 
     The lags of pieces stand on two levels, one after the other, and each piece fits its own level much better.
     """
-    count = min(len(seen) * STEP / 30.0, 20.0)
+    count = min(len(seen) * STEP / 20.0, 20.0)
     if count < 4:
         return None
     pieces = np.array_split(np.arange(len(seen)), int(count))

@@ -106,7 +106,7 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     if free.sum() < _LEAST or not is_direct(samples.kinds):
         return ()
     position = samples.position[free]
-    step = _step(position) or min(_lattice(column) for column in position.T)
+    step = max(_step(position), min(_lattice(column) for column in position.T))
     made, of = step / 2.0, _rms(left.position_norm[free])
     how = f"{1e3 * step:.3g} mm"
     if bits := _bits(position):

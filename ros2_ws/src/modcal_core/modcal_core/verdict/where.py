@@ -30,7 +30,8 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
-    share = judged.predictable_both.share if judged.predictable_both is not None else 1.0
+    seen = any(reason.kind == "predictable" for reason in judged.reasons)
+    share = judged.predictable_both.share if seen and judged.predictable_both is not None else 1.0
     least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
     found = dependence(case.model, samples, weights(case.spread, samples), fitted, least)
     named = " ".join(judged.open_because)
