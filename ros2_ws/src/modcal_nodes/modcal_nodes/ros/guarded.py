@@ -166,7 +166,7 @@ class GuardedNode(Node):
         return super().create_subscription(msg_type, topic, guarded, qos_profile, *args, **options)
 
     def guarded_once_more(self, topic: str, callback: Any) -> Callable[..., Any]:
-        """A guarded callback of a latched topic: after a fault the message, which nobody repeats, is tried again once."""
+        """A guarded callback of a latched topic: after a fault the message, which nobody repeats, is tried again."""
         if _is_guarded(callback):
             return callback
         plain = self.guarded(topic, callback)
