@@ -214,7 +214,8 @@ def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind:
     assert f"{count} messages on /joint_states were left out: they are no {kind}." in recording.warnings
 
 
-@pytest.mark.parametrize("stated", ["[]", "3", "[3]", "['']", "{a: b}", "null", "['../../etc/passwd']", "[no.mcap]"])
+@pytest.mark.parametrize("stated", ["[]", "3", "[3]", "['']", "{a: b}", "null", "['../../etc/passwd']", "[no.mcap]",
+                                    pytest.param(f"[{'a' * 3000}]", id="too long"), pytest.param("['\\ud800']", id="half")])  # fmt: skip
 def test_a_folder_that_names_no_files(tmp_path: Path, stated: str) -> None:
     (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{relative_file_paths: {stated}}}")
     for act in (read_bag, lambda path: repair_bag(path, tmp_path / "new")):

@@ -15,6 +15,7 @@ from modcal_core.errors import BadRecording
 
 SUFFIXES = tuple(f"{kind}{packed}" for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
 
+_MAX_NAME = 240  # bytes; file systems take 255, suffix included
 _MAX_METADATA = 1 << 22  # bytes
 
 
@@ -60,6 +61,8 @@ def listed_files(folder: Path) -> list[Path]:
     stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
     if not isinstance(stated, list) or not stated or not all(isinstance(name, str) and name for name in stated):
         raise ValueError("relative_file_paths is no list of names")
+    if any(len(Path(name).name.encode()) > _MAX_NAME for name in stated):
+        raise ValueError("a name in relative_file_paths is too long for a file")
     out = []
     for name in (folder / Path(name).name for name in stated):
         packed = [name.with_name(f"{name.name}{end}") for end in (".zstd", ".zst")]

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.guarded import GuardedNode, is_latched
 from modcal_nodes.ros.health import ERROR, OK, WARN, Status
 from modcal_nodes.ros.pending import waiting
 
@@ -41,7 +41,8 @@ class MonitoredSubscription:
     ) -> None:
         """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault."""
         # each message of a burst is guarded by itself
-        self._node, self._callback = node, node.guarded(topic, callback)
+        guard = node.guarded_once_more if is_latched(qos) else node.guarded
+        self._node, self._callback = node, guard(topic, callback)
         self.needed, self.patience, self._single = needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
