@@ -173,7 +173,7 @@ def test_nothing_is_left_free_before_an_empty_sequence(frame: str) -> None:
     message = filled(kind, np.random.default_rng(0), 2, frame)
     message.velocity = np.empty(0)
     said = bytes(jazzy().serialize_cdr(message, kind))
-    layout = Layout.of(fields.KNOWN[kind], said)
+    layout = MessageLayout.of(fields.KNOWN[kind], said)
     assert layout is not None
     rows = layout.rows(np.frombuffer(bytes(8) + said + bytes(layout.width), np.uint8), np.array([8]))
     assert layout.fits(rows).all()

@@ -160,7 +160,7 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
     """After 25 s without a reading that says anything, the tool may be elsewhere by five times its way of one second."""
     cell = record(6, 60)
     fit = batch(cell.samples, cell.world.nominal)
-    wander = Wander(("tool",), 3e-4, 1e-7)
+    wander = RandomWalk(("tool",), 3e-4, 1e-7)
     estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander)
     row = cell.samples.select(np.array([0]))
     estimator.update(row)

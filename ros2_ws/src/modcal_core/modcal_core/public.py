@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from modcal_core.robot import Robot
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.verdict.readings import COMPUTED
-from modcal_core.verdict.tolerance import STATISTICS, Asked, Statistic
+from modcal_core.verdict.tolerance import STATISTICS, Asked
 
 
 def quiet(stage: str) -> None:
@@ -150,7 +149,7 @@ def tolerance_asked(mm: float | None, of: str) -> Asked | None:
         return None
     if of not in STATISTICS:
         raise BadTable(f"tolerance of {of}", "is no statistic of the error", f"ask for {', '.join(STATISTICS)}")
-    return Asked(mm, cast(Statistic, of))
+    return Asked(mm, of)
 
 
 def _met(samples: Samples, mechanism: Mechanism) -> Samples:

@@ -51,7 +51,7 @@ def samples_from_arrays(
     if names is not None and (len(names) != n or len(set(names)) != n):
         raise BadRecording("names", f"{len(set(names))} names for {n} columns of q", "give each column a name")
     columns = tuple(f"column_{j}" for j in range(n)) if names is None else tuple(names)
-    t = APART * np.arange(N) if stamps is None else _numbers("stamps", stamps, 1, N)
+    t: Array = APART * np.arange(N, dtype=float) if stamps is None else _numbers("stamps", stamps, 1, N)
     if not (np.diff(t) > 0.0).all():
         row = int(np.argmax(np.diff(t) <= 0.0)) + 1
         raise BadRecording("stamps", f"do not increase at row {row}", "give rows in the order of time")

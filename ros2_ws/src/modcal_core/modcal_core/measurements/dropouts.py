@@ -98,8 +98,14 @@ def _joints(
             notes.append(_sentence(track.topic, those, track.stamps, what + of))
     keep = ~(rows | other | far)
     if not keep.all():
-        columns = ("stamps", "position", "velocity", "effort", "received")
-        track = replace(track, **{name: getattr(track, name)[keep] for name in columns})
+        track = replace(
+            track,
+            stamps=track.stamps[keep],
+            position=track.position[keep],
+            velocity=track.velocity[keep],
+            effort=track.effort[keep],
+            received=track.received[keep],
+        )
     return _with_rates(track, mine, notes)
 
 
@@ -142,7 +148,7 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
                 f"messages, first at {at:.3f} s: {done}."
             )
         changed[what] = values
-    return replace(track, **changed) if changed else track
+    return replace(track, velocity=changed.get("velocity", track.velocity), effort=changed.get("effort", track.effort))
 
 
 def _readings(track: ReadingTrack, reach: float, notes: list[str], lost: dict[str, int]) -> ReadingTrack:

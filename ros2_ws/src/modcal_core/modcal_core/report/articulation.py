@@ -82,10 +82,10 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
 
 def _joint_data(fit: JointFit) -> dict[str, Any]:
     """Where a joint lies and what its shape is, and how well that is known."""
-    data = fit.model.data(fit.configurations, fit.std)
+    data: dict[str, Any] = {**fit.model.data(fit.configurations, fit.std)}
     own = data.get("parameters", {})  # state their own
     std = {name: np.sqrt(np.diag(C)).tolist() for name, C in fit.covariance.items() if name not in (*own, "centre")}
-    more = {name: data.pop(name) for name in ("object", "parameters") if name in data}
+    more: dict[str, Any] = {name: data.pop(name) for name in ("object", "parameters") if name in data}
     return {**data, "std": std, **more}
 
 

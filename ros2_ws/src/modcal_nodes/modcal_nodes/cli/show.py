@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.report.report import Report
-from modcal_core.report.summary import TONES, SummaryTable, SummaryLine, Tone, summary
+from modcal_core.report.summary import TONES, SummaryLine, SummaryTable, Tone, summary
 from modcal_core.verdict.verdict import Status
 
 STYLES: dict[Tone, str] = {
