@@ -71,7 +71,7 @@ def main() -> None:
     from modcal_core.evaluation import evaluate
     from modcal_core.loop import calibrate
     from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
-    from modcal_core.prepare import prepare
+    from modcal_core.preprocess import prepare
     from modcal_nodes.cli.robot import read_robot
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from modcal_core.loop import calibrate
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_bag

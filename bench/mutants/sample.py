@@ -135,9 +135,9 @@ DIAGNOSIS = _all(
     ("evidence._score_table", "size of a candidate forgotten", "ratio = grid / m /", "ratio = grid /"),
     ("choice.choose", "no ties: rivals are not named", "(score >= score[top] - tie)", "(score >= score[top])"),
     ("payload.is_weight", "weights below nothing", "0.0 < float(amplitudes[1]", "-1e9 < float(amplitudes[1]"),
-    ("loop._Search.add", "effects stay that predict nothing",
+    ("search._Search.add", "effects stay that predict nothing",
      "better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed if better and", "better = True\n        if better and"),
-    ("loop.diagnose", "noise is explained as well", "if evidence.p_value > SIGNIFICANT:", "if evidence.p_value > 1.0:"),
+    ("search.diagnose", "noise is explained as well", "if evidence.p_value > SIGNIFICANT:", "if evidence.p_value > 1.0:"),
     ("outliers.isolated_outliers", "crowds are thrown out too", "return far & alone", "return far"),
 )
 

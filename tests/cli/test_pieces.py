@@ -12,7 +12,7 @@ from cli.recordings import START, streams
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Recording, SignalTrack
-from modcal_core.prepare import Prepared, prepare, prepare_pieces
+from modcal_core.preprocess import Prepared, prepare, prepare_pieces
 from modcal_msgs_py import mcap_read
 from modcal_msgs_py.mcap_read import read_bag, read_pieces
 from modcal_msgs_py.recording_write import write_recording

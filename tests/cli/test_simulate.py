@@ -10,7 +10,7 @@ import pytest
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias

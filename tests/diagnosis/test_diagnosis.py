@@ -21,7 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.findings import Finding
 from modcal_core.report.report import Report

@@ -15,7 +15,7 @@ NAMES = {model.name for model in registry.BUILT_IN}
 # Where joints of objects are met; robots' own joints bear the same words as URDF has them.
 READ = [
     *(CORE / "articulation").glob("*.py"),
-    *(CORE / "compliance").glob("*.py"),
+    *(CORE / "impedance").glob("*.py"),
     CORE / "articulation" / "models" / "registry.py",
     CORE / "report" / "articulation.py",
     SRC / "modcal_msgs_py" / "modcal_msgs_py" / "objects.py",

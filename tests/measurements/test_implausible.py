@@ -15,7 +15,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dropouts import BEYOND, ELSEWHEN, IMPLAUSIBLE, cleaned, elsewhen
 from modcal_core.measurements.recording import Recording, SignalTrack
-from modcal_core.prepare import Prepared, prepare
+from modcal_core.preprocess import Prepared, prepare
 
 AT = 17  # the message that is spoiled
 Spoil = Callable[[Recording], Recording]

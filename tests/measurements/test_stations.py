@@ -15,7 +15,7 @@ from modcal_core.measurements.dwells import deviation_of_mean, running_max
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.stations import cut_stations
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_core.robots.kinematics import forward
 
 NAMES = ur10().names

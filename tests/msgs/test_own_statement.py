@@ -13,7 +13,7 @@ from modcal_core.calibration.own_statement import own_statement, together_stated
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_msgs_py.readings import deviations
 
 NAMES = ur10().names

@@ -9,10 +9,10 @@ import numpy as np
 from nodes.plain_pulls import Pull
 
 from modcal_core.articulation.online import Tracker
-from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.safety_monitor import ArmSetpoint
-from modcal_core.compliance.task import JointPositions, Stop
-from modcal_core.compliance.wrench import Load
+from modcal_core.impedance.operation import Operation
+from modcal_core.impedance.safety_monitor import ArmSetpoint
+from modcal_core.impedance.task import JointPositions, Stop
+from modcal_core.impedance.wrench import Load
 from modcal_core.robots.kinematics import forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm import SensedArm, limits, task

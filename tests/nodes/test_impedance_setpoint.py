@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compliance.toy import PANDA, READY, Toy, door
 from diagnostic_msgs.msg import DiagnosticStatus
+from impedance.toy import PANDA, READY, Toy, door
 from lifecycle_msgs.msg import Transition
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.pulled_arm import PulledArm, Witness, fuzz, reached

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compliance.toy import PANDA, Toy, door
+from impedance.toy import PANDA, Toy, door
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import GetState
 from nodes.processes import Process, fresh_domain, listener, running

@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ASKED, LEARNING, SUSPECTED, TRUSTED, Policy, Supervisor
-from modcal_core.resolve import Remembered, compared, thinned
+from modcal_core.recalibrate import Remembered, compared, thinned
 
 BUMP = se3.exp(np.array([6e-4, 0.0, -3e-4, 0.0, 0.0, 0.0]))
 

@@ -32,7 +32,7 @@ from modcal_core.calibration.split import SHARES, split
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
 from modcal_core.diagnosis.locate import located
-from modcal_core.diagnosis.loop import Diagnosis, causes_of_moves, diagnose
+from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import findings

@@ -11,7 +11,7 @@ from modcal_core.errors import BadRobot
 from modcal_core.measurements.origin import Origin
 from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
-from modcal_core.prepare import prepare_pieces
+from modcal_core.preprocess import prepare_pieces
 from modcal_core.robot import Robot
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_pieces

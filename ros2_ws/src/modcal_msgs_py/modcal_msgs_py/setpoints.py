@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.safety_monitor import ArmSetpoint
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_msgs_py.stamps import seconds, set_seconds
 
 _LONGEST_URDF = 100_000  # characters of a description with one joint

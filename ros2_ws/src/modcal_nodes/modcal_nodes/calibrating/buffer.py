@@ -10,7 +10,7 @@ from modcal_core.measurements.dropouts import DAY, ELSEWHEN
 from modcal_core.measurements.dropped import UNUSABLE, Dropped, together
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.resolve import Remembered
+from modcal_core.recalibrate import Remembered
 from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES

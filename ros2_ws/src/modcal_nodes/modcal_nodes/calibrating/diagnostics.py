@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.online.stream import SampleStream
 from modcal_core.online.supervisor import SUSPECTED, Supervisor
-from modcal_core.resolve import Comparison
+from modcal_core.recalibrate import Comparison
 from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.ros.health import ERROR, OK, WARN, Status
 

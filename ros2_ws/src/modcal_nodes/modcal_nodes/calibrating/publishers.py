@@ -11,7 +11,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, 
 
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import Estimator
-from modcal_core.resolve import Comparison
+from modcal_core.recalibrate import Comparison
 from modcal_nodes.ros.running import LATCHED
 
 _OF_THE_MODEL = {

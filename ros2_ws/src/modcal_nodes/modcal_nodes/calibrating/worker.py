@@ -16,8 +16,8 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
+from modcal_core.recalibrate import Comparison, Job, Remembered, resolve
 from modcal_core.report.files import calibration_files
-from modcal_core.resolve import Comparison, Job, Remembered, resolve
 from modcal_core.robots.chain import Chain
 from modcal_nodes.calibrating.standing import Standing, standing_of
 from modcal_nodes.ros.child_process import settle_in

@@ -23,7 +23,7 @@ from modcal_core.modules.picture import picture
 from modcal_core.modules.poe import chain_of, module_frames
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.urdf import urdf_of
-from modcal_core.prepare import prepare
+from modcal_core.preprocess import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.calibrate import EXISTING

@@ -15,10 +15,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
 from modcal_core.articulation.urdf import describe
-from modcal_core.compliance.wrench import Load
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.wrench import Load
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain

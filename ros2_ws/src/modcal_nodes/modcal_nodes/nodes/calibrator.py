@@ -24,7 +24,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import RandomWalk
 from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
-from modcal_core.resolve import Job
+from modcal_core.recalibrate import Job
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_msgs_py.stamps import seconds

@@ -22,10 +22,10 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.articulation.urdf import read
-from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.safety_monitor import ArmSetpoint
-from modcal_core.compliance.task import JointPositions, Stop, Wait
 from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.impedance.operation import Operation
+from modcal_core.impedance.safety_monitor import ArmSetpoint
+from modcal_core.impedance.task import JointPositions, Stop, Wait
 from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_msgs_py.commands import JointsHeard, desired_pose
 from modcal_msgs_py.setpoints import ObjectHeard, fill_point, fill_target, fill_wrench, wrench_numbers

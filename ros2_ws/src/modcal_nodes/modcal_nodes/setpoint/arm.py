@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.compliance.safety_monitor import Limits
-from modcal_core.compliance.speed_governor import Patience
-from modcal_core.compliance.task import ImpedanceTask
-from modcal_core.compliance.wrench import Load, WrenchSensor
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.safety_monitor import Limits
+from modcal_core.impedance.speed_governor import Patience
+from modcal_core.impedance.task import ImpedanceTask
+from modcal_core.impedance.wrench import Load, WrenchSensor
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compliance.toy import PERIOD, T_READY, door, drawer
+from impedance.toy import PERIOD, T_READY, door, drawer
 
 from modcal_core.articulation.models.registry import joint
-from modcal_core.compliance.path_model import PathModel, Pull
 from modcal_core.geometry import se3
+from modcal_core.impedance.path_model import PathModel, Pull
 
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
 

@@ -19,7 +19,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.dropped import Dropped, together
 from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
-from modcal_core.prepare import prepare_pieces
+from modcal_core.preprocess import prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
 from modcal_core.robots.chain import Chain

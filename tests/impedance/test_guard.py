@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from compliance.toy import PANDA, PERIOD, READY, T_READY, limits
+from impedance.toy import PANDA, PERIOD, READY, T_READY, limits
 
-from modcal_core.compliance.safety_monitor import ArmSetpoint, Late, SafetyMonitor, SensorReadings
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.safety_monitor import ArmSetpoint, Late, SafetyMonitor, SensorReadings
 from modcal_core.robots.kinematics import body_jacobian, forward
 
 LIMITS = limits(speed=0.25, acceleration=2.5)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cells import ur10
-from compliance.toy import PANDA, READY, T_READY, limits
+from impedance.toy import PANDA, READY, T_READY, limits
 
-from modcal_core.compliance.path_check import reach
-from modcal_core.compliance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
-from modcal_core.compliance.wrench import Load
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.path_check import reach
+from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
+from modcal_core.impedance.wrench import Load
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian, forward
 

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from modcal_core.compliance.safety_monitor import Limits
 from modcal_core.geometry.single import rotation_vector
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.safety_monitor import Limits
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import pose_and_jacobian
 

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.compliance.wrench import LowPass
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.wrench import LowPass
 
 _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 

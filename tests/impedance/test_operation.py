@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compliance.toy import PANDA, PERIOD, READY, T_READY, Belief, Pulled, Toy, door, drawer, limits, pull
+from impedance.toy import PANDA, PERIOD, READY, T_READY, Belief, Pulled, Toy, door, drawer, limits, pull
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.safety_monitor import ArmSetpoint
-from modcal_core.compliance.speed_governor import Patience, SpeedGovernor
-from modcal_core.compliance.task import ImpedanceTask, JointPositions, Stop, Wait
-from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.operation import Operation
+from modcal_core.impedance.safety_monitor import ArmSetpoint
+from modcal_core.impedance.speed_governor import Patience, SpeedGovernor
+from modcal_core.impedance.task import ImpedanceTask, JointPositions, Stop, Wait
+from modcal_core.impedance.wrench import WrenchSensor
 from modcal_core.robots.kinematics import forward
 
 pytestmark = pytest.mark.slow

@@ -13,12 +13,12 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.registry import joint
-from modcal_core.compliance.operation import Operation
-from modcal_core.compliance.safety_monitor import ArmSetpoint, Limits
-from modcal_core.compliance.task import JointPositions, Stop
-from modcal_core.compliance.wrench import WrenchSensor
 from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.operation import Operation
+from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits
+from modcal_core.impedance.task import JointPositions, Stop
+from modcal_core.impedance.wrench import WrenchSensor
 from modcal_core.robots.kinematics import forward, joint_motions, posture_frames
 from modcal_core.robots.urdf import read_chain
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from modcal_core.compliance.speed_governor import ForcePrediction, Patience, SpeedGovernor
+from modcal_core.impedance.speed_governor import ForcePrediction, Patience, SpeedGovernor
 
 _STEP = 1e-5  # s
 _BRAKE = 2.0  # m/s²

@@ -9,11 +9,11 @@ from typing import Literal, Protocol
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.impedance import Gains
-from modcal_core.compliance.speed_governor import Patience
-from modcal_core.compliance.wrench import DOWN
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.impedance import Gains
+from modcal_core.impedance.speed_governor import Patience
+from modcal_core.impedance.wrench import DOWN
 
 Mode = Literal["expected", "admittance"]
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from modcal_core.compliance.impedance import Gains, Impedance
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.single import along_screw, pose_error, speeds, tool_from, turned
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.impedance import Gains, Impedance
 
 
 def some_gains(rng: np.random.Generator) -> Gains:

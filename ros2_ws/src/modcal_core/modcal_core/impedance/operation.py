@@ -15,17 +15,17 @@ from collections.abc import Callable
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.compliance.impedance import Impedance
-from modcal_core.compliance.path_check import PathCheck, Reach
-from modcal_core.compliance.path_model import PathModel, Pull
-from modcal_core.compliance.safety_monitor import ArmSetpoint, Late, Limits, SafetyMonitor, SensorReadings
-from modcal_core.compliance.setpoint_filter import SetpointFilter
-from modcal_core.compliance.speed_governor import ForcePrediction, SpeedGovernor
-from modcal_core.compliance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
-from modcal_core.compliance.wrench import Tare, WrenchSensor
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.impedance import Impedance
+from modcal_core.impedance.path_check import PathCheck, Reach
+from modcal_core.impedance.path_model import PathModel, Pull
+from modcal_core.impedance.safety_monitor import ArmSetpoint, Late, Limits, SafetyMonitor, SensorReadings
+from modcal_core.impedance.setpoint_filter import SetpointFilter
+from modcal_core.impedance.speed_governor import ForcePrediction, SpeedGovernor
+from modcal_core.impedance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
+from modcal_core.impedance.wrench import Tare, WrenchSensor
 from modcal_core.robots.chain import Chain
 
 _REST = 0.01  # rad/s or m/s of a joint that still counts as standing
