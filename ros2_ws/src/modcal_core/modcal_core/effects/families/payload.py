@@ -13,6 +13,7 @@ import numpy as np
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.families import compliance
 from modcal_core.effects.family import Family
 from modcal_core.effects.observable import breaks, loads, varies
 from modcal_core.effects.shapes import Shape
