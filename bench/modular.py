@@ -33,7 +33,7 @@ from rich.table import Table  # noqa: E402
 from modcal_core.calibration.adjoint import identify_twists  # noqa: E402
 from modcal_core.calibration.cell import Cell, fit_cell  # noqa: E402
 from modcal_core.calibration.module_errors import learn  # noqa: E402
-from modcal_core.calibration.recording_evidence import witness  # noqa: E402
+from modcal_core.calibration.recording_evidence import recording_evidence  # noqa: E402
 from modcal_core.modules.assembly import Assembly  # noqa: E402
 from modcal_core.modules.poe import chain_of  # noqa: E402
 
@@ -98,7 +98,7 @@ def reuse(console: Console, workshops: int) -> None:
                 bolted_alone = before_calibration(assembly, None, _without_module_errors(assembly, made, rng))
                 row = [before_calibration(assembly, e, samples) for e in (None, known)]
                 errors[k].append([*row, bolted_alone])
-            told.append(witness(assembly, LIBRARY, samples))
+            told.append(recording_evidence(assembly, LIBRARY, samples))
     table = Table(title="mean error of an assembly that was never measured, mm", box=None)
     for name in ("assemblies learned from", "drawing", "with the store", "times smaller", "better in", "flanges alone"):
         table.add_column(name, justify="right")

@@ -129,7 +129,7 @@ DIAGNOSIS = _all(
     ("evidence._Space.of", "what is fitted stays in the residual",
      """residual - Q @ np.einsum("cNp,cN->p", Q, residual)""", "residual"),
     ("evidence.Scanner.__init__", "samples of a station get signs of their own",
-     "independent_unit(at.samples)", "np.arange(len(at.samples))"),
+     "independent_unit(drivers.samples)", "np.arange(len(drivers.samples))"),
     ("evidence._against_noise", "chance not counted among the trials",
      "max(p_value, 1e-300) if best[0] > noise.max() else rank", "max(p_value, 1e-300)"),
     ("evidence._score_table", "size of a candidate forgotten", "ratio = grid / m /", "ratio = grid /"),

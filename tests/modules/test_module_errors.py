@@ -13,8 +13,8 @@ from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.module_errors import ModuleErrors, deviation_of, learn, part_std, surprise
-from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
-from modcal_core.calibration.recording_evidence import Witness, witness
+from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_recording
+from modcal_core.calibration.recording_evidence import RecordingEvidence, recording_evidence
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -60,33 +60,35 @@ def before_calibration(assembly: Assembly, errors: dict | None, samples: Samples
     return float(np.linalg.norm(model.predict(rest.q)[:, :3, 3] - rest.position, axis=1).mean())
 
 
-def story(seed: int) -> tuple[float, float, list[Witness]]:
+def story(seed: int) -> tuple[float, float, list[RecordingEvidence]]:
     """Error of the third assembly before its own calibration, without and with the store, and what each told."""
     rng, made = np.random.default_rng(seed), Made()
     shelf = shelf_of(TEN, made, rng)
-    told: list[Witness] = []
+    told: list[RecordingEvidence] = []
     for assembly in THREE:
         samples = measured(assembly, Arm(assembly, shelf, made, rng), rng)
         if len(told) == 2:
             errors = learn(told, LIBRARY).twists
             without, with_store = (before_calibration(assembly, e, samples) for e in (None, errors))
-        told.append(witness(assembly, LIBRARY, samples))
+        told.append(recording_evidence(assembly, LIBRARY, samples))
     return without, with_store, told
 
 
 @pytest.fixture(scope="module")
-def stories() -> list[tuple[float, float, list[Witness]]]:
+def stories() -> list[tuple[float, float, list[RecordingEvidence]]]:
     return [story(seed) for seed in range(8)]
 
 
-def test_a_third_assembly_starts_better_than_its_drawing(stories: list[tuple[float, float, list[Witness]]]) -> None:
+def test_a_third_assembly_starts_better_than_its_drawing(
+    stories: list[tuple[float, float, list[RecordingEvidence]]],
+) -> None:
     """Eight workshops, ten modules each, two assemblies measured; the third was never seen."""
     without, with_store = np.array([[a, b] for a, b, _ in stories]).T
     assert with_store.mean() < 0.7 * without.mean()
     assert (with_store < without).sum() >= 7
 
 
-def test_the_uncertainty_is_as_large_as_it_says(stories: list[tuple[float, float, list[Witness]]]) -> None:
+def test_the_uncertainty_is_as_large_as_it_says(stories: list[tuple[float, float, list[RecordingEvidence]]]) -> None:
     """χ² of the third assembly about what the first two made expect, over all workshops."""
     found = [surprise(learn(told[:2], LIBRARY), told[2], LIBRARY) for _, _, told in stories]
     freedom = sum(s.freedom for s in found)
@@ -95,7 +97,9 @@ def test_the_uncertainty_is_as_large_as_it_says(stories: list[tuple[float, float
     assert min(s.p_value for s in found) > 1e-3
 
 
-def test_knowledge_grows_and_every_part_has_a_covariance(stories: list[tuple[float, float, list[Witness]]]) -> None:
+def test_knowledge_grows_and_every_part_has_a_covariance(
+    stories: list[tuple[float, float, list[RecordingEvidence]]],
+) -> None:
     told = stories[0][2]
     one, two, three = (learn(told[:k], LIBRARY) for k in (1, 2, 3))
     for key, part in three.parts.items():
@@ -112,7 +116,7 @@ def test_knowledge_grows_and_every_part_has_a_covariance(stories: list[tuple[flo
         assert np.abs(order.parts[key].twist - part.twist).max() < 1e-9
 
 
-def test_a_module_that_was_bent_is_noticed(stories: list[tuple[float, float, list[Witness]]]) -> None:
+def test_a_module_that_was_bent_is_noticed(stories: list[tuple[float, float, list[RecordingEvidence]]]) -> None:
     told = stories[1][2]
     known = learn(told[:2], LIBRARY)
     bent = told[2].deviation.copy()
@@ -121,7 +125,9 @@ def test_a_module_that_was_bent_is_noticed(stories: list[tuple[float, float, lis
     assert surprise(known, replace(told[2], deviation=bent), LIBRARY).p_value < 1e-6
 
 
-def ideal(assembly: Assembly, errors: dict[tuple[str, str], Array], rng: np.random.Generator, bolts: bool) -> Witness:
+def ideal(
+    assembly: Assembly, errors: dict[tuple[str, str], Array], rng: np.random.Generator, bolts: bool
+) -> RecordingEvidence:
     """What a perfect recording, of every direction, would say: an identity of the equations, no fit in between."""
     deviation = []
     for segment in pieces(assembly, LIBRARY)[1:-1]:
@@ -133,7 +139,7 @@ def ideal(assembly: Assembly, errors: dict[tuple[str, str], Array], rng: np.rand
             true, drawn = true @ piece.T @ se3.exp(e), drawn @ piece.T
         deviation.append(se3.log(se3.inverse(drawn) @ true))
     size = 6 * len(deviation)
-    return Witness(assembly, np.stack(deviation), 1e14 * np.eye(size), 100, 0.0)
+    return RecordingEvidence(assembly, np.stack(deviation), 1e14 * np.eye(size), 100, 0.0)
 
 
 def test_what_one_assembly_cannot_tell_is_shared_by_prior_variance(rng: np.random.Generator) -> None:
@@ -142,7 +148,7 @@ def test_what_one_assembly_cannot_tell_is_shared_by_prior_variance(rng: np.rando
         (Module("B"), Module("JR"), Module("LC", 3, serial="C1"), Module("JR"), Module("LC"), Module("G"))
     ).checked(LIBRARY)
     seen = np.array([0.0, 0.0, 4e-4, 0.0, 0.0, 0.0])  # along the axes, where no lever arm mixes anything
-    known = learn([Witness(assembly, seen[None], 1e16 * np.eye(6), 100, 0.0)], LIBRARY)
+    known = learn([RecordingEvidence(assembly, seen[None], 1e16 * np.eye(6), 100, 0.0)], LIBRARY)
     module, bolt = LIBRARY.module.length**2, LIBRARY.interface.length**2
     share = module / (3 * module + 2 * bolt)  # the link, what the two joints have on either side, two pairs of flanges
     assert known.parts["C1", "whole"].twist[2] == pytest.approx(4e-4 * share, rel=1e-6)
@@ -177,7 +183,7 @@ def test_many_assemblies_tell_modules_from_flanges(rng: np.random.Generator) -> 
     assert np.sqrt(np.mean(np.square(left))) < 0.2 * np.sqrt(np.mean(np.square(drawn)))
 
 
-def test_the_store_keeps_everything(stories: list[tuple[float, float, list[Witness]]]) -> None:
+def test_the_store_keeps_everything(stories: list[tuple[float, float, list[RecordingEvidence]]]) -> None:
     known = learn(stories[2][2][:2], LIBRARY)
     data = yaml.safe_load(yaml.safe_dump(store_to_data(known, LIBRARY)))
     again = store_from_data(data, LIBRARY, "store.yaml")
@@ -189,10 +195,10 @@ def test_the_store_keeps_everything(stories: list[tuple[float, float, list[Witne
     assert all(np.array_equal(stated[key], known.parts[key].twist) for key in stated)
     # one more, at once or after a rest
     third = stories[2][2][2]
-    assert np.abs(with_witness(again, third, LIBRARY).mean - learn(stories[2][2], LIBRARY).mean).max() < 1e-15
-    assert len(with_witness(again, again.witnesses[0], LIBRARY).witnesses) == 2
+    assert np.abs(with_recording(again, third, LIBRARY).mean - learn(stories[2][2], LIBRARY).mean).max() < 1e-15
+    assert len(with_recording(again, again.recordings[0], LIBRARY).recordings) == 2
     with pytest.raises(BadTable, match="is another assembly"):
-        with_witness(again, replace(third, assembly=replace(third.assembly, name="one")), LIBRARY)
+        with_recording(again, replace(third, assembly=replace(third.assembly, name="one")), LIBRARY)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +218,7 @@ def test_a_store_that_is_none_is_refused(change: dict, words: str) -> None:
     assert words in str(refusal.value)
 
 
-def test_refusals(stories: list[tuple[float, float, list[Witness]]], rng: np.random.Generator) -> None:
+def test_refusals(stories: list[tuple[float, float, list[RecordingEvidence]]], rng: np.random.Generator) -> None:
     with pytest.raises(BadTable, match="modules: is not a mapping"):
         twists_from_data({"modcal_module_store": 1, "modules": {"J1": 3}}, "store.yaml")
     with pytest.raises(BadTable, match="mean: does not hold 6 finite numbers"):
@@ -223,7 +229,7 @@ def test_refusals(stories: list[tuple[float, float, list[Witness]]], rng: np.ran
         learn([one, replace(one, assembly=Assembly(tuple(longer), "other"))], LIBRARY)
     single = Assembly((Module("B"), Module("JR"), Module("LC"), Module("G"))).checked(LIBRARY)
     with pytest.raises(NotEnoughData, match="it has one joint"):
-        witness(
+        recording_evidence(
             single,
             LIBRARY,
             samples_of(chain_of(single, LIBRARY), rng.uniform(-1, 1, (30, 1)), np.tile(np.eye(4), (30, 1, 1))),
@@ -237,9 +243,9 @@ def test_a_recording_of_another_assembly_teaches_nothing(rng: np.random.Generato
     shelf = shelf_of(TEN, made, rng)
     samples = measured(THREE[0], Arm(THREE[0], shelf, made, rng), rng)
 
-    def told(module: int, **change: int) -> Witness:
+    def told(module: int, **change: int) -> RecordingEvidence:
         modules = [replace(m, **change) if i == module else m for i, m in enumerate(THREE[0].modules)]
-        return witness(Assembly(tuple(modules), "wrong"), LIBRARY, samples)
+        return recording_evidence(Assembly(tuple(modules), "wrong"), LIBRARY, samples)
 
     for turn in (0, 3):  # it is 2
         with pytest.raises(BadRecording):
@@ -250,4 +256,4 @@ def test_a_recording_of_another_assembly_teaches_nothing(rng: np.random.Generato
     with pytest.raises(
         BadRecording, match="between joint_2 and joint_3 the recording differs from it by (19|20|21) mm"
     ):
-        witness(replace(other, name="longer"), LIBRARY, samples)
+        recording_evidence(replace(other, name="longer"), LIBRARY, samples)

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.calibration.distributions import beyond_chi2
-from modcal_core.calibration.recording_evidence import Witness
+from modcal_core.calibration.recording_evidence import RecordingEvidence
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -67,7 +67,7 @@ class ModuleErrors:
     """
 
     parts: Mapping[Key, ModuleError] = field(default_factory=dict)
-    witnesses: tuple[Witness, ...] = ()
+    recordings: tuple[RecordingEvidence, ...] = ()
     keys: tuple[Key, ...] = ()
     mean: Array = field(default_factory=lambda: np.empty(0))
     covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -87,31 +87,31 @@ class Surprise:
     p_value: float
 
 
-def learn(witnesses: Sequence[Witness], library: Library) -> ModuleErrors:
+def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleErrors:
     """The errors of all numbered modules in these assemblies. Raises BadTable for a number that means two things."""
-    kinds = _kinds(witnesses)
+    kinds = _kinds(recordings)
     keys = tuple(
         dict.fromkeys(
             (w.assembly.modules[piece.module].serial, piece.part)
-            for w in witnesses
+            for w in recordings
             for segment in pieces(w.assembly, library)[1:-1]
             for piece in segment
             if not piece.is_interface and w.assembly.modules[piece.module].serial
         )
     )
     if not keys:
-        return ModuleErrors(witnesses=tuple(witnesses))
+        return ModuleErrors(recordings=tuple(recordings))
     prior = np.concatenate([part_std(library.module, part) for _, part in keys])
     normal = np.diag(prior**-2.0)
-    maps = [_maps(w.assembly, library, keys) for w in witnesses]
-    weights = [_without(w.information, C, std) for w, (_, C, std) in zip(witnesses, maps, strict=True)]
+    maps = [_maps(w.assembly, library, keys) for w in recordings]
+    weights = [_without(w.information, C, std) for w, (_, C, std) in zip(recordings, maps, strict=True)]
     for (B, _, _), W in zip(maps, weights, strict=True):
         normal += B.T @ W @ B
     factor = cho_factor(normal * np.outer(prior, prior), lower=True)
     x = np.zeros(len(prior))
     for _ in range(_ROUNDS):
         pull = -x / prior**2
-        for w, (B, _, _), W in zip(witnesses, maps, weights, strict=True):
+        for w, (B, _, _), W in zip(recordings, maps, weights, strict=True):
             pull += B.T @ W @ (w.deviation - deviation_of(w.assembly, library, _by_key(keys, x))).ravel()
         x = x + prior * cho_solve(factor, prior * pull)
     covariance = np.outer(prior, prior) * cho_solve(factor, np.eye(len(prior)))
@@ -120,12 +120,12 @@ def learn(witnesses: Sequence[Witness], library: Library) -> ModuleErrors:
     for i, key in enumerate(keys):
         at = slice(6 * i, 6 * i + 6)
         kind, size = kinds[key[0]]
-        seen = sum(key in _inner_keys(w.assembly, library) for w in witnesses)
+        seen = sum(key in _inner_keys(w.assembly, library) for w in recordings)
         parts[key] = ModuleError(x[at], covariance[at, at], kind, size, seen)
-    return ModuleErrors(parts, tuple(witnesses), keys, x, covariance)
+    return ModuleErrors(parts, tuple(recordings), keys, x, covariance)
 
 
-def surprise(known: ModuleErrors, new: Witness, library: Library) -> Surprise:
+def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> Surprise:
     """Whether a new assembly is as its modules, with what is known of them, should be.
 
     A module that was bent, or mistaken for another, makes p small.
@@ -166,9 +166,9 @@ def part_std(tolerance: ModuleTolerance, part: str) -> Array:
     return std
 
 
-def _kinds(witnesses: Sequence[Witness]) -> dict[str, tuple[str, int]]:
+def _kinds(recordings: Sequence[RecordingEvidence]) -> dict[str, tuple[str, int]]:
     kinds: dict[str, tuple[str, int]] = {}
-    for w in witnesses:
+    for w in recordings:
         for m in w.assembly.modules:
             if m.serial and kinds.setdefault(m.serial, (m.kind, m.size)) != (m.kind, m.size):
                 kind, size = kinds[m.serial]

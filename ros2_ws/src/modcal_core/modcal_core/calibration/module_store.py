@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.module_errors import Key, ModuleErrors, learn
-from modcal_core.calibration.recording_evidence import Witness
+from modcal_core.calibration.recording_evidence import RecordingEvidence
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
@@ -38,7 +38,7 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
         "modcal_module_store": FORMAT,
         "library": library.name,
         "modules": modules,
-        "assemblies": [_witness_to_data(w, library) for w in known.witnesses],
+        "assemblies": [_recording_to_data(w, library) for w in known.recordings],
     }
 
 
@@ -53,7 +53,9 @@ def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
     stated = data.get("assemblies")
     if not isinstance(stated, list):
         raise BadTable(f"{source}: assemblies", "is not a list", _FIX)
-    return learn([_witness_from_data(w, library, f"{source}: assembly {i + 1}") for i, w in enumerate(stated)], library)
+    return learn(
+        [_recording_from_data(w, library, f"{source}: assembly {i + 1}") for i, w in enumerate(stated)], library
+    )
 
 
 @refusing
@@ -71,22 +73,22 @@ def twists_from_data(data: Any, source: str) -> dict[Key, Array]:
         raise BadTable(f"{source}: modules", f"is not a mapping of serial numbers ({error!r})", _FIX) from error
 
 
-def with_witness(known: ModuleErrors, new: Witness, library: Library) -> ModuleErrors:
+def with_recording(known: ModuleErrors, new: RecordingEvidence, library: Library) -> ModuleErrors:
     """What is known after one more assembly; one of the same name is replaced, for it is the same flanges seen again.
 
     Raises BadTable where an assembly of other modules has that name already.
     """
-    for old in known.witnesses:
+    for old in known.recordings:
         if old.assembly.name == new.assembly.name and old.assembly != new.assembly:
             said = "is another assembly in this store"
             raise BadTable(
                 f"assembly {new.assembly.name}", said, "give each assembly a name of its own, also when rebuilt"
             )
-    kept = [w for w in known.witnesses if w.assembly.name != new.assembly.name]
+    kept = [w for w in known.recordings if w.assembly.name != new.assembly.name]
     return learn([*kept, new], library)
 
 
-def _witness_to_data(w: Witness, library: Library) -> dict[str, Any]:
+def _recording_to_data(w: RecordingEvidence, library: Library) -> dict[str, Any]:
     lower = np.tril_indices(len(w.information))
     spec = assembly_to_data(w.assembly, library)
     spec.pop("aim")
@@ -99,7 +101,7 @@ def _witness_to_data(w: Witness, library: Library) -> dict[str, Any]:
     }
 
 
-def _witness_from_data(data: Any, library: Library, source: str) -> Witness:
+def _recording_from_data(data: Any, library: Library, source: str) -> RecordingEvidence:
     if not isinstance(data, Mapping):
         raise BadTable(source, "is not a mapping", _FIX)
     own = ("stations", "residual_m", "deviation", "information")
@@ -114,7 +116,7 @@ def _witness_from_data(data: Any, library: Library, source: str) -> Witness:
     information[lower] = _numbers(data["information"], (len(lower[0]),), f"{source}: information")
     information += np.tril(information, -1).T
     stations, residual = (_numbers(data[key], (), f"{source}: {key}") for key in ("stations", "residual_m"))
-    return Witness(assembly, deviation, information, int(stations), float(residual))
+    return RecordingEvidence(assembly, deviation, information, int(stations), float(residual))
 
 
 def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:

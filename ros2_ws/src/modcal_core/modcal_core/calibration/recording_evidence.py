@@ -34,7 +34,7 @@ _ANYWHERE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # m, rad: base and tool ar
 
 
 @dataclass(frozen=True)
-class Witness:
+class RecordingEvidence:
     """One assembly and what its recording says.
 
     deviation: twists (n - 1, 6) [m, rad] with ``M_k exp(deviation)`` the true constant, k = 1 … n - 1, each in the
@@ -49,7 +49,7 @@ class Witness:
     residual: float
 
 
-def witness(assembly: Assembly, library: Library, samples: Samples) -> Witness:
+def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -> RecordingEvidence:
     """What these samples, whose joints are those of the assembly's chain, say of it; its geometry is fitted first.
 
     Raises NotEnoughData where there are too few, or where the arm has one joint only and so nothing between joints;
@@ -71,7 +71,7 @@ def witness(assembly: Assembly, library: Library, samples: Samples) -> Witness:
     deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.serial.origins[inner])
     _require_as_described(assembly, deviation)
     residual = float(np.sqrt(np.average(np.sum(gap**2, axis=1), weights=fit.weights)))
-    return Witness(assembly, deviation, _information(fit, samples, chain), samples.stations, residual)
+    return RecordingEvidence(assembly, deviation, _information(fit, samples, chain), samples.stations, residual)
 
 
 def _require_as_described(assembly: Assembly, deviation: Array) -> None:

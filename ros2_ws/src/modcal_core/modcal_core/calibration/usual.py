@@ -40,9 +40,9 @@ def averaged(effect: Effect, mean: Array) -> Effect:
 
 def driver_ranges(model: Model, samples: Samples) -> dict[str, tuple[float, float]]:
     """Smallest and largest value, at the samples, of each temperature and signal that the model's effects go by."""
-    at = model.drivers(samples)
+    drivers = model.drivers(samples)
     names = {part for e in model.effects for part in outside_drivers(e) if part.startswith(_HEARD)}
-    return {name: (float(x.min()), float(x.max())) for name in sorted(names) if len(x := at.values(name))}
+    return {name: (float(x.min()), float(x.max())) for name in sorted(names) if len(x := drivers.values(name))}
 
 
 def usual_sizes(model: Model, samples: Samples) -> tuple[Usual | None, ...]:
@@ -51,12 +51,12 @@ def usual_sizes(model: Model, samples: Samples) -> tuple[Usual | None, ...]:
     None where no recording lacks its driver.
     """
     out: list[Usual | None] = []
-    at, effects = model.drivers(samples), model.effects
+    drivers, effects = model.drivers(samples), model.effects
     for i, effect in enumerate(effects):
         if not outside_drivers(effect):
             out.append(None)
             continue
-        basis = effect.shape.basis(at.values(effect.driver, effect.lag))
+        basis = effect.shape.basis(drivers.values(effect.driver, effect.lag))
         # what moved stays where it was in the end: between two places it never stood
         mean = basis[:, int(np.argmax(samples.stamps))] if effect.shape.kind in STEPS else basis.mean(axis=1)
         without = model.with_effects((*effects[:i], averaged(effect, mean), *effects[i + 1 :]))

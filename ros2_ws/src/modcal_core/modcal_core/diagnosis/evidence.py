@@ -79,9 +79,9 @@ class _Explained:
 class Scanner:
     """Candidates at certain samples, set up once and weighed against the residual of any fit."""
 
-    def __init__(self, effects: Sequence[Effect], at: Drivers) -> None:
-        """effects: the candidates. at: the samples they are looked for on."""
-        self.at = at
+    def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
+        """effects: the candidates. drivers: at the samples they are looked for on."""
+        self.drivers = drivers
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
         groups: dict[tuple[Key, ...], tuple[list[Effect], list[Array]]] = {}
         for alike in _alike(effects):
@@ -89,17 +89,17 @@ class Scanner:
             together = numbers[None]
             if len(alike) > 1:
                 cycles = np.array([e.shape.settings["cycles"] for e in alike])
-                together = periodic(alike[0].shape.kind, cycles, at.values(alike[0].driver))
+                together = periodic(alike[0].shape.kind, cycles, drivers.values(alike[0].driver))
             members = groups.setdefault(keys, ([], []))
             members[0].extend(alike)
             members[1].append(together)
         self.banks = [Bank(tuple(e), keys, np.concatenate(n)) for keys, (e, n) in groups.items()]
-        self.unit = independent_unit(at.samples)
+        self.unit = independent_unit(drivers.samples)
         self._last: tuple[Fit, _Space] | None = None
 
     def _space(self, fit: Fit) -> _Space:
         if self._last is None or self._last[0] is not fit:
-            self._last = (fit, _Space.of(fit, self.at))
+            self._last = (fit, _Space.of(fit, self.drivers))
         return self._last[1]
 
     def evidence(self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS) -> Evidence:
@@ -137,7 +137,7 @@ class Scanner:
         keys, numbers = self._factor(effect)
         space = self._space(fit)
         bank = Bank((effect,), keys, numbers[None])
-        n, gram = self._products(bank, space, space.trials(np.ones((1, len(self.at))))), self._gram(bank, space)
+        n, gram = self._products(bank, space, space.trials(np.ones((1, len(self.drivers))))), self._gram(bank, space)
         own = np.einsum("cii->ci", gram)[0]
         scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
         solution = np.linalg.lstsq(gram[0] / np.outer(scale, scale), n[0, :, 0] / scale, rcond=1e-4)[0]
@@ -145,19 +145,19 @@ class Scanner:
 
     def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
         """The directions at places of an effect's columns, and their numbers (m, N)."""
-        terms = columns(effect, self.at)
+        terms = columns(effect, self.drivers)
         if all(len(t) == 1 for t in terms):
             return tuple((t[0].place, t[0].direction) for t in terms), np.stack([t[0].size for t in terms])
         if effect.direction == LENGTH:
-            k = place_index(effect.place, self.at.arm.chain)
-            along = length_direction(self.at.arm.chain, k)
+            k = place_index(effect.place, self.drivers.arm.chain)
+            along = length_direction(self.drivers.arm.chain, k)
             key: Key = (k, LENGTH)
             self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
-            basis = effect.shape.basis(self.at.values(effect.driver, effect.lag))
+            basis = effect.shape.basis(self.drivers.values(effect.driver, effect.lag))
             return (key,) * len(basis), basis
         key = (terms[0][0].place, effect.direction + effect.driver)
         self._composed[key] = [(t.place, t.direction, t.size) for t in terms[0]]
-        return (key,), np.ones((1, len(self.at)))
+        return (key,), np.ones((1, len(self.drivers)))
 
     def _column(self, key: Key, space: _Space) -> Array:
         if key not in space.columns:
@@ -292,12 +292,12 @@ class _Space:
     against: dict[Key, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, fit: Fit, at: Drivers) -> _Space:
-        samples = at.samples
+    def of(cls, fit: Fit, drivers: Drivers) -> _Space:
+        samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
-        now = linearise(fit.model, fit.parameters, values, samples, drivers=at)
-        view = RowView.of(fit.model, samples, at)
+        now = linearise(fit.model, fit.parameters, values, samples, drivers=drivers)
+        view = RowView.of(fit.model, samples, drivers)
         J = np.empty((6, len(samples), len(now.J)))  # of a frozen model without effects nothing is fitted
         for p, row in enumerate(now.J):
             J[..., p] = _by_sample(row, view) * weight

@@ -30,9 +30,9 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     Constant errors are looked for where the fit has no parameters of its own.
     """
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SCANNED)).astype(int))
-    at = fit.model.drivers(samples.select(rows))
-    constant = () if fit.parameters else unknown.constants(at)
-    scanner = Scanner([*candidates(at), *constant], at)
+    drivers = fit.model.drivers(samples.select(rows))
+    constant = () if fit.parameters else unknown.constants(drivers)
+    scanner = Scanner([*candidates(drivers), *constant], drivers)
     if not scanner.enough(fit):
         return None
     evidence = scanner.evidence(fit)

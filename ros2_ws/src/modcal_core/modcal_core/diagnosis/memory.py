@@ -51,9 +51,9 @@ def slipped(samples: Samples, loads: Array) -> Array:
     return ahead(samples, loads / size, LOADS).reshape(-1, len(samples))
 
 
-def moments_on_base(at: Drivers) -> Array:
+def moments_on_base(drivers: Drivers) -> Array:
     """Moments about the base's x and y, of a weight at the tip and, where it is known, of the arm, (2 or 4, N)."""
-    loads = [at.payload[0, d] for d in (3, 4)]
-    if at.arm.weighed:
-        loads += [at.gravity[0, d] for d in (3, 4)]
+    loads = [drivers.payload[0, d] for d in (3, 4)]
+    if drivers.arm.weighed:
+        loads += [drivers.gravity[0, d] for d in (3, 4)]
     return np.stack(loads)

@@ -130,8 +130,8 @@ def _searched(
     both = train.join(explain)
     alone = isolated_outliers(fit, both) if reject else np.zeros(len(both), bool)
     both = both.select(_evenly(np.flatnonzero(~alone), _MOST_SCANNED))
-    at = fit.model.drivers(both)
-    scanner = Scanner([*candidates(at), *suspects(at)], at)
+    drivers = fit.model.drivers(both)
+    scanner = Scanner([*candidates(drivers), *suspects(drivers)], drivers)
     search = _Search(
         fit,
         scanner,
@@ -200,7 +200,7 @@ class _Search:
         self.fit = self._with(self.fit, choice.effect)
         self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
         better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
-        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.at) <= _MOST_REVISITED:
+        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles

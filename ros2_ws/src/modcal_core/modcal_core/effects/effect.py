@@ -100,15 +100,15 @@ class Effect:
         return self.with_values(np.r_[amplitudes, [self.shape.settings[name] for name in self.refined]])
 
 
-def columns(effect: Effect, at: Drivers) -> list[list[Term]]:
+def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
     """For each amplitude of the effect its terms, at unit size."""
-    chain = at.arm.chain
+    chain = drivers.arm.chain
     if effect.direction == JOINTS:
-        return [[Term(chain.first_place + j, _axis(chain, j), size) for j, size in enumerate(_delay(effect, at))]]
+        return [[Term(chain.first_place + j, _axis(chain, j), size) for j, size in enumerate(_delay(effect, drivers))]]
     if effect.driver == "velocity":
         j = chain.names.index(effect.place)
-        return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, at)[j])]]
-    x = at.values(effect.driver, effect.lag)
+        return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, drivers)[j])]]
+    x = drivers.values(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
@@ -120,14 +120,14 @@ def columns(effect: Effect, at: Drivers) -> list[list[Term]]:
     ]
 
 
-def shape_columns(effect: Effect, at: Drivers) -> Iterator[list[Term]]:
+def shape_columns(effect: Effect, drivers: Drivers) -> Iterator[list[Term]]:
     """For each refined setting its terms: the change of the whole effect per unit of the setting."""
     amplitudes = effect.amplitudes
     for name in effect.refined:
         value = effect.shape.settings[name]
         step = 1e-4 * max(abs(value), 1e-3)
         sides = [
-            columns(replace(effect, shape=effect.shape.with_settings({name: value + sign * step})), at)
+            columns(replace(effect, shape=effect.shape.with_settings({name: value + sign * step})), drivers)
             for sign in (1.0, -1.0)
         ]
         yield [
@@ -137,19 +137,19 @@ def shape_columns(effect: Effect, at: Drivers) -> Iterator[list[Term]]:
         ]
 
 
-def all_columns(effects: Iterable[Effect], at: Drivers) -> list[list[Term]]:
+def all_columns(effects: Iterable[Effect], drivers: Drivers) -> list[list[Term]]:
     """Terms of every value of all effects: amplitudes, then refined settings, effect by effect.
 
     A place that the effects turn by much is seen from the turned frame: there each direction has a term along all six.
     """
     effects = tuple(effects)
-    out = [terms for effect in effects for terms in (*columns(effect, at), *shape_columns(effect, at))]
+    out = [terms for effect in effects for terms in (*columns(effect, drivers), *shape_columns(effect, drivers))]
     if not any(effect.direction == ALL and np.abs(effect.amplitudes).max(initial=0.0) > _TURNED for effect in effects):
         return out
     turned = {
         place: local_twists(twist.T)
-        for place, twist in motion(effects, at)[0].items()
-        if np.abs(twist[3:]).max() > _TURNED and place in (0, at.arm.chain.tool_place)
+        for place, twist in motion(effects, drivers)[0].items()
+        if np.abs(twist[3:]).max() > _TURNED and place in (0, drivers.arm.chain.tool_place)
     }
     return [_seen_turned(terms, turned) for terms in out]
 
@@ -161,25 +161,25 @@ def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:
     return [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
 
 
-def motion(effects: Iterable[Effect], at: Drivers) -> tuple[dict[int, Array], Array]:
+def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array], Array]:
     """What the effects do together: twists (6, N) by place, and the factor (N,) that readings are scaled by."""
     twists: dict[int, Array] = {}
-    scale = np.ones(len(at))
+    scale = np.ones(len(drivers))
     for effect in effects:
-        for amplitude, terms in zip(effect.amplitudes, columns(effect, at), strict=True):
+        for amplitude, terms in zip(effect.amplitudes, columns(effect, drivers), strict=True):
             for term in terms:
                 if term.place == READING:
                     scale = scale + amplitude * term.size
                 else:
-                    twist = twists.setdefault(term.place, np.zeros((6, len(at))))
+                    twist = twists.setdefault(term.place, np.zeros((6, len(drivers))))
                     twist[term.direction] += amplitude * term.size
     return twists, scale
 
 
-def prior_stds(effect: Effect, at: Drivers) -> Array:
+def prior_stds(effect: Effect, drivers: Drivers) -> Array:
     """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest."""
     out = []
-    for terms in columns(effect, at):
+    for terms in columns(effect, drivers):
         rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
         if effect.direction == JOINTS or effect.driver == "velocity":
             out.append(EXPECTED_DELAY)
@@ -242,7 +242,7 @@ def length_direction(chain: Mechanism, k: int) -> Array:
     return along / size if size > 1e-3 else np.zeros(3)
 
 
-def _delay(effect: Effect, at: Drivers) -> Array:
+def _delay(effect: Effect, drivers: Drivers) -> Array:
     """Motion of the joints (n, N) per second that the readings are late: back along their course, to second order."""
     delay = float(effect.values[0]) if len(effect.values) else 0.0
-    return -np.nan_to_num(at.samples.velocity.T) + 0.5 * delay * at.samples.acceleration.T
+    return -np.nan_to_num(drivers.samples.velocity.T) + 0.5 * delay * drivers.samples.acceleration.T

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.calibration.module_errors import ModuleError, ModuleErrors, learn, surprise
-from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_witness
-from modcal_core.calibration.recording_evidence import witness
+from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_recording
+from modcal_core.calibration.recording_evidence import recording_evidence
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.modules.assembly import Assembly
@@ -118,10 +118,10 @@ def learn_command(
         watch(f"reading {bag.name}")
         prepared = prepare(read_bag(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
         watch("fitting the modules")
-        new = witness(assembly, library, prepared.samples)
-        others = [w for w in known.witnesses if w.assembly.name != assembly.name]
+        new = recording_evidence(assembly, library, prepared.samples)
+        others = [w for w in known.recordings if w.assembly.name != assembly.name]
         p_value = surprise(learn(others, library), new, library).p_value
-        known = with_witness(known, new, library)
+        known = with_recording(known, new, library)
         data = store_to_data(known, library)
     write_folder(store.resolve().parent, {store.name: to_yaml(data)})
     found = {
