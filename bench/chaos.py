@@ -15,8 +15,8 @@ import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
-# A process that is killed may take a lock in Fast DDS's shared memory with it; then publishers beside it may stand
-# in publish() for ever, ours and everybody's. Over UDP a process that dies takes nothing along.
+# A process that is killed can probably leave a lock in Fast DDS's shared memory: one publisher beside it was seen to
+# stay in publish() for good. UDP has no such lock.
 os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 import argparse  # noqa: E402
