@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 KIND = """
-from modcal_core.measurements.kinds.distance import Distance
+from modcal_core.measurements.kinds.distance import DistanceKind
 
-class Sonar(Distance):
+class Sonar(DistanceKind):
     name, topic = "{name}", "sonar/range"
     message = "{message}"
 

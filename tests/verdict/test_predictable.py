@@ -78,7 +78,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
         sent[:, 2] += 2.0 * angle * np.sin(q[:, 1]) * np.cos(q[:, 3])
     if fault == "signal":
         heat = rng.standard_normal(len(q))
-        signals = (SignalTrack("/x", 1.7e9 + 2.0 * np.arange(len(q)), heat[:, None], "/x"),)
+        signals = (SignalTrack("signal:/x", 1.7e9 + 2.0 * np.arange(len(q)), heat[:, None], "/x"),)
         sent[:, 2] += angle * heat
     T = made.world.tool_in_tracker(sent)
     if fault == "drift":
