@@ -20,9 +20,9 @@ from modcal_nodes.ros.parameters import SIMULATED_CELL, declare, values
 from modcal_nodes.ros.running import LATCHED, run
 from modcal_nodes.simulation.commands import legs
 from modcal_nodes.simulation.pace import Beat, CellTime, Grid
-from modcal_nodes.simulation.plant import TRACKER_PHASE, Plant
+from modcal_nodes.simulation.plant import TRACKER, TRACKER_PHASE, Plant
 from modcal_nodes.simulation.rates import Rates
-from modcal_nodes.simulation.spoken import TRACKER, Poses, States, stamp
+from modcal_nodes.simulation.spoken import Poses, States, stamp
 from modcal_nodes.simulation.switches import SWITCHES
 
 _LEAST_PERIOD = 1e-3  # s between beats; what falls due in between is sent together

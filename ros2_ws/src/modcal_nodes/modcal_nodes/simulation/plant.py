@@ -25,6 +25,7 @@ from modcal_nodes.simulation.program import Program, tour
 from modcal_nodes.simulation.switches import Switches
 from modcal_nodes.simulation.world import World
 
+TRACKER = "tracker"  # the frame that it reports in
 TRACKER_PHASE = 2.0**0.5 - 1.0  # of a joint state's period: the same stamp would say that this is a finished station
 _AWAY = 0.02  # rad or m; a nearer posture is the same arrival
 

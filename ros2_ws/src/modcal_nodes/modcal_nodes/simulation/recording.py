@@ -13,8 +13,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_nodes.io.progress import Watch, silent
 from modcal_nodes.simulation.pace import Grid
-from modcal_nodes.simulation.plant import TRACKER_PHASE, Plant
-from modcal_nodes.simulation.spoken import TRACKER
+from modcal_nodes.simulation.plant import TRACKER, TRACKER_PHASE, Plant
 from modcal_nodes.simulation.switches import SWITCHES
 
 _TEMPERATURE_RATE = 1.0  # Hz

@@ -11,8 +11,6 @@ from sensor_msgs.msg import JointState, Temperature
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
-TRACKER = "tracker"
-
 
 def stamp(
     message: JointState | PoseStamped | PointStamped | Temperature | WrenchStamped, when: tuple[int, int]
