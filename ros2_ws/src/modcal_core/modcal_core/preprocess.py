@@ -27,8 +27,10 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
 from modcal_core.robots.mechanism import Mechanism, forward
 
-_ROUNDS = 5
-_EXPANDED = 2e-5  # rad or m
+_ROUNDS = 5  # iterations
+_SETTLED = 1e-6  # s; in a shorter delay a tool at 1 m/s moves less than a micrometre
+_EXPANDED = 2e-5  # rad or m: what an expansion may miss: less than an encoder's step of 18 bits
+_MOST_OF = 95  # % of the samples that must be expanded so well; the rest are starts and stops
 _MOST = 3000  # samples that a delay is fitted to
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
@@ -130,7 +132,7 @@ def _settle_delays(
         step = _delays(samples, chain)
         rest += step
         samples = cut_stations(_shifted(aligned, samples.frames, rest), chain.names, rules)
-        if np.abs(step).max() < 1e-6:
+        if np.abs(step).max() < _SETTLED:
             break
     total = offset + rest
     as_recorded = cut_stations(_shifted(aligned, samples.frames, -offset), chain.names, rules)
@@ -156,7 +158,7 @@ def _within_reach(late: Samples, exact: Samples, delay: Array) -> np.ndarray:
         if len(rows):
             expected = here.q - seconds * np.nan_to_num(here.velocity) + 0.5 * seconds**2 * here.acceleration
             missed = np.abs(there.q[same[rows]] - expected[rows]).max(axis=1)
-            out[f] = np.percentile(missed, 95) < _EXPANDED
+            out[f] = np.percentile(missed, _MOST_OF) < _EXPANDED
     return out
 
 

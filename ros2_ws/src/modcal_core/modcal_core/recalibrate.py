@@ -25,9 +25,9 @@ from modcal_core.report.trace import Trace, iso_date
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 
-_LEAST_COMPARED = 4
-_SURE = 2.0  # standard errors by which the new model must be better
-_WORTH = 0.9  # of the error before
+_LEAST_COMPARED = 4  # stations; a standard error of fewer says nothing
+_SURE = 2.0  # standard errors by which the new model must be better: one chance in forty to replace it for nothing
+_WORTH = 0.9  # of the error before; a gain of less than a tenth is not worth a new calibration to all who use it
 
 
 @dataclass(frozen=True)

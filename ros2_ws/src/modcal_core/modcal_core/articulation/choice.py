@@ -18,6 +18,7 @@ from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLA
 from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
+_GROSS = 4.0  # times noise, or the usual play of furniture: Gaussian noise across a line does so once in 3000
 SURE = 0.95  # probability from which a kind is said
 
 
@@ -90,9 +91,9 @@ def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
     """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
     sigma = _scales(found)
     e = found.motion.residuals(track, found.motion.configurations(track, sigma))
-    off = np.linalg.norm(e[:, :3], axis=1) > 4.0 * max(sigma[0], float(PLAYS[2]))
+    off = np.linalg.norm(e[:, :3], axis=1) > _GROSS * max(sigma[0], float(PLAYS[2]))
     if e.shape[1] == 6:
-        off |= np.linalg.norm(e[:, 3:], axis=1) > 4.0 * max(sigma[1], float(SWAYS[2]))
+        off |= np.linalg.norm(e[:, 3:], axis=1) > _GROSS * max(sigma[1], float(SWAYS[2]))
     return off
 
 

@@ -27,9 +27,11 @@ from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
-NU = 4.0
+NU = 4.0  # of Student's t: the usual robust choice (Lange, Little & Taylor 1989)
 _LEAST = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted
-_STEPS = 40
+_STEPS = 40  # iterations
+_INSIDE = 4.0  # times the expected square, beyond which a sample is an outlier: two deviations
+_LEAST_LAGS = 8  # samples of which an autocorrelation says anything
 _ENOUGH = 1e-3  # of a log-likelihood
 
 
@@ -222,7 +224,7 @@ def _log_constant(d: int) -> float:
 
 def _spread(w: Array, chi: Array, d: int) -> float:
     """What to multiply a scale of Student's t with to get the standard deviation of samples that are no outliers."""
-    inside = chi < 4.0 * d
+    inside = chi < _INSIDE * d
     return float(np.sqrt(chi[inside].sum() / (d * max(int(inside.sum()), 1)))) if inside.any() else 1.0
 
 
@@ -246,7 +248,7 @@ def _agreement(z: Array) -> float:
     """
     n = len(z)
     power = float((z * z).sum())
-    if power <= 0.0 or n < 8:
+    if power <= 0.0 or n < _LEAST_LAGS:
         return 1.0
     # Residuals of a fit lean to negative correlation by about parameters / n, which no one needs to correct.
     rho = np.array([1.0] + [float((z[k:] * z[:-k]).sum()) / power for k in range(1, min(n // 2, 200))])

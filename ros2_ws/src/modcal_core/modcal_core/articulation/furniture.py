@@ -20,8 +20,8 @@ from __future__ import annotations
 
 from math import log
 
-RADIUS = (log(0.4), 0.7)
-PITCH = (log(0.02), 1.2)
+RADIUS = (log(0.4), 0.7)  # of hinges [m]; mean and deviation of the logarithm, as all that follow
+PITCH = (log(0.02), 1.2)  # of screws [m/rad]
 PLAY = (log(2e-3), log(2.2))  # of positions [m]
 SWAY = (log(0.025), log(2.5))  # of rotations [rad]
 LOOSE = (log(0.5), log(2.0), 0.05)  # rotations of a grasp that turns [rad], and how often that is so

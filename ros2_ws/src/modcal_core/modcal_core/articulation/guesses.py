@@ -19,12 +19,12 @@ from modcal_core.articulation.track import Track
 from modcal_core.geometry.single import crossed
 from modcal_core.geometry.so3 import Array
 
-_TRIES = 40
-KEEP = 2
+_TRIES = 40  # random triples of samples
+KEEP = 2  # guesses that are fitted
 _SCORED = 50  # samples that a guess is scored on
 ROUGH = (5e-3, 0.07)  # m and rad: noise when nothing is known of it yet
 _CUT = 9.0  # squared, normalised residual at which an outlier begins
-_PAIRS = 10
+_PAIRS = 10  # of rotations
 M = TypeVar("M", bound=Motion)
 
 

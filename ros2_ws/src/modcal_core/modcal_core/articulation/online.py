@@ -71,6 +71,10 @@ class TrackerState:
 
 _EYE = np.eye(3)
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
+_AT_ONE_PATH = 0.05  # m; residuals farther off are no noise of one path
+_WIDE = (2.0, 6.0)  # times the tolerance, and deviations of noise, beyond which a pose lies beside the path
+_TURN_OF_TWO = 0.1  # rad; by so much more may the second of two poses after a leap be turned
+_UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _MENDING = 3  # rounds of thought that a model gets to follow a handle that has left its path
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
@@ -157,12 +161,12 @@ class Tracker:
             return 0.0, 0.0, None
         a, e = motion.placed(p, R, (1e-2, 0.05 if follows else 1e9))
         off, twisted = math.sqrt(e[:3] @ e[:3]), math.sqrt(e[3:] @ e[3:]) if follows else 0.0
-        if self._residual is not None and self._residual[0] is motion and off < 0.05:
+        if self._residual is not None and self._residual[0] is motion and off < _AT_ONE_PATH:
             self._selector.jitter(e - self._residual[1])
         self._residual = motion, e
         self._check.look(motion, a, p)
         self._credit = _HELD if self._check.trusted else self._credit - 1
-        wide = max(2.0 * self.settings.tolerance_m, 6.0 * self._selector.scale[0])
+        wide = max(_WIDE[0] * self.settings.tolerance_m, _WIDE[1] * self._selector.scale[0])
         self._beside = self._beside + 1 if off > wide else max(self._beside - 2, 0)
         if self._beside == 0:
             self._doubt = None
@@ -188,7 +192,11 @@ class Tracker:
             far, turn = _between(*self._known, p, R)
             if far > _JUMP[0] or turn > _JUMP[1]:
                 waiting, self._waiting = self._waiting, here
-                if waiting is None or _between(*waiting, p, R)[0] > far or _between(*waiting, p, R)[1] > turn + 0.1:
+                if (
+                    waiting is None
+                    or _between(*waiting, p, R)[0] > far
+                    or _between(*waiting, p, R)[1] > turn + _TURN_OF_TWO
+                ):
                     return []
                 self._known, self._waiting = here, None
                 return [waiting, here]
@@ -213,7 +221,7 @@ class Tracker:
         since, where = self._pulled[0]
         if stamp - since < self.settings.still_s or math.dist(p, where) > self.settings.still_m:
             return None
-        return "locked" if self._moved < 3.0 * self.settings.still_m else "jammed"
+        return "locked" if self._moved < _UNMOVED * self.settings.still_m else "jammed"
 
     def _reached(self) -> tuple[float, float]:
         """Path [m] that the nodes have reached, in the believed motion's configuration."""

@@ -15,7 +15,7 @@ from modcal_core.geometry.so3 import Array
 
 POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
 _OFTEN = 0.1  # of the distance ahead: how often a model is kept
-_MOST = 12
+_MOST = 12  # models that are kept: somewhat more than lie in the distance ahead
 _ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
 
 

@@ -16,8 +16,9 @@ from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
-LOG_2PI = math.log(2.0 * math.pi)
+LOG_2PI = math.log(2.0 * math.pi)  # of a normal density
 _STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # of the prior's standard deviation
+# What furniture.py says, on a grid: values, and their log-probabilities
 PLAYS = np.exp(furniture.PLAY[0] + furniture.PLAY[1] * _STEPS)
 LOG_PLAYS = -0.5 * _STEPS**2 - float(np.logaddexp.reduce(-0.5 * _STEPS**2))
 _LOOSE_STEPS = np.array([-0.5, 0.5])

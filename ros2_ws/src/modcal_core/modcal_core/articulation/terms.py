@@ -18,7 +18,7 @@ from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.scene import HELD, LOG_2PI, SWAYS, NodeScene, whitener
 from modcal_core.geometry.so3 import Array
 
-_HOLDS = 0.3
+_HOLDS = 0.3  # the longest step of any parameter; the expansion holds no farther
 
 
 @dataclass(frozen=True)

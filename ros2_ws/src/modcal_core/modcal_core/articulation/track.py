@@ -12,6 +12,9 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 FEWEST = 6  # samples; a circle in space has six parameters
+_UNIT = 0.02  # by which the length of a quaternion may be off 1
+_RIGID = 1e-3  # by which a rotation matrix may be off one
+_MOST_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
 _FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
 
 
@@ -77,7 +80,7 @@ class Track:
         _finite("quaternions", poses[:, 3:])
         length = np.linalg.norm(poses[:, 3:], axis=1)
         worst = int(np.argmax(np.abs(length - 1.0))) if len(length) else 0
-        if len(length) and abs(length[worst] - 1.0) > 0.02:
+        if len(length) and abs(length[worst] - 1.0) > _UNIT:
             raise BadRecording(f"track, quaternion of sample {worst}", f"has length {length[worst]:.4g}, not 1",
                                "give unit quaternions x y z w")  # fmt: skip
         return cls(poses[:, :3], so3.from_quaternion(poses[:, 3:]) if len(poses) else None, times)
@@ -123,7 +126,7 @@ class Track:
     def extent(self) -> float:
         """How far the handle came [m]: largest distance from the median position, without the last 2 % of samples."""
         away = np.linalg.norm(self.positions - np.median(self.positions, axis=0), axis=1)
-        return float(np.quantile(away, 0.98)) if len(away) > 50 else float(away.max())
+        return float(np.quantile(away, _MOST_OF)) if len(away) > _MANY else float(away.max())
 
 
 def _frozen(values: ArrayLike) -> Array:
@@ -147,7 +150,7 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
         raise BadRecording("track, rotations", f"have shape {R.shape}, not ({n}, 3, 3)", "give one rotation a sample")
     _finite("rotations", R)
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
-    if off.max() > 1e-3:
+    if off.max() > _RIGID:
         raise BadRecording(f"track, rotation of sample {int(off.argmax())}", "is no rotation matrix",
                            "give proper orthonormal matrices")  # fmt: skip
     return R

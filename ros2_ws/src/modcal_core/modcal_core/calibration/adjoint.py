@@ -24,7 +24,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-_MOST = 20
+_MOST = 20  # iterations
 _SETTLED = 1e-6  # relative change of the RMS error that ends it
 
 

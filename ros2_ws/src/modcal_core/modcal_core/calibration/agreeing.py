@@ -27,14 +27,17 @@ ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
 OF_REACH = 0.006  # the same for positions
 _CLEARLY = 2.0  # times both; what misses by less may be the arm's own error, or that of a few stations drawn
 _DRAWN = 5  # stations
-_DRAWS = 240
+_DRAWS = 240  # with a third of the stations in agreement, one draw of five is all of them, 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
 _LEAST = 12  # stations that must agree, and be explained
+_LEAST_SHARE = 0.2  # of the stations that must agree, lest chance finds that many
+_CLOSEST = 0.9  # share of angles that a circular deviation is taken of
 _MOST_AGREE = 0.95  # where more do, single readings are wrong
 _EXPLAINED = 0.8  # share of the rest that an explanation must bring back
 _MORE = 0.3  # share of all stations that a joint's angles must bring back beyond those that agree as they are
 _MOST = 160  # stations; more are thinned evenly
-_STARTS, _ROUNDS = 16, 25
+_STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
 _STILL = 1e-9  # rad
+# What drivers publish instead of radians at the joint
 _FACTORS = {
     "the other way round": -1.0,
     "in revolutions": 2.0 * np.pi,
@@ -106,7 +109,7 @@ class _Search:
         placed, agree = self._largest(everything)
         if agree.mean() > _MOST_AGREE:
             return None
-        if placed is not None and agree.sum() >= max(_LEAST, 0.2 * len(agree)):
+        if placed is not None and agree.sum() >= max(_LEAST, _LEAST_SHARE * len(agree)):
             rest = np.flatnonzero(~self._within(placed, self.A, self.samples, _CLEARLY))
             if len(rest) >= _LEAST // 2:
                 said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
@@ -298,5 +301,5 @@ class _Search:
 def _spread(angle: Array) -> float:
     """Circular deviation [rad] of angles (N,), of the nine tenths that lie closest together."""
     off = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
-    off = np.sort(np.abs(off - np.median(off)))[: max(int(0.9 * len(off)), 1)]
+    off = np.sort(np.abs(off - np.median(off)))[: max(int(_CLOSEST * len(off)), 1)]
     return float(np.sqrt(np.mean(off**2)))

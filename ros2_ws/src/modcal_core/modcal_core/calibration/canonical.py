@@ -22,7 +22,7 @@ from modcal_core.robots.mechanism import Mechanism
 
 _APART = 1e-3  # usual errors, between which derivatives are taken
 _STILL = 1e-7  # usual errors; steps below say nothing
-_MOST_STEPS = 20
+_MOST_STEPS = 20  # iterations
 
 
 def least_change(model: Model, nominal: Mechanism) -> Model:

@@ -26,14 +26,14 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward
 
 _LEAST = 40  # stations; a coordinate has 13 coefficients
-_MOST = 400
+_MOST = 400  # the same at most; more say the same
 _FEW = 60  # stations to which turns of the description are fitted
-_SHIFTS = (1, -1, 2, -2, 3, -3)
+_SHIFTS = (1, -1, 2, -2, 3, -3)  # stations, by which readings may have slipped against the joints
 _APART = np.radians(3.0)  # by which two frames are turned, from which that is no error of an arm
 _LONGER = 0.05  # share by which a coordinate is too long or too short
 _SEEN = 0.03  # of the reach; deviation of the tip's place beyond what its turns tell, from which scales are known
 _WRONG_LENGTH = 0.02  # of the reach
-_ROUNDS = 12
+_ROUNDS = 12  # iterations
 
 
 def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | None:

@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
-_ALTERNATIONS = 20
+_ALTERNATIONS = 20  # iterations
 
 
 def base_and_tool_turns(A: Array, R: Array) -> tuple[Array, Array]:

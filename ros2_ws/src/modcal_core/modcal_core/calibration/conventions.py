@@ -43,7 +43,7 @@ _NOMINAL_ANGLE = 2e-3  # rad per axis; a nominal arm turns its tip by as much to
 _NOMINAL_SHARE = 1e-3  # of the reach; the same for positions
 _ASTRAY = 0.05  # share of readings that may say anything
 _FEW, _MOST = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
-_CANDIDATES = 6
+_CANDIDATES = 6  # the likeliest on few stations, that are judged on many
 _REFINED = (
     5.0  # in log-likelihood a station, by which the last refinement may bring one forward; nonsense lacks twice that
 )
@@ -53,7 +53,8 @@ _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever w
 _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
 _TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
 _MOST_LEFT = 0.5  # of the residual, by the convention that is meant
-_ROUNDS = 8
+_ROUNDS = 8  # iterations
+_NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gaussian: 99 % along each axis)
 
 
 @dataclass(frozen=True)
@@ -241,7 +242,7 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple
 def _perfect(turns: Array, gaps: Array, scale: _Scale) -> bool:
     """Whether readings fit as well as a nominal arm can, so that nothing can fit better."""
     turned, missed = np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1)
-    near = (turned < 3.0 * scale.rotation) & (missed < 3.0 * scale.position)
+    near = (turned < _NEAR * scale.rotation) & (missed < _NEAR * scale.position)
     return bool(near.mean() > 1.0 - _ASTRAY)
 
 

@@ -26,7 +26,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
-_CANDIDATES = 600
+_CANDIDATES = 600  # random postures that the best are taken from
 _DRAWN = 40  # times as many, where only some are allowed
 _BEYOND = 0.5  # of the recorded range, by which proposals may leave it
 

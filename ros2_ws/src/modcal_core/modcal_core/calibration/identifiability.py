@@ -17,7 +17,7 @@ from modcal_core.geometry.so3 import Array
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
 _FEW_NAMED = 3  # parameters that are named where none is that large
 _WEAK = 0.2  # of the prior's deviation, above which a combination that is seen counts as hardly seen
-_MOST_WEAK = 5
+_MOST_WEAK = 5  # named in one report
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import dimensions, kinds
 from modcal_core.measurements.samples import Samples
 
-MAX_ITERATIONS = 60
-CONVERGED = 1e-5
+MAX_ITERATIONS = 60  # a fit that needs more says that it did not converge
+CONVERGED = 1e-5  # standard deviations: the last step of a fit, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
 # Where no value [m, rad] changes by more, and steps become shorter, the curvature is left as it is, which changes with
 # their length. The covariance is then right to 1e-4 (robust fits of few: 1e-3), and better where a stricter end is set.
@@ -50,7 +50,7 @@ _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses i
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
 _FEW, _MANY, _EACH = 500, 8, 4
-EQUATIONS_PER_PARAMETER = 1.25
+EQUATIONS_PER_PARAMETER = 1.25  # with fewer, less than a fifth of the equations is left to tell noise from a fit to it
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library import Library
 from modcal_core.modules.spec import assembly_from_data, assembly_to_data
 
-FORMAT = 1
+FORMAT = 1  # of the file
 _FIX = "give a file that modcal modules learn wrote"
 
 

@@ -20,7 +20,7 @@ from modcal_core.measurements.kinds.registry import indirect_rows, kinds
 from modcal_core.measurements.samples import Samples
 
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160
-REJECT_Z = 6.0
+REJECT_Z = 6.0  # standard scores; a Gaussian sample passes this once in 10⁹, so what is rejected is no noise
 _FLOOR = 1e-9  # m or rad; exact data must not divide by zero
 
 

@@ -17,7 +17,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
 _FEW = 60  # stations, evenly along the recording
-_AT_ONCE = 64
+_AT_ONCE = 64  # mistakes in a block, for memory
 
 
 def most_likely(samples: Samples, chain: Chain, mistakes: Sequence[Mistake], count: int) -> list[Mistake]:

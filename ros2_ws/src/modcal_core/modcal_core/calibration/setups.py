@@ -23,10 +23,10 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import forward
 
 _WINDOW = {True: 8, False: 12}  # stations that fix base and tool together: of poses, of points
-_MOST_WINDOWS = 60
+_MOST_WINDOWS = 60  # for time; they overlap by half up to there
 _FAR = 3.0  # usual misses beyond which a station is missed altogether
 _CHANGE = 4.0 * _FAR**2  # a change must be worth as much as four stations that are missed altogether
-_ROUNDS = 3
+_ROUNDS = 3  # of stretches and their base and tool
 _TURNS = 12  # of tool and base in turn, each in closed form
 MOST_STRETCHES = 10  # more are no moves, but a motion
 

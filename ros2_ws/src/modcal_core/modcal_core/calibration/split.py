@@ -14,7 +14,9 @@ import numpy as np
 
 from modcal_core.measurements.samples import Samples
 
-SHARES = (0.5, 0.2, 0.3)
+SHARES = (0.5, 0.2, 0.3)  # *train*, *explain* and *test*: the fit needs most, the score more than the choice of effects
+_LEAST_DENSE = 200  # stations; fewer are posed one by one, and blocks of them would leave too few blocks
+_BLOCKS, _SHORTEST, _LONGEST = 60, 5, 200  # how many blocks a recording is cut into, and stations in one
 _DENSE = 0.25  # median step from station to station, as a fraction of the median distance between any two
 
 
@@ -70,10 +72,10 @@ def block_length(samples: Samples) -> int:
     """Stations that must be kept together; 1 where neighbours in time are no neighbours in posture."""
     first = np.unique(samples.station, return_index=True)[1]
     q = samples.q[first[np.argsort(samples.stamps[first], kind="stable")]]
-    if len(q) < 200:
+    if len(q) < _LEAST_DENSE:
         return 1
     near = np.median(np.linalg.norm(np.diff(q, axis=0), axis=1))
     far = np.median(np.linalg.norm(q - np.roll(q, len(q) // 3 + 1, axis=0), axis=1))
     if near >= _DENSE * far and not samples.moving.any():
         return 1
-    return int(np.clip(len(q) // 60, 5, 200))
+    return int(np.clip(len(q) // _BLOCKS, _SHORTEST, _LONGEST))

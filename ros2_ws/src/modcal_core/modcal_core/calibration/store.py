@@ -38,7 +38,7 @@ from modcal_core.robots.delta_file import delta_from_data, delta_to_data
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-FORMAT = 1
+FORMAT = 1  # of the file
 
 
 @dataclass(frozen=True)

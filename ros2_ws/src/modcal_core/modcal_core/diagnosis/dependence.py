@@ -28,14 +28,16 @@ WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _NEARLY = 0.93  # of the best share; with fewer functions that is plainer
 _RIVAL = 0.97  # of the named share; what predicts as much from elsewhere is named beside it
 CONSTANT = ""  # the driver of an error that depends on nothing
-_FOLDS = 5
+_FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
+_LEAST_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
+_FARTHEST = 5.0  # times the median size; no sample may rule alone
 _RIDGE = (1e-4, 1e-2, 1.0)  # of the mean square of the columns
 _MOST = 400  # samples; more are thinned evenly
 _LEAST = 15  # stations; with fewer nothing is said
 _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
-_MOST_SIGNALS = 20
-_SMALL = 1e-9
+_MOST_SIGNALS = 20  # for time
+_SMALL = 1e-9  # of the largest column; less is rounding
 _HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be worth naming beside that
 _ALONG = 0.6  # share of the squares along one joint's motion beyond chance, from which that joint is named
 
@@ -100,7 +102,7 @@ def dependence(
         X = X[:, size > _SMALL * max(size.max(initial=0.0), 1e-300)]
         X = X if out is None else X - out @ (out.T @ X)
         left = np.linalg.norm(X, axis=0)
-        X = X[:, left > 0.02 * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
+        X = X[:, left > _LEAST_NEW * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
         if X.shape[1]:
             share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
             found.append((share, X.shape[1], pair.place, pair.driver))
@@ -167,7 +169,7 @@ def _folds(station: np.ndarray) -> np.ndarray:
 def _drawn_in(residual: Array) -> Array:
     """The residual (6, N) with samples beyond several times the usual size brought in to there."""
     size = np.linalg.norm(residual, axis=0)
-    return np.asarray(residual * np.minimum(1.0, 5.0 * float(np.median(size)) / np.maximum(size, 1e-300)))
+    return np.asarray(residual * np.minimum(1.0, _FARTHEST * float(np.median(size)) / np.maximum(size, 1e-300)))
 
 
 def _orthonormal(J: Array) -> Array:

@@ -21,6 +21,7 @@ from modcal_core.effects.registry import candidates
 from modcal_core.measurements.samples import Samples
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
+_NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
 _MOST_SCANNED = 500  # samples; more are thinned evenly
 
 
@@ -40,7 +41,7 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     if not len(beyond) or beyond.max() < _WORTH_NAMING:
         return None
     plain = [i for i, e in enumerate(evidence.effects) if e.public_driver == "constant"]
-    if plain and max(beyond[plain]) > 0.9 * beyond.max():  # what only stands elsewhere is plainer than any curve
+    if plain and max(beyond[plain]) > _NEARLY * beyond.max():
         evidence = _only(evidence, plain)
     choice = choose(evidence, scanner, fit, set())
     return None if choice is None or choice.share < _WORTH_NAMING else choice

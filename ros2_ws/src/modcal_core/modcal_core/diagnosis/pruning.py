@@ -22,9 +22,9 @@ from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away to be worth having
-NOTHING = 2.0  # standard deviations within which an amplitude may be nothing
-_DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone
+LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
+NOTHING = 2.0  # standard deviations within which an amplitude may be nothing: the usual 95 % interval holds 0
+DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone (sweep)
 
 
 def needless(
@@ -82,7 +82,7 @@ def joint_size(effects: Sequence[Effect], number: int, known: Uncertainty) -> fl
 def _limited(model: Model, samples: Samples, spread: Spread) -> tuple[float, float]:
     """The limit that squares are brought in to, and their mean."""
     square = _squares(model, samples, spread)
-    limit = _DRAWN_IN * float(np.median(square)) + 1e-300
+    limit = DRAWN_IN * float(np.median(square)) + 1e-300
     return limit, float(np.mean(np.minimum(square, limit))) + 1e-300
 
 

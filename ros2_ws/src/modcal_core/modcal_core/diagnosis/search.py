@@ -22,23 +22,24 @@ from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
-from modcal_core.diagnosis.pruning import LEAST_GAIN, joint_size, needless
+from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import candidates, family
 from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 
-SIGNIFICANT = 0.002
-MOST_EFFECTS = 30
+SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
+MOST_EFFECTS = 30  # for time
 _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
-_MOST_REFUSED = 3
+_MOST_REFUSED = 3  # choices that did not predict, before the search ends
+_HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
 _MOST_REFUSED_OF_MANY = 1  # where each one costs seconds; with none, one that ties by chance ends the search
 _MOST_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
-_NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing
+_NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def diagnose(
     if many > _MOST_SINGLE and not known:
         whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
         found = _searched(whole, *rest, reject=False)
-        if found.causes and _rejected(found.fit) <= min(0.5 * many, _MOST_SINGLE):
+        if found.causes and _rejected(found.fit) <= min(_HALVED * many, _MOST_SINGLE):
             return found
     return _searched(fit, *rest)
 
@@ -307,7 +308,7 @@ class _Search:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
         square = squared_misses(errors(fit.model, self.explain), self.explain, self._geometric.spread)
-        return float(np.mean(np.minimum(square, 25.0 * np.median(square) + 1e-300)))
+        return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
 
 
 def _linear(effect: Effect) -> Effect:

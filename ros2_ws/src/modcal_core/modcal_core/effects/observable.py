@@ -11,9 +11,11 @@ from modcal_core.geometry.so3 import Array
 
 LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
 LEAST_SPEED = 1e-3  # rad/s or m/s
-MOST_BREAKS = 160
+MOST_BREAKS = 160  # times of a step that are tried, for time; the best is looked for more finely afterwards
 LEAST_SIDE = 4  # stations on either side of a step
-MOST_SIGNALS = 40
+MOST_SIGNALS = 40  # of a recording, for time
+_CONSTANT = 1e-3  # of its size; a load that changes by less is a constant, and drives nothing that could be told
+_LEAST_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
 WARM_UPS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # time constants, as shares of the recording
 
 
@@ -30,7 +32,7 @@ def in_motion(drivers: Drivers) -> bool:
 
 def varies(x: Array) -> bool:
     """Whether a load is more than a constant."""
-    return bool(np.ptp(x) > 1e-3 * max(float(np.abs(x).max()), 1e-3))
+    return bool(np.ptp(x) > _CONSTANT * max(float(np.abs(x).max()), 1e-3))
 
 
 def loads(drivers: Drivers, j: int) -> dict[str, Array]:
@@ -51,7 +53,7 @@ def loads(drivers: Drivers, j: int) -> dict[str, Array]:
 
 def both_signs(x: Array) -> bool:
     """Whether a number is positive at some samples and negative at others, often enough to compare the two."""
-    return bool(min((x > 0).mean(), (x < 0).mean()) > 0.05)
+    return bool(min((x > 0).mean(), (x < 0).mean()) > _LEAST_OF_A_SIGN)
 
 
 def base_and_tool(drivers: Drivers) -> list[tuple[str, str]]:

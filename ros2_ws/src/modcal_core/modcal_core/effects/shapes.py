@@ -17,7 +17,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 
 Settings = Mapping[str, float]
-SPLINE_DEGREE = 3
+SPLINE_DEGREE = 3  # continuous curvature, which is what a smooth cause has
 PERIODIC = ("sine", "turn", "double")
 WHOLE_CYCLES = 3  # up to here an error repeats a whole number of times a turn: encoders, eccentric gears
 _FINE = 32  # of a long list of cycles, that are products of one wave with few others

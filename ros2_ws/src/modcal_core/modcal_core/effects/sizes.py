@@ -13,7 +13,7 @@ from modcal_core.robots.mechanism import Mechanism
 
 Quantity = tuple[float, float, str]  # value, standard deviation, unit
 Sizes = dict[str, Quantity]
-_POINTS = 4096
+_POINTS = 4096  # of a curve, from which its largest value is taken
 _PER_DRIVER = {"temperature": "/K", "signal": "/unit", "load": "/(N m)", "effort": "/(N m)", "moment": "/(N m)"}
 
 

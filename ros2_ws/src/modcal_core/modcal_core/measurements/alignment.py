@@ -27,6 +27,11 @@ _LEAST_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recordi
 _PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
+_LEAST = 50  # readings, joint states and grid points: one second of motion, less correlates by chance
+_SLOWEST = 0.1  # s between joint states; slower ones do not show a motion's peaks
+_SILENT = 0.2  # s between readings beyond which a speed between them is a guess
+_LONG_ENOUGH = 60.0  # s, for a drift: two pieces of half a minute at least
+_SURELY = 5.0  # standard deviations, and times what is resolved, by which a drift must be seen
 _FINE = 0.25  # grid steps between the joint states that are looked at, at most
 
 
@@ -84,10 +89,10 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
 
     t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n).
     """
-    if len(track.stamps) < 50 or len(t) < 50 or np.median(np.diff(t)) > 0.1:
+    if len(track.stamps) < _LEAST or len(t) < _LEAST or np.median(np.diff(t)) > _SLOWEST:
         return None
     grid = np.arange(max(t[0], track.stamps.min() - SEARCH), min(t[-1], track.stamps.max() + SEARCH), STEP)[:_LONGEST]
-    if len(grid) < 50:
+    if len(grid) < _LEAST:
         return None  # they hardly overlap, which cutting stations will say
     order = np.argsort(track.stamps, kind="stable")
     seen = _speed(grid, track.stamps[order], track.values[order, :3])
@@ -108,7 +113,7 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     if whole is None or whole[1] < TRUSTED:
         return None
     lag, correlation = whole
-    drift = _drift(seen, moved, lag) if len(grid) * STEP > 60.0 else 0.0
+    drift = _drift(seen, moved, lag) if len(grid) * STEP > _LONG_ENOUGH else 0.0
     middle = float(grid[0] + grid[-1]) / 2.0
     return ClockOffset(lag * STEP, drift, middle, correlation)
 
@@ -120,7 +125,7 @@ def _speed(grid: Array, stamps: Array, position: Array) -> Array:
     at = np.stack([np.interp(grid, stamps, position[:, k]) for k in range(3)], axis=1)
     speed = np.linalg.norm(np.gradient(at, STEP, axis=0), axis=1)
     after = np.clip(np.searchsorted(stamps, grid), 1, len(stamps) - 1)
-    silent = (stamps[after] - stamps[after - 1] > 0.2) | (grid < stamps[0]) | (grid > stamps[-1])
+    silent = (stamps[after] - stamps[after - 1] > _SILENT) | (grid < stamps[0]) | (grid > stamps[-1])
     # a speed beside a gap mixes both sides of it
     silent = np.convolve(silent, np.ones(3), mode="same") > 0
     return np.where(silent, np.nan, speed)
@@ -155,7 +160,7 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
     a = seen[max(lag, 0) : len(seen) + min(lag, 0)]
     b = moved[max(-lag, 0) : len(moved) - max(lag, 0)]
     known = np.isfinite(a) & np.isfinite(b)
-    if known.sum() < 50:
+    if known.sum() < _LEAST:
         return float("nan")
     a, b = a[known] - a[known].mean(), b[known] - b[known].mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
@@ -204,4 +209,4 @@ def _drift(seen: Array, moved: Array, lag: float) -> float:
     residual = offset - design @ coefficients
     std = float(np.sqrt(residual @ residual / (len(at) - 2) / (design[:, 0] @ design[:, 0])))
     slope = float(coefficients[0])
-    return slope if abs(slope) > 5.0 * std and abs(slope) * float(np.ptp(at)) > 5.0 * APPLIED else 0.0
+    return slope if abs(slope) > _SURELY * std and abs(slope) * float(np.ptp(at)) > _SURELY * APPLIED else 0.0

@@ -11,6 +11,10 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 
+NOISE_FACTOR = 6.0  # standard deviations of encoder noise that are standstill: range of a window of noise and some room
+# Median size of the second difference of Gaussian noise, in units of its deviation: 0.6745 times √(1 + 4 + 1)
+SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
+_OUTLYING = 8.0  # times the half-width of the closest half of a dwell's readings: far outside any noise
 _ASKED = 64  # readings of a dwell that the middle is sought among
 
 
@@ -43,8 +47,8 @@ def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
     width = max(3, round(rules.window / step) | 1)
     spread = running_max(q, width) + running_max(-q, width)
     # second differences of a moving arm are small, those of encoder noise are not
-    noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
-    still = (spread <= np.maximum(rules.still, 6.0 * noise)).all(axis=1)
+    noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / SECOND_DIFFERENCE
+    still = (spread <= np.maximum(rules.still, NOISE_FACTOR * noise)).all(axis=1)
     still[1:] &= np.diff(t) < rules.gap + 5.0 * step
     edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(int)))
     spans = np.stack([t[edges[::2]], t[edges[1::2] - 1]], axis=1)
@@ -80,7 +84,7 @@ def inliers(position: Array) -> np.ndarray:
     first = some[int(np.argmin(apart[:, (len(some) - 1) // 2]))]
     near = np.argsort(np.linalg.norm(position - first, axis=1), kind="stable")[:least]
     off = np.linalg.norm(position - np.median(position[near], axis=0), axis=1)
-    limit = 8.0 * max(float(np.partition(off, least - 1)[least - 1]), 1e-6)
+    limit = _OUTLYING * max(float(np.partition(off, least - 1)[least - 1]), 1e-6)
     return off <= limit
 
 

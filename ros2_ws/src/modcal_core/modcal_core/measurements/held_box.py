@@ -22,8 +22,10 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
-_STARTS = 300
-_POLISHED = 6
+_STARTS = 300  # orientations, at random; neighbours are some 20° apart, and a box looks alike every 90°
+_POLISHED = 6  # of the best, that are fitted
+_OUTSIDE = 0.8  # share of the rays that must meet the outer side of their face; a few graze an edge
+_NAMED = 0.3  # share of a direction (of unit length) above which a value is named as part of it
 _GRAZING = 0.1  # cosine below which a ray says no more of a face
 _WEAK = 1e-6  # of the largest singular value, in columns of unit length
 
@@ -89,7 +91,7 @@ def measure_box(
 
 def _outside(R: Array, rays: Array, p: Array, axis: np.ndarray, end: Array) -> bool:
     """Whether most of the rays come from outside the faces that they meet."""
-    return bool(np.mean(end * np.sum(R.T[axis] * (rays[:, :3] - p), axis=1) > 0.0) > 0.8)
+    return bool(np.mean(end * np.sum(R.T[axis] * (rays[:, :3] - p), axis=1) > 0.0) > _OUTSIDE)
 
 
 def _checked(
@@ -162,7 +164,7 @@ def _covariance(T: Array, p: Array, axis: np.ndarray, end: Array, s: Array, know
             *(f"turn about {a}" for a in "xyz"),
             *(f"size {a}" for a in "xyz"),
         ]
-        weak = [n for n, share in zip(np.array(names)[free], np.abs(V[-1]), strict=True) if share > 0.3]
+        weak = [n for n, share in zip(np.array(names)[free], np.abs(V[-1]), strict=True) if share > _NAMED]
         raise NotEnoughData(f"{len(p)} rays on the box leave open", " with ".join(weak), "hit faces in more places")
     out = np.zeros((9, 9))
     inner = V.T @ np.diag(value**-2.0) @ V

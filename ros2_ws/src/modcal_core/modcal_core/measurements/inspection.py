@@ -16,6 +16,12 @@ from modcal_core.measurements.recording import POINT, POSE, Recording, joint_sta
 from modcal_core.measurements.returns import LEAST_RETURNS, returns
 from modcal_core.robots.mechanism import Mechanism
 
+_LEAST = 20  # steps between stamps, of which a median tells what is usual
+_LEAST_GAP = 0.1  # s; shorter silences happen on any busy computer
+_RARE = 0.02  # share of the steps up to which gaps are silences; more are how the topic speaks
+_LATE = 0.5  # s from stamp to reception; no transport takes so long, so a clock is wrong
+_CLOCKS = 0.05  # s between two topics' delays; transport on one network differs by less
+_CONSTANT = 1e-4  # rad or m; an encoder's noise at standstill stays below, and a joint in use does not
 _GAP = 10.0  # times the usual period that make a silence worth saying
 _STUCK = 5  # identical readings in a row, of an instrument with noise
 
@@ -91,15 +97,15 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
     if (repeats := int((steps == 0.0).sum())) > 0:
         out.append(f"{name}: {repeats} messages carry the stamp of the one before.")
     forward = steps[steps > 0.0]
-    if len(forward) > 20:
+    if len(forward) > _LEAST:
         usual = float(np.median(forward))
-        gaps = forward[forward > max(_GAP * usual, 0.1)]
-        if 0 < len(gaps) <= 0.02 * len(forward):
+        gaps = forward[forward > max(_GAP * usual, _LEAST_GAP)]
+        if 0 < len(gaps) <= _RARE * len(forward):
             out.append(
                 f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; it usually speaks every {usual:.3f} s."
             )
     late = received - stamps
-    if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > 0.5:
+    if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > _LATE:
         out.append(f"{name}: stamps are {float(np.nanmedian(late)):+.2f} s from the time they were received.")
     return out
 
@@ -113,12 +119,12 @@ def _receive_finding(recording: Recording) -> list[str]:
     return [
         f"{r.topic} ({r.frame}): its clock is {offset:+.3f} s off that of the joint states, by times of reception."
         for r in recording.readings
-        if np.isfinite(r.received).any() and abs(offset := usual - float(np.nanmedian(r.received - r.stamps))) > 0.05
+        if np.isfinite(r.received).any() and abs(offset := usual - float(np.nanmedian(r.received - r.stamps))) > _CLOCKS
     ]
 
 
 def _constant(names: tuple[str, ...], position: Array) -> list[str]:
-    return [n for n, p in zip(names, position.T, strict=True) if np.isfinite(p).all() and np.ptp(p) < 1e-4]
+    return [n for n, p in zip(names, position.T, strict=True) if np.isfinite(p).all() and np.ptp(p) < _CONSTANT]
 
 
 def _stuck_finding(name: str, values: Array) -> list[str]:

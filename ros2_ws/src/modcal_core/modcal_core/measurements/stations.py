@@ -47,7 +47,9 @@ class TrackSamples:
     moving: bool
 
 
-_LEAST_DWELLS = 3
+_LEAST_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
+_PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
+_ALIKE = 0.01  # s within which offsets are one: the jitter of a driver's loop at 100 Hz
 
 
 def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
@@ -101,7 +103,7 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     # one topic may have been heard for longer than the other; what counts is the time that both cover
     shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
-    if len(pairs) and len(pairs) >= 0.5 * shared and (sparse or len(dwells) < _LEAST_DWELLS):
+    if len(pairs) and len(pairs) >= _PAIRED * shared and (sparse or len(dwells) < _LEAST_DWELLS):
         rows = pairs[:, 1]
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
@@ -247,6 +249,6 @@ def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:
     counts = {len(r.stamps) for r in tracks}
     if counts == {len(t)} and len(t) > 2:
         apart = tracks[0].stamps - t
-        if float(np.ptp(apart)) < 0.01:
+        if float(np.ptp(apart)) < _ALIKE:
             return f"come in pairs, but every reading is stamped {np.median(apart):+.3f} s off its joint state"
     return f"no reading falls on one of {len(t)} joint states or {len(dwells)} dwells"

@@ -17,7 +17,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.dwells import StationRules, find_dwells
+from modcal_core.measurements.dwells import NOISE_FACTOR, SECOND_DIFFERENCE, StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, ReadingTrack
 from modcal_core.measurements.samples import KIND_NAMES, Samples
@@ -29,7 +29,7 @@ _JUMP = 1.0  # s; a stamp that lies this far before the last one is a clock that
 _RESTLESS = 30.0  # s without a stand after which readings in motion are used
 _STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from ...
 _EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on either side at least
-_UNIT = 1e-3
+_UNIT = 1e-3  # how far from 1 a quaternion's norm may be; drivers round to four digits at worst
 _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked for in
 
 
@@ -176,7 +176,7 @@ class SampleStream:
             self._noise = np.where(jerk > self._noise, 1.02 * self._noise + 1e-9, 0.98 * self._noise)
         self._average_ended(stamp)
         low, high = np.minimum(self._low, q), np.maximum(self._high, q)
-        allowed = np.maximum(self._rules.still, 6.0 / (0.6745 * np.sqrt(6.0)) * self._noise)
+        allowed = np.maximum(self._rules.still, NOISE_FACTOR / SECOND_DIFFERENCE * self._noise)
         if (high - low > allowed).any() or step > self._rules.gap + 5.0 * self._step:
             if stamp - self._since >= self._rules.settle + self._rules.least - self._rules.window:
                 self._average_ended(np.inf)

@@ -31,7 +31,7 @@ _MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones a
 _LOADED_WAVES = 60  # the same of errors that grow with the joint's load
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
 _MOST_NAMED = 6  # signals that a sentence names
-_MOST_SIGNALS = 40
+_MOST_SIGNALS = 40  # for time
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 
 

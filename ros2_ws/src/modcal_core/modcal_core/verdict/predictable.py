@@ -31,8 +31,8 @@ from modcal_core.verdict.verdict import Share
 
 _MOST = 500  # samples; a longer recording is thinned evenly
 _LEAST_STATIONS = 15  # three in each fold; with fewer nothing can be said
-_FLIPS = 64
-_DRAWS = 400
+_FLIPS = 64  # trials of noise, to which a Gumbel law is fitted
+_DRAWS = 400  # bootstrap samples
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
 _FREE = 1e3  # deviations of the noise by which parameters may be off that were fitted to these very samples
 _LEAST_NEW = 0.02  # length that must be left of a column without what the parameters could make of it

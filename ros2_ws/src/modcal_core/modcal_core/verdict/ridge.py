@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.geometry.so3 import Array
 
-FOLDS = 5
+FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
 
 

@@ -24,7 +24,7 @@ from modcal_core.verdict.verdict import Verdict
 Statistic = Literal["mean", "rms", "p95", "max"]
 Result = Literal["PASS", "FAIL", "CANNOT TELL"]
 STATISTICS: tuple[Statistic, ...] = get_args(Statistic)
-_DRAWS = 2000
+_DRAWS = 2000  # bootstrap samples; the 2.5 % tail then has 50
 _TAIL = 0.025  # chance outside either end of a 95 % interval
 _NORMAL = 1.96  # deviations that leave as much
 _MANY = 500  # units from which the mean of them is normal enough not to be drawn

@@ -27,7 +27,8 @@ _LEAST = 30  # samples
 _LEAST_OF_THEM = 0.1  # share of the samples in the smaller group
 _EXPLAINED = 0.5  # share of the squares
 _SEPARATE = 0.85  # share of the squares along the motion; a wave, of all that is not two-valued the most, has 0.81
-_ROUNDS = 12
+_ROUNDS = 12  # iterations
+_BITS = (6, 24)  # that encoders have
 _PLAINER = 0.9  # of the best share; a joint's axis is plainer than six directions
 _BIT = 0.03  # of its size, to which a step is taken for a bit of an encoder
 
@@ -162,7 +163,11 @@ def _apart(motion: _Motion, theta: Array, weight: Array) -> str:
     if motion.unit:
         step = 2.0 * abs(float(theta[0]))
         bits = np.log2(2.0 * np.pi / step)
-        whole = motion.unit == "mrad" and 6 <= round(bits) <= 24 and abs(2.0 ** (round(bits) - bits) - 1.0) < _BIT
+        whole = (
+            motion.unit == "mrad"
+            and _BITS[0] <= round(bits) <= _BITS[1]
+            and abs(2.0 ** (round(bits) - bits) - 1.0) < _BIT
+        )
         bit = f", 1/{2 ** round(bits)} of a turn, as an encoder's bit is," if whole else ""
         return f"{1e3 * step:.3g} {motion.unit}{bit}"
     moved = np.tensordot(theta, motion.columns, axes=1)[:3] / weight[:3]

@@ -16,6 +16,7 @@ from modcal_core.verdict.verdict import Reason, Verdict
 
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
 _LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
+_SURELY = 0.5  # of the floor; what is less beyond it is not told from it
 _LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
@@ -52,7 +53,7 @@ def _only_one_kind(judged: Verdict, case: Case) -> Iterator[str]:
         return
     moved = 1e-3 * _beyond(1e3 * left.position_norm, judged.floor_mm)
     turned = np.radians(_beyond(np.degrees(left.rotation_norm), judged.floor_deg))
-    surely_moved, surely_turned = 5e-4 * judged.floor_mm, np.radians(0.5 * judged.floor_deg)
+    surely_moved, surely_turned = _SURELY * 1e-3 * judged.floor_mm, np.radians(_SURELY * judged.floor_deg)
     reach = case.model.chain.reach()
     if moved > 2.0 * reach * max(turned, surely_turned):
         yield (

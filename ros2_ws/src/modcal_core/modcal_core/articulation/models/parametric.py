@@ -23,10 +23,10 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 __all__ = ["ParametricModel", "ShapeParameter"]
-_TRIPLES = 6
+_TRIPLES = 6  # of samples that a guess is made from
 _PLACES = 3  # of each three samples
 _GRID = 48  # points of the path among which they are looked for
-_KEEP = 3
+_KEEP = 3  # guesses that are fitted
 Rows: TypeAlias = NDArray[np.integer[Any]]
 
 

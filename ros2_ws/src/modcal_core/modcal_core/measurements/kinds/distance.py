@@ -17,6 +17,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, Sight, farthest, millimetres
 from modcal_core.measurements.recording import RANGE, ReadingTrack
 
+_CHANGE = 4.0  # times the reach, by which ranges may change: the arm's diameter, and a tool as long as the arm
 _MOST_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
 
@@ -78,7 +79,9 @@ class DistanceKind(Kind):
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Ranges of nothing, and what no arm could have moved."""
         d = values[:, 0]
-        changing = np.abs(d - np.median(d)) > 4.0 * reach if reach and len(d) > 1 else np.zeros(len(d), dtype=np.bool_)
+        changing = (
+            np.abs(d - np.median(d)) > _CHANGE * reach if reach and len(d) > 1 else np.zeros(len(d), dtype=np.bool_)
+        )
         return np.asarray((d <= 0.0) | (d > farthest(reach)) | changing)
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
@@ -89,5 +92,5 @@ class DistanceKind(Kind):
             said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
             return said, "leave out readings without a target"
         # the tool may stick out as far as the arm reaches
-        changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MOST_OF))), 4.0 * reach)
+        changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MOST_OF))), _CHANGE * reach)
         return changing or millimetres("ranges reach", float(d.max()), farthest(reach))

@@ -28,6 +28,7 @@ MESSAGES = (  # types of messages whose numbers can be readings
     "sensor_msgs/msg/Range",
 )
 ORIGIN, POSE_OF_FRAME, PLANE = "origin", "pose", "plane"
+FARTHEST_OF_REACH = 20.0  # times the arm's reach, the same for arms so large that 50 m is near
 FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
 
 
@@ -160,7 +161,7 @@ def scene_in(T_frame_base: Array, T_base_tool: Array, target: Array | None = Non
 
 def farthest(reach: float) -> float:
     """Distance [m] from its tracker beyond which nothing that an arm of this reach [m] holds can be."""
-    return max(FARTHEST, 20.0 * reach)
+    return max(FARTHEST, FARTHEST_OF_REACH * reach)
 
 
 def millimetres(name: str, largest: float, limit: float) -> tuple[str, str] | None:

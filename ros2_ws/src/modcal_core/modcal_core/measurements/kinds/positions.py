@@ -8,6 +8,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import Kind, farthest
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
 
+_SPREAD = 5.0  # times the arm's reach; millimetres spread a thousand times as far, and an arm itself no more than once
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be
 
 
@@ -31,7 +32,7 @@ class Point(Kind):
         position = track.values[:, :3]
         spread = float(_norm(position - np.median(position, axis=0)).mean())
         far = float(np.linalg.norm(np.median(position, axis=0)))
-        if spread > 5.0 * reach or far > farthest(reach):
+        if spread > _SPREAD * reach or far > farthest(reach):
             said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: it looks like millimetres"
             return said, "record metres"
         return None

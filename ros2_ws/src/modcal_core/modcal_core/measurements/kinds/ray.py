@@ -32,9 +32,10 @@ from modcal_core.measurements.recording import RAY, ReadingTrack
 
 _GRAZING = 0.05  # cosine to the normal below which a ray is taken to run along the plane
 _CLEAR = 0.3  # the same for postures from which parameters are chosen
-_NORMALS = 120
-_POLISHED = 4
+_NORMALS = 120  # over the half sphere: some 13° apart
+_POLISHED = 4  # of the best, that are fitted
 _FARTHEST = 5.0  # m that such a sensor sees
+_OF_REACH = 4.0  # times the arm's reach, where that is more: the arm's diameter, and as much again for tool and plane
 
 
 class Ray(Kind):
@@ -131,7 +132,7 @@ class Ray(Kind):
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Ranges of nothing, or beyond what such a sensor sees."""
         d = values[:, 0]
-        return np.asarray((d <= 0.0) | (d > max(_FARTHEST, 4.0 * reach)))
+        return np.asarray((d <= 0.0) | (d > max(_FARTHEST, _OF_REACH * reach)))
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Zeros, negative readings, millimetres."""
@@ -140,7 +141,7 @@ class Ray(Kind):
         if len(bad):
             said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
             return said, "leave out readings without a plane in front of the sensor"
-        return millimetres("ranges reach", float(d.max()), max(_FARTHEST, 4.0 * reach))
+        return millimetres("ranges reach", float(d.max()), max(_FARTHEST, _OF_REACH * reach))
 
 
 def _hits(scene: Scene, values: Array) -> tuple[Array, Array, Array, Array]:
