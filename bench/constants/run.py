@@ -1,10 +1,13 @@
 """Does a number that decides matter? Each one 30 % lower and higher, over recordings of the two public benchmarks.
 
-    python bench/constants/run.py --only MOST_REJECTED,SIGNIFICANT --json sweep.jsonl
+    python bench/constants/run.py                                        # all of constants.json, hours
+    python bench/constants/run.py --only status.MOST_REJECTED,SIGNIFICANT --every 20 --jobs 1
 
 Recordings are those of ``bench/undeclared`` (is the planted effect named, how well is the second recording predicted?)
 and ``bench/verdict`` (is the verdict right?). A whole-number constant moves by at least one. The table says which
-recordings have another outcome than with the number as it stands.
+recordings have another outcome than with the number as it stands. What is done is kept in
+``--json``, so that a sweep that was stopped goes on where it was. Numbers of ``verdict/`` change no name of an effect:
+``--bench verdict --every 4`` gives them more recordings in the same time.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 import argparse  # noqa: E402
+import importlib  # noqa: E402
 import importlib.util  # noqa: E402
 import json  # noqa: E402
 import multiprocessing  # noqa: E402
@@ -53,6 +57,14 @@ def moved(value: float, factor: float) -> float:
     return min(round(value * factor), value - 1) if factor < 1.0 else max(round(value * factor), value + 1)
 
 
+def value_of(module: str, name: str) -> float:
+    """The constant as it stands. Raises LookupError for a name that is not there."""
+    value = getattr(importlib.import_module(module), name, None)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise LookupError(f"{module} has no number {name}")
+    return value
+
+
 @contextmanager
 def changed(module: str, name: str, factor: float) -> Iterator[None]:
     """The constant moved wherever it has been imported to. Raises LookupError for a name that is not there."""
@@ -60,9 +72,7 @@ def changed(module: str, name: str, factor: float) -> Iterator[None]:
 
     for found in pkgutil.walk_packages(modcal_core.__path__, "modcal_core."):
         importlib.import_module(found.name)
-    value = getattr(importlib.import_module(module), name, None)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise LookupError(f"{module} has no number {name}")
+    value = value_of(module, name)
     holders = [
         loaded
         for key, loaded in list(sys.modules.items())
@@ -116,8 +126,8 @@ def runner(bench: str) -> ModuleType:
     return sys.modules[name]
 
 
-def recordings(every: int) -> list[tuple[str, str, int]]:
-    """The panel: some of bench/undeclared, and every so manyth kind of bench/verdict."""
+def recordings(every: int, benches: str = "undeclared,verdict") -> list[tuple[str, str, int]]:
+    """The panel: some of bench/undeclared, and every so manyth kind of bench/verdict; of the benches that are named."""
     sys.path.insert(0, str(HERE.parent / "verdict"))
     import conventions  # noqa: F401
     import good  # noqa: F401
@@ -128,21 +138,27 @@ def recordings(every: int) -> list[tuple[str, str, int]]:
     from case import KINDS  # the kinds are registered by the imports above
 
     verdict = [(group, kind, 40 + k) for group in VERDICT for k, kind in enumerate(KINDS[group])]
-    return [*(("undeclared", kind, seed) for kind, seed in UNDECLARED), *verdict[::every]]
+    both = [*(("undeclared", kind, seed) for kind, seed in UNDECLARED), *verdict[::every]]
+    return [task for task in both if ("undeclared" if task[0] == "undeclared" else "verdict") in benches.split(",")]
 
 
 def main() -> int:
     """Exit code: 0 where no move of a number made a verdict calm and wrong, or a clean arm one with an effect."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="comma-separated names; default: all of constants.json")
+    parser.add_argument(
+        "--only", default="", help="comma-separated names, as NAME or file.NAME; default: all of constants.json"
+    )
+    parser.add_argument("--bench", default="undeclared,verdict", help="whose recordings")
     parser.add_argument("--every", type=int, default=8, help="of bench/verdict's kinds, one in so many")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", type=Path, default=HERE / "sweep.json", metavar="FILE", help="where results go")
     given = parser.parse_args()
     listed = [tuple(c) for c in json.loads((HERE / "constants.json").read_text(encoding="utf-8"))]
     wanted = [name for name in given.only.split(",") if name]
-    constants = [c for c in listed if not wanted or c[1] in wanted]
-    tasks = recordings(given.every)
+    constants = [c for c in listed if not wanted or any(f".{c[0]}.{c[1]}".endswith(f".{name}") for name in wanted)]
+    for module, name in constants:
+        value_of(module, name)  # said now, not after an hour
+    tasks = recordings(given.every, given.bench)
     trials: list[tuple[tuple[str, str] | None, float]] = [(None, 1.0), *((c, f) for c in constants for f in FACTORS)]
     done: dict[str, Any] = {}
     if given.json.is_file():
@@ -154,7 +170,11 @@ def main() -> int:
             done[waiting[future]] = future.result()
             print(f"[{k}/{len(waiting)}] {waiting[future]}", file=sys.stderr, flush=True)
             given.json.write_text(json.dumps(done, indent=1), encoding="utf-8")
-    rows = [(name, factor, others(done, (module, name), factor)) for module, name in constants for factor in FACTORS]
+    rows = [
+        (f"{module.removeprefix('modcal_core.')}.{name}", factor, others(done, (module, name), factor))
+        for module, name in constants
+        for factor in FACTORS
+    ]
     table = Table(title=f"Numbers that decide, 30 % lower and higher, over {len(tasks)} recordings")
     for header in ("constant", "factor", "other outcomes"):
         table.add_column(header)
