@@ -11,13 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import api
+import constants
 import graph
 import settings
 import verbs
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES: dict[str, Callable[[], str]] = {
-    **{"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page},
+    **{"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page, "constants.md": constants.page},
     **api.pages(),
 }
 HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
@@ -25,6 +26,7 @@ SOURCES = {
     "cli.md": "modcal_nodes/cli",
     "parameters.md": "modcal_nodes/ros/parameters.py",
     "topics.md": "the running nodes",
+    "constants.md": "modcal_core",
     **dict.fromkeys(api.pages(), "the docstrings of `modcal_core` and `modcal_msgs_py`"),
 }
 

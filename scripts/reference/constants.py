@@ -1,0 +1,31 @@
+"""The page of the core's constants: every module-level number that results may depend on, with its comment."""
+
+from __future__ import annotations
+
+from cells import code, prose, table
+from module_numbers import WHERE, numbers
+
+INTRODUCTION = """# Constants
+
+Every number that stands at the top of a file of these packages, with the comment beside it. Those that decide what is
+believed, rejected, named or refused, and how a verdict comes out, are on [a page of their own](../constants.md), with
+their reasons."""
+_LONGEST = 70  # characters of a value that a table shows
+
+
+def page() -> str:
+    """Text of the page."""
+    parts, everything = [INTRODUCTION], numbers()
+    for place in WHERE:
+        own = [n for n in everything if n.file == place or n.file.startswith(f"{place}/")]
+        if not own:
+            continue
+        rows = [
+            (code(n.file.removeprefix(f"{place}/")), code(n.name), code(_shown(n.value)), prose(n.comment)) for n in own
+        ]
+        parts += [f"## {place}", table(("file", "name", "value", ""), rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _shown(value: str) -> str:
+    return value if len(value) <= _LONGEST else value[:_LONGEST] + "…"

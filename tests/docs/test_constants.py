@@ -1,0 +1,65 @@
+"""Every number that results may depend on has a comment, and the page of those that decide says what the code says."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "scripts" / "reference"))
+
+import module_numbers  # noqa: E402
+
+PAGE = ROOT / "docs" / "constants.md"
+SWEPT = ROOT / "bench" / "constants" / "constants.json"
+
+
+def test_every_number_at_the_top_of_a_file_has_a_comment() -> None:
+    numbers = module_numbers.numbers()
+    assert len(numbers) > 400
+    assert not [f"{n.file}:{n.line} {n.name}" for n in numbers if not n.comment]
+
+
+@pytest.mark.parametrize(
+    ("source", "comment"),
+    [
+        ("A = 3", ""),
+        ("A = 3  # of a kind", "of a kind"),
+        ("# by theory\nA = 3", "by theory"),
+        ("# iterations\nB = 2\nA = 3", "iterations"),
+        ("# iterations\nB = 2\n\nA = 3", ""),
+        ("# far above\n\nA = 3", ""),
+        ("A = 3  # noqa: E1", ""),
+        ("A = (\n    3,  # m\n    -4.0,  # rad\n)", "m rad"),
+        ("A: dict[str, float] = {'x': 0.5}", ""),
+    ],
+)
+def test_where_a_comment_is_looked_for(source: str, comment: str) -> None:
+    assert [n.comment for n in module_numbers.of_source(source) if n.name == "A"] == [comment]
+
+
+def test_what_is_no_number_is_not_listed() -> None:
+    assert not module_numbers.of_source('A = "3"\nB = True\nC = {"x": "y"}\nD = np.eye(3)\nE = None')
+
+
+def test_the_page_of_those_that_decide_says_what_the_code_says() -> None:
+    values = {f"{n.file.removesuffix('.py').replace('/', '.')}.{n.name}": n.value for n in module_numbers.numbers()}
+    rows = re.findall(r"^\| `([\w.]+)` \| `([^`]+)` \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert len(rows) > 30
+    wrong = [(name, said, values.get(name)) for name, said in rows if values.get(name) != said]
+    assert not wrong
+
+
+def test_what_is_swept_is_a_number_and_on_the_page() -> None:
+    swept = json.loads(SWEPT.read_text("utf-8"))
+    assert len(swept) > 20
+    page = PAGE.read_text("utf-8")
+    for module, name in swept:
+        value = getattr(importlib.import_module(module), name)
+        assert type(value) in (int, float), (module, name)
+        assert f"`{module.removeprefix('modcal_core.')}.{name}`" in page, (module, name)
