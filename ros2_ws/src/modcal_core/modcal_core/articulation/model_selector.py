@@ -31,6 +31,7 @@ _GUESSED: dict[int, Kind] = {slot: kind for kind, model in _MODELS.items() for s
 _USUAL = {kind for kind, model in _MODELS.items() if model.usual}
 _LOG_SHARES = log_shares(_MODELS.values())
 _Stage = Literal["again", "fresh", "judge"]
+_LEAST_JITTER = 12  # changes of a residual, of which a median tells the noise
 _MOVES = 0.02  # probability that the handle moves at all, before it has
 EVEN: dict[Kind, float] = {STILL.name: 1.0 - _MOVES, **{kind: _MOVES * m.share for kind, m in _MODELS.items()}}
 
@@ -90,7 +91,7 @@ class ModelSelector:
         self.motion = better
 
     def _now(self, nodes: Nodes) -> NodeScene:
-        if len(self._jitter) >= 12:
+        if len(self._jitter) >= _LEAST_JITTER:
             shift, turn = (statistics.median(some) for some in zip(*self._jitter, strict=True))
             self.scale = math.sqrt(shift / 2.77), math.sqrt(turn / 4.73)
         track = nodes.track()

@@ -23,7 +23,7 @@ from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
-from modcal_core.articulation.track import Track
+from modcal_core.articulation.track import FARTHEST, RIGID, Track
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.single import posed
 from modcal_core.geometry.so3 import Array
@@ -136,15 +136,15 @@ class Tracker:
         R = None if rotation is None else np.array(rotation, dtype=float)
         if self._oriented is None:
             self._oriented = R is not None
-        if p.shape != (3,) or not np.isfinite(p).all() or np.abs(p).max() > 50.0:
+        if p.shape != (3,) or not np.isfinite(p).all() or np.abs(p).max() > FARTHEST:
             raise BadCommand(
-                "pose of the handle", "its position is not three finite numbers within 50 m", "give metres"
+                "pose of the handle", f"its position is not three finite numbers within {FARTHEST:g} m", "give metres"
             )
         if self._oriented and R is None:
             raise BadCommand("pose of the handle", "comes without a rotation, unlike before", "reset, or give both")
         if not self._oriented:
             R = None
-        if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - _EYE).max() > 1e-3):
+        if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - _EYE).max() > RIGID):
             raise BadCommand("pose of the handle", "its rotation is no rotation matrix", "give a unit quaternion")
         if not np.isfinite(stamp) or stamp < self._stamp:
             raise BadCommand(

@@ -13,9 +13,9 @@ from modcal_core.geometry.so3 import Array
 
 FEWEST = 6  # samples; a circle in space has six parameters
 _UNIT = 0.02  # by which the length of a quaternion may be off 1
-_RIGID = 1e-3  # by which a rotation matrix may be off one
+RIGID = 1e-3  # by which a rotation matrix may be off one
 _MOST_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
-_FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
+FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Track:
             raise NotEnoughData("track", f"{n} samples, {FEWEST} are needed", "record while the handle moves")
         _finite("positions", p)
         farthest = float(np.abs(p).max())
-        if farthest > _FARTHEST:
-            raise BadRecording("track, positions", f"{farthest:.4g} m from the origin, {_FARTHEST:g} m is allowed",
+        if farthest > FARTHEST:
+            raise BadRecording("track, positions", f"{farthest:.4g} m from the origin, {FARTHEST:g} m is allowed",
                                "give metres, not millimetres")  # fmt: skip
         object.__setattr__(self, "positions", p)
         if self.rotations is not None:
@@ -150,7 +150,7 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
         raise BadRecording("track, rotations", f"have shape {R.shape}, not ({n}, 3, 3)", "give one rotation a sample")
     _finite("rotations", R)
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
-    if off.max() > _RIGID:
+    if off.max() > RIGID:
         raise BadRecording(f"track, rotation of sample {int(off.argmax())}", "is no rotation matrix",
                            "give proper orthonormal matrices")  # fmt: skip
     return R

@@ -228,7 +228,7 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple
             for rows in np.array_split(np.arange(size), count)
         ]
         total = sum(scale.log_likelihood(turns, gaps) for turns, gaps in left) + size * log_volume
-        score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)
+        score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)  # BIC: half of twelve values a part
         turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
         if best is None or score > best.score:
             usual, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))

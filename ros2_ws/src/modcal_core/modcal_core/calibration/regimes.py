@@ -48,6 +48,7 @@ _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searchi
 _LEAST = 4  # stations in a stretch, from which there are two for each half
 _CAP = 100.0  # squared standard scores; no sample may rule alone
 _SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
+_ROOM = 0.5  # of what an effect is expected to be; half of a move is what a fit without it has in its spread
 _BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is enough
 _BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
 _SETTLING = 0.12  # time constant to begin from, as a share of the recording
@@ -112,7 +113,7 @@ def _suspicious(fit: Fit, samples: Samples) -> bool:
     half of what they moved by at the least.
     """
     spread = fit.spread
-    if spread.position > 0.5 * EXPECTED_LENGTH or spread.rotation > 0.5 * EXPECTED_ANGLE:
+    if spread.position > _ROOM * EXPECTED_LENGTH or spread.rotation > _ROOM * EXPECTED_ANGLE:
         return True
     return bool(runs_of(samples, outlying(fit.model, spread, samples)))
 

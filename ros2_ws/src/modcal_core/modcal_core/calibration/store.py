@@ -39,6 +39,7 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 FORMAT = 1  # of the file
+_ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibration was not made from readings
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Calibration:
     rivals: tuple[tuple[Effect, ...], ...] = ()
     kind: str = "pose"
     postures: Array = field(default_factory=lambda: np.empty((0, 0)))
-    spread: Spread = field(default_factory=lambda: Spread(1e-4, 1e-4))
+    spread: Spread = field(default_factory=lambda: Spread(_ASSUMED, _ASSUMED))
     uncertainty: Uncertainty | None = None
     watched: tuple[float, float] | None = None
     scatter: tuple[float, float] = (0.0, 0.0)

@@ -27,6 +27,9 @@ _LEAST_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recordi
 _PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
+_PIECE = 20.0  # s of recording that a jump is looked for in; a motion of a second or two is told in it
+_LEAST_PIECES = 4  # two on either side of a jump
+_LEAST_FOR_DRIFT = 3  # that a line is drawn through: two would always agree
 _LEAST = 50  # readings, joint states and grid points: one second of motion, less correlates by chance
 _SLOWEST = 0.1  # s between joint states; slower ones do not show a motion's peaks
 _SILENT = 0.2  # s between readings beyond which a speed between them is a guess
@@ -172,14 +175,14 @@ def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
 
     The lags of pieces stand on two levels, one after the other, and each piece fits its own level much better.
     """
-    count = min(len(seen) * STEP / 20.0, 20.0)
-    if count < 4:
+    count = min(len(seen) * STEP / _PIECE, 20.0)
+    if count < _LEAST_PIECES:
         return None
     pieces = np.array_split(np.arange(len(seen)), int(count))
     found = [_lag(seen[p], moved[p], 0, round(_LONGEST_JUMP / STEP)) for p in pieces]
     known = [(p, result[0]) for p, result in zip(pieces, found, strict=True) if result and result[1] > TRUSTED]
     lags = np.array([lag for _, lag in known])
-    if len(known) < 4 or float(np.ptp(lags)) * STEP < _LEAST_JUMP:
+    if len(known) < _LEAST_PIECES or float(np.ptp(lags)) * STEP < _LEAST_JUMP:
         return None
     cut = int(np.argmax(np.abs(np.diff(lags)))) + 1
     levels = np.median(lags[:cut]), np.median(lags[cut:])
@@ -201,7 +204,7 @@ def _drift(seen: Array, moved: Array, lag: float) -> float:
     pieces = np.array_split(np.arange(len(seen)), int(np.clip(len(seen) * STEP / 30.0, 3, 20)))
     found = [(p.mean() * STEP, _lag(seen[p], moved[p], round(lag), round(0.3 / STEP))) for p in pieces]
     known = [(at, result[0] * STEP) for at, result in found if result is not None and result[1] > TRUSTED]
-    if len(known) < 3:
+    if len(known) < _LEAST_FOR_DRIFT:
         return 0.0
     at, offset = np.array(known).T
     design = np.stack([at - at.mean(), np.ones_like(at)], axis=1)

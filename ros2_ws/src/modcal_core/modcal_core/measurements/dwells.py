@@ -14,6 +14,7 @@ from modcal_core.geometry.so3 import Array
 NOISE_FACTOR = 6.0  # standard deviations of encoder noise that are standstill: range of a window of noise and some room
 # Median size of the second difference of Gaussian noise, in units of its deviation: 0.6745 times √(1 + 4 + 1)
 SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
+LATE_STEPS = 5.0  # usual steps between joint states, by which one may be late beyond the gap that rules allow
 _OUTLYING = 8.0  # times the half-width of the closest half of a dwell's readings: far outside any noise
 _ASKED = 64  # readings of a dwell that the middle is sought among
 
@@ -49,7 +50,7 @@ def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
     # second differences of a moving arm are small, those of encoder noise are not
     noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / SECOND_DIFFERENCE
     still = (spread <= np.maximum(rules.still, NOISE_FACTOR * noise)).all(axis=1)
-    still[1:] &= np.diff(t) < rules.gap + 5.0 * step
+    still[1:] &= np.diff(t) < rules.gap + LATE_STEPS * step
     edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(int)))
     spans = np.stack([t[edges[::2]], t[edges[1::2] - 1]], axis=1)
     # the filter needs half a window on either side to have been still already

@@ -17,7 +17,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.dwells import NOISE_FACTOR, SECOND_DIFFERENCE, StationRules, find_dwells
+from modcal_core.measurements.dwells import LATE_STEPS, NOISE_FACTOR, SECOND_DIFFERENCE, StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, ReadingTrack
 from modcal_core.measurements.samples import KIND_NAMES, Samples
@@ -177,7 +177,7 @@ class SampleStream:
         self._average_ended(stamp)
         low, high = np.minimum(self._low, q), np.maximum(self._high, q)
         allowed = np.maximum(self._rules.still, NOISE_FACTOR / SECOND_DIFFERENCE * self._noise)
-        if (high - low > allowed).any() or step > self._rules.gap + 5.0 * self._step:
+        if (high - low > allowed).any() or step > self._rules.gap + LATE_STEPS * self._step:
             if stamp - self._since >= self._rules.settle + self._rules.least - self._rules.window:
                 self._average_ended(np.inf)
                 self._ended = _Ended(self._since, stamp - step, self._approach.direction)

@@ -25,6 +25,7 @@ from modcal_core.measurements.samples import Samples
 _OWN_WAVES = 6  # waves a turn of a joint's own position
 _SMOOTH = 16  # random functions of the whole posture
 _NEAR = 40  # the same of neighbours in posture
+_FREQUENCIES = 0.6, 2.0  # rad per deviation of the postures: less than half a wave over most of them, and more than one
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
 _MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
@@ -137,12 +138,14 @@ class _Builder:
 
     def posture(self) -> Group:
         """Base and tool with smooth functions of the whole posture, a constant among them."""
-        smooth = np.concatenate([np.ones((1, len(self.samples))), self._random(_SMOOTH, 0.6)])
+        smooth = np.concatenate([np.ones((1, len(self.samples))), self._random(_SMOOTH, _FREQUENCIES[0])])
         return self._group("the posture", [self._times(self._ends(), smooth)])
 
     def neighbours(self) -> Group:
         """The tool with functions of the posture that change from one station to its neighbours."""
-        return self._group("neighbours in posture", [self._times(self._ends()[6:], self._random(_NEAR, 2.0))])
+        return self._group(
+            "neighbours in posture", [self._times(self._ends()[6:], self._random(_NEAR, _FREQUENCIES[1]))]
+        )
 
     def order(self, first: int, last: int) -> Group:
         """Waves over the order of the stations, first < waves <= last: slow ones, and time, with base, tool and joints,

@@ -19,13 +19,13 @@ from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.two_groups import two_groups
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
-MOST_REJECTED = 0.05  # share of the stations
-MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost
-MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable
+MOST_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading (sweep)
+MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost: 5 % in RMS
+MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 MOST_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
 MOST_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
 MOST_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
-MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS
+MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
 
 
 def judge(
