@@ -232,6 +232,18 @@ def test_wrong_readings_are_said_and_left_out() -> None:
     assert report.effects[0].parameters["stations"][0] == 3.0
 
 
+def test_an_effect_that_shows_at_few_stations_is_no_outlier() -> None:
+    """Backlash of a joint that comes from the other side at every eighth station: these are rejected at first."""
+    rare = np.arange(COUNT) % 8 == 5
+    samples = recorded(6, at_joint(2, lambda q: np.where(rare, 8e-4, 0.0)))
+    approach = samples.approach.copy()
+    approach[:, 2] = np.where(rare, -1.0, 1.0)
+    report = report_of(replace(samples, approach=approach))
+    assert named(report) == [("backlash", ELBOW, f"direction:{ELBOW}")]
+    value, std, _ = next(iter(report.effects[0].parameters.values()))
+    assert abs(value - 8e-4) < 4.0 * std
+
+
 def test_a_late_tracker_is_named_not_hidden() -> None:
     """Stamps 4 ms late in a recording without a stop."""
     samples = prepare(streams(60, dwell=0.0, late=0.004), ur10()).samples

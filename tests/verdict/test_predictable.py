@@ -11,9 +11,9 @@ from cells import ur10
 from verdict.visits import moved_by, tour, visited
 
 from modcal_core.evaluation import evaluate
-from modcal_core.geometry import so3
+from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
-from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.predictable import predictable
@@ -56,6 +56,27 @@ def test_noise_is_not_predictable(kind: str, stations: int, draws: int, noise: s
     assert sum(share is not None and share.lower99 > MOST_PREDICTABLE for share in shares) == 0
 
 
+@pytest.mark.parametrize("changed", ["length", "scale"])
+def test_what_changes_half_way_is_predictable(changed: str) -> None:
+    """A length of the arm, or the scale of the readings: the rank of the station times what the whole does not show."""
+    case = fitted("pose", 60)
+    case = with_noise(case, np.random.default_rng(3), "normal")
+    late = case.samples.stamps > np.median(case.samples.stamps)
+    if changed == "length":
+        frames = se3.exp(np.eye(6)[2] * 3e-4)  # the forearm's far end, out of the plane of elbow and shoulder
+        origins = case.model.chain.origins.copy()
+        origins[3] = origins[3] @ frames
+        T = replace(case.model, chain=replace(case.model.chain, origins=origins)).predict_samples(case.samples)
+        more = T[:, :3, 3] - case.model.predict_samples(case.samples)[:, :3, 3]
+    else:
+        more = 4e-4 * case.samples.position
+    samples = replace(case.samples, position=case.samples.position + late[:, None] * more)
+    found = predictable(replace(case, samples=samples))
+    assert found.both is not None
+    assert found.both.lower99 > MOST_PREDICTABLE
+    assert "changed" in found.source
+
+
 def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     """Readings of an arm in MuJoCo with 0.1 mm that no geometry explains, on 0.02 mm of noise."""
     made, q, _ = tour(seed, stations, 0)
@@ -83,6 +104,18 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     T = made.world.tool_in_tracker(sent)
     if fault == "drift":
         T[:, 0, 3] += 1.4e-4 * np.sin(np.linspace(0.0, 8.0, len(q)))
+    if fault == "another arm":  # its weight tilts what both stand on
+        other = rng.uniform(-np.pi, np.pi, (len(q), 4))
+        signals = tuple(
+            SignalTrack(f"signal:/joint_states{PART}joint left_{j}", made.samples.stamps, column[:, None], "/x")
+            for j, column in enumerate(other.T)
+        )
+        reach = np.cos(other[:, 1]) + 0.5 * np.cos(other[:, 1] + other[:, 2])
+        tilt = 1e-4 * reach[:, None] * np.stack([-np.sin(other[:, 0]), np.cos(other[:, 0]), 0.0 * reach], axis=1)
+        base = made.world.tool_in_tracker(np.zeros((1, 6)))[0, :3, 3]
+        turn = so3.exp(tilt)
+        T[:, :3, :3] = turn @ T[:, :3, :3]
+        T[:, :3, 3] = base + (turn @ (T[:, :3, 3] - base)[..., None])[..., 0]
     T[:, :3, 3] += 2e-5 / np.sqrt(3.0) * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((len(q), 3)))
     return replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
@@ -100,6 +133,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
         ("two joints", "waves of the joint positions"),
         ("signal", "what was recorded of"),
         ("drift", "order of the stations"),
+        ("another arm", "single waves of the positions of left_0, left_1, left_2, left_3"),
     ],
 )
 def test_faults_that_the_model_lacks_are_open(fault: str, named: str) -> None:

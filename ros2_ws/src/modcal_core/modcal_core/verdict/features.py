@@ -8,7 +8,7 @@ way joints arrived, torques, and each recorded signal with what of it the postur
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from modcal_core.diagnosis.memory import moments_on_base, play, slipped
 from modcal_core.effects.effect import place_index
 from modcal_core.effects.shapes import periodic
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.other_joints import spoken_name
+from modcal_core.measurements.other_joints import moving_beside, others_at, spoken_name
 from modcal_core.measurements.samples import Samples
 
 _OWN_WAVES = 6  # waves a turn of a joint's own position
@@ -33,6 +33,7 @@ _LOADED_WAVES = 60  # the same of errors that grow with the joint's load
 _MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
 _MOST_NAMED = 6  # signals that a sentence names
 _MOST_SIGNALS = 40  # for time
+_MOST_BESIDE = 14  # other joints, for time: another two arms of seven
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 
 
@@ -95,12 +96,17 @@ def on_the_way(model: Model, samples: Samples, weight: Array, by_parameters: Arr
     return _Builder(model, samples, weight).on_the_way(by_parameters)
 
 
-def single_waves(model: Model, samples: Samples, weight: Array) -> tuple[str, Waves]:
+def single_waves(model: Model, samples: Samples, weight: Array) -> Iterator[tuple[str, Waves]]:
     """Every joint's axis with each wave of its own position, alone and times its load; all with waves of two joints.
+    And base and tool with those of other joints that move beside the arm, whose weight may bend what both stand on.
 
     With what they are called, for a person. weight: of the samples' six components, (6, N).
     """
-    return "single waves of the joint positions", _Builder(model, samples, weight).single_waves()
+    builder = _Builder(model, samples, weight)
+    yield "single waves of the joint positions", builder.single_waves()
+    beside = moving_beside(samples)[:_MOST_BESIDE]
+    if beside:
+        yield f"single waves of the positions of {_listed(beside)}", builder.waves_beside()
 
 
 class _Builder:
@@ -237,9 +243,7 @@ class _Builder:
         if not len(numbers):
             return None
         where = [*self._ends(), *zip(self.places, self.axis, strict=True)]
-        called = [spoken_name(name) for name in names]
-        more = f" and {len(called) - _MOST_NAMED} more" if len(called) > _MOST_NAMED else ""
-        said = f"what was recorded of {', '.join(called[:_MOST_NAMED])}{more}"
+        said = f"what was recorded of {_listed([spoken_name(name) for name in names])}"
         return self._group(said, [self._times(where, numbers)])
 
     def single_waves(self) -> Waves:
@@ -259,6 +263,13 @@ class _Builder:
             motions.append(self._motions([*axes, *self._ends()]))
             numbers.append(np.stack(both))
         return Waves(tuple(motions), tuple(numbers))
+
+    def waves_beside(self) -> Waves:
+        """Base and tool with waves of the other joints that were recorded, alone and two at a time."""
+        q = others_at(self.samples)[:, :_MOST_BESIDE]
+        turns = [periodic("sine", np.ones(1), column).reshape(2, -1) for column in q.T]
+        both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
+        return Waves((self._motions(self._ends()),), (np.stack([*(wave for x in turns for wave in x), *both]),))
 
     def _ends(self) -> list[tuple[int, int]]:
         """All directions of base and tool."""
@@ -319,6 +330,11 @@ class _Builder:
             mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
             columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
         return Group(name, columns)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"{', '.join(names[:_MOST_NAMED])}{more}"
 
 
 def _standard(x: Array) -> Array:

@@ -87,9 +87,9 @@ def predictable(case: Case) -> Predictable:
         if keep.any():
             columns = (columns if keep.all() else columns[keep]) / size[keep, None]
             tests.append(Ridge.of(group.name, columns, baseline))
-    name, waves = single_waves(case.model, samples, weight)
-    few = Few.of(name, waves, baseline, project, _LEAST_NEW)
-    tests += [few] if few is not None else []
+    for name, waves in single_waves(case.model, samples, weight):
+        few = Few.of(name, waves, baseline, project, _LEAST_NEW)
+        tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 
 
