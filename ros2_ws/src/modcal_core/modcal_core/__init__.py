@@ -18,7 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from modcal_core.version import __version__ as __version__
 
 # Public name: the module of modcal_core that has it
 _WHERE = {

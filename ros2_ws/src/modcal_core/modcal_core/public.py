@@ -30,8 +30,7 @@ from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
 from modcal_core.result import Result
 from modcal_core.robot import Robot
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.verdict.readings import COMPUTED
 from modcal_core.verdict.tolerance import STATISTICS, Asked
 
@@ -210,7 +209,7 @@ def _described(samples: Samples) -> str | None:
 def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
     """A sentence when the recording describes a robot other than the one that was calibrated."""
     nominal, calibrated = calibration.nominal.chain, calibration.calibrated.chain
-    if samples.origin.description is None or isinstance(calibrated, Delta):
+    if samples.origin.description is None or not is_serial_arm(calibrated):
         return ()
     from modcal_core.robots.urdf import read_chain
 

@@ -14,7 +14,8 @@ from modcal_core.errors import BadRobot
 from modcal_core.files import read_yaml
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 from modcal_core.robots.urdf_inertias import Inertias
 
 if TYPE_CHECKING:
@@ -108,8 +109,6 @@ class Robot:
     @classmethod
     def delta(cls, *arguments: Any, **constants: Any) -> Robot:
         """A Delta robot from its constants [m, rad], as :meth:`modcal_core.Delta.build` takes them. Raises BadRobot."""
-        from modcal_core.robots.delta import Delta
-
         return cls(Delta.build(*arguments, **constants), name="delta")
 
     @property
@@ -140,7 +139,7 @@ class Robot:
     @property
     def chain(self) -> Chain:
         """The kinematics of a serial arm. Raises BadRobot for a Delta."""
-        if isinstance(self.mechanism, Chain):
+        if is_serial_arm(self.mechanism):
             return self.mechanism
         raise BadRobot(f"robot {self.name}", "is a Delta", "give a serial arm: this works on no other")
 
@@ -163,7 +162,7 @@ class Robot:
         goal = np.asarray(T_base_tip, dtype=float)
         if goal.shape != (4, 4):
             raise BadRobot("pose", f"has shape {goal.shape}, not (4, 4)", "give one homogeneous transform")
-        if not isinstance(self.mechanism, Chain):
+        if isinstance(self.mechanism, Delta):
             from modcal_core.robots import delta_kinematics
 
             return delta_kinematics.inverse(self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0])))
@@ -172,7 +171,7 @@ class Robot:
         low, high = self.limits
         middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
         start = middle if near is None else np.asarray(near, dtype=float)
-        return inverse(self.mechanism, goal, start, rng=np.random.default_rng(seed))
+        return inverse(self.chain, goal, start, rng=np.random.default_rng(seed))
 
 
 def _text(source: str | Path) -> str:

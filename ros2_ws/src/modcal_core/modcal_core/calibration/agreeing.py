@@ -21,7 +21,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
 OF_REACH = 0.006  # the same for positions
@@ -80,7 +80,7 @@ def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: in a frame of several, that with most readings is looked at.
     """
-    if not isinstance(chain, Chain) or not len(samples):
+    if not is_serial_arm(chain) or not len(samples):
         return None
     f = int(np.argmax(np.bincount(samples.frame)))
     rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)

@@ -18,7 +18,7 @@ from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 _APART = 1e-3  # usual errors, between which derivatives are taken
 _STILL = 1e-7  # usual errors; steps below say nothing
@@ -30,7 +30,7 @@ def least_change(model: Model, nominal: Mechanism) -> Model:
 
     Its first and last constants are the nominal ones: what they would hold belongs to the base frames and to the tool.
     """
-    if not isinstance(nominal, Chain):
+    if not is_serial_arm(nominal):
         return model  # a Delta's constants leave no such freedom
     n = nominal.n
     A = se3.transform(nominal.joint_basis)

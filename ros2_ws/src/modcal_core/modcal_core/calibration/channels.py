@@ -23,7 +23,7 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _LEAST = 40  # stations; a coordinate has 13 coefficients
 _MOST = 400  # the same at most; more say the same
@@ -71,7 +71,7 @@ class _Channels:
 
     @classmethod
     def of(cls, samples: Samples, chain: Mechanism) -> _Channels | None:
-        if not isinstance(chain, Chain) or not len(samples):
+        if not is_serial_arm(chain) or not len(samples):
             return None
         f = int(np.argmax(np.bincount(samples.frame)))
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)

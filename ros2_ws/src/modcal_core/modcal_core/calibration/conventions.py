@@ -33,7 +33,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 BEYOND_DOUBT = 50.0  # difference of log-likelihoods
 LEAST_STATIONS = 12  # poses of a frame: six unknown turns, and as much again to tell
@@ -81,7 +81,7 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
     robots other than serial arms pass unasked.
     """
     undone: str | None = None
-    if not isinstance(chain, Chain):
+    if not is_serial_arm(chain):
         return samples, undone
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & samples.is_pose)

@@ -96,11 +96,8 @@ def _candidates(
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)
-    chain = replace(
-        model.chain,
-        lower=np.maximum(model.chain.lower, low - room),
-        upper=np.minimum(model.chain.upper, high + room),
-    )
+    within = np.maximum(model.chain.lower, low - room), np.minimum(model.chain.upper, high + room)
+    chain = model.chain.with_limits(*within)
     if allowed is None:
         drawn = random_postures(chain, _CANDIDATES, rng)
     else:

@@ -33,9 +33,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform, local_twists
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.kinematics import Frames
-from modcal_core.robots.mechanism import Mechanism, tool_frames
+from modcal_core.robots.mechanism import tool_frames
 
 
 @dataclass(frozen=True)
@@ -102,14 +101,7 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
     chain = model.chain
     both, ahead = error_transform(np.concatenate([errors.frames, errors.places])), len(errors.frames)
     E = both[ahead:]
-    changed: Mechanism
-    if isinstance(chain, Delta):
-        changed = chain.moved(errors.constants[:ARMS].T)
-    else:
-        A = se3.transform(chain.joint_basis)
-        origins = np.array(chain.origins)
-        origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
-        changed = chain.with_origins(origins)
+    changed = chain.with_errors(E, errors.constants)
     T_base_root = chain.T_base_root
     T_frame_base = model.T_frame_base @ T_base_root @ both[:ahead] @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]

@@ -14,7 +14,7 @@ from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, tool_frames
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm, tool_frames
 from modcal_core.robots.urdf_inertias import Inertias
 
 IntArray = NDArray[np.int_]
@@ -69,7 +69,7 @@ class Model:
     @property
     def serial(self) -> Chain:
         """The arm where it is a serial chain; raises BadRobot for what works on such only."""
-        if isinstance(self.chain, Chain):
+        if is_serial_arm(self.chain):
             return self.chain
         names = ", ".join(self.chain.names)
         raise BadRobot(f"robot with joints {names}", "is a Delta", "give a serial arm: this works on no other")

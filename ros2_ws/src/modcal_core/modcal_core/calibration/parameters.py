@@ -29,7 +29,7 @@ from modcal_core.measurements.kinds.kind import ORIGIN
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.robots import delta as deltas
 from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 # How far an arm is expected to be from its drawing, and base and tool from where the drawing's arm would put them.
 # It only decides directions that the data hardly shows, so that they cannot drift into large, cancelling values.
@@ -131,7 +131,7 @@ def ordered_candidates(
             if d < 3 or not fixed_point[f]:
                 bases.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
     # where a Delta's tool hardly turns, its place is the base's, which is then what moves
-    return [*out, *(bases + tool if isinstance(chain, Delta) else tool + bases), *passing]
+    return [*out, *(tool + bases if is_serial_arm(chain) else bases + tool), *passing]
 
 
 def _of_arm(chain: Mechanism) -> tuple[list[Parameter], list[Parameter]]:

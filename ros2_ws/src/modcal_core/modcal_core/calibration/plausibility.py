@@ -31,8 +31,7 @@ from modcal_core.calibration.screening import most_likely
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
@@ -58,7 +57,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     best: tuple[float, str, str] = (usual / _BETTER, "", "")
     for mistake in _mistakes(few.names, bool(few.is_pose.all())):
         best = _weighed(mistake, few, chain, best)
-    if isinstance(chain, Chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
+    if is_serial_arm(chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
         several = (_PLAINLY * best[0], "", "")
         for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
             several = _weighed(mistake, few, chain, several)

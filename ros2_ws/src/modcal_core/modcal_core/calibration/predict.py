@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.usual import outside_drivers
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import KIND_NAMES, Samples
-
-if TYPE_CHECKING:
-    from modcal_core.calibration.store import Calibration
 
 
 def predict(calibration: Calibration, q: ArrayLike | Samples, frame: str | None = None) -> Array:

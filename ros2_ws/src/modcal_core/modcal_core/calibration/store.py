@@ -160,12 +160,7 @@ class Calibration:
 def fingerprint(chain: Mechanism) -> str:
     """Sixteen hexadecimal digits that change when joint names or nominal kinematics (to 1 nm, 1 nrad) do."""
     digits = hashlib.sha256("|".join(chain.names).encode())
-    if isinstance(chain, Delta):
-        digits.update(np.round(np.r_[chain.constants.ravel(), chain.shaft_ratio] * 1e9).astype("<i8").tobytes())
-        return digits.hexdigest()[:16]
-    digits.update(np.round(chain.origins * 1e9).astype("<i8").tobytes())
-    digits.update(np.round(chain.axes * 1e9).astype("<i8").tobytes())
-    digits.update(np.asarray(chain.revolute, dtype="u1").tobytes())
+    digits.update(chain.digits())
     return digits.hexdigest()[:16]
 
 
@@ -389,6 +384,7 @@ def _model_to_data(model: Model) -> dict[str, Any]:
     }
     if isinstance(chain, Delta):
         return {"delta": delta_to_data(chain), **cell}
+    chain = model.serial
     return {
         "base": chain.base,
         "tip": chain.tip,

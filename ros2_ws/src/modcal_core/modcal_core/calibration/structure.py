@@ -26,7 +26,7 @@ from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import KIND_NAMES, Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import spatial_jacobian
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 from modcal_core.robots.mechanism import random_postures as random_postures
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
@@ -153,7 +153,7 @@ def choose_parameters(
     kept = set(independent_columns(J.T, [_NEARLY if p.frame in planes else _EXACTLY for p in candidates]).tolist())
     parameters = sorted((candidates[j] for j in kept), key=lambda p: (p.place, p.frame, p.instrument, p.direction))
     passing = (2, 5)
-    every = not isinstance(model.chain, Chain)
+    every = not is_serial_arm(model.chain)
     left_out = [
         c.name for j, c in enumerate(candidates) if j not in kept and (every or c.direction in passing or c.of_arm)
     ]

@@ -13,7 +13,7 @@ from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import POSE, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import gravity_wrench
+from modcal_core.robots.mechanism import gravity_wrench
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Conditions:
             return np.broadcast_to(row, postures.shape)
 
         effort = same(self.effort)
-        if isinstance(arm.chain, Chain) and arm.inertias is not None and arm.weighed and np.isfinite(self.effort).any():
+        if arm.inertias is not None and arm.weighed and np.isfinite(self.effort).any():
             both = gravity_wrench(arm.chain, arm.inertias, np.concatenate([self.q[None], postures]))
             weight = np.where(chain.revolute[:, None], both[:, 5], both[:, 2]).T
             effort = effort - (weight[1:] - weight[:1])

@@ -22,7 +22,7 @@ from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import is_serial_arm
 
 WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _NEARLY = 0.93  # of the best share; with fewer functions that is plainer
@@ -82,7 +82,7 @@ def dependence(
     weight: of the six components, (6, N). fitted: derivatives (P, 6, N) by the parameters that were fitted to these
     samples, None where the model is frozen; constant errors are looked for only then.
     """
-    if samples.stations < _LEAST or not isinstance(model.chain, Chain) or model.instruments:
+    if samples.stations < _LEAST or not is_serial_arm(model.chain) or model.instruments:
         return None
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
     view = RowView.of(model, samples, model.drivers(samples))

@@ -27,7 +27,7 @@ from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, LENGTH, Effect, columns, length_direction, place_index
+from modcal_core.effects.effect import AXIS, LENGTH, Effect, columns, place_index
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -150,7 +150,7 @@ class Scanner:
             return tuple((t[0].place, t[0].direction) for t in terms), np.stack([t[0].size for t in terms])
         if effect.direction == LENGTH:
             k = place_index(effect.place, self.drivers.arm.chain)
-            along = length_direction(self.drivers.arm.chain, k)
+            along = self.drivers.arm.chain.length_direction(k)
             key: Key = (k, LENGTH)
             self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
             basis = effect.shape.basis(self.drivers.values(effect.driver, effect.lag))

@@ -19,9 +19,7 @@ from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import gravity_wrench
-from modcal_core.robots.mechanism import Mechanism, payload_wrench
+from modcal_core.robots.mechanism import Mechanism, gravity_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
 _LOADS = ("effort", "payload", "moment")
@@ -83,7 +81,7 @@ class Drivers:
     def gravity(self) -> Array:
         """Weight beyond each joint, (n, 6, N); zero where the arm has not been weighed."""
         chain = self.arm.chain
-        if self.arm.inertias is None or not self.arm.weighed or not isinstance(chain, Chain):
+        if self.arm.inertias is None or not self.arm.weighed:
             return np.zeros((chain.n, 6, len(self)))
         return gravity_wrench(chain, self.arm.inertias, self.samples.q)
 

@@ -16,8 +16,6 @@ from modcal_core.effects.drivers import Drivers, public_driver
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS, local_twists
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import ARMS
 from modcal_core.robots.mechanism import Mechanism
 
 READING = -1  # the place of what scales readings: behind everything
@@ -221,7 +219,7 @@ def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int
     if direction == ACROSS:
         return [[(3, 1.0)], [(4, 1.0)]]
     if direction == LENGTH:
-        along = length_direction(chain, k)
+        along = chain.length_direction(k)
         return [[(d, float(along[d])) for d in range(3)]]
     if direction == ALL:
         return [[(d, 1.0)] for d in range(6)]
@@ -230,16 +228,6 @@ def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int
     if direction == RADIAL:
         return [[(0, 1.0)]]
     return [[(DIRECTIONS.index(direction), 1.0)]]
-
-
-def length_direction(chain: Mechanism, k: int) -> Array:
-    """Unit vector along the link that ends in place k, in that place's frame, (3,); zero where it has no length."""
-    if not isinstance(chain, Chain):  # what leads to a shoulder of a Delta lies along its first direction
-        return np.array([1.0, 0.0, 0.0]) if k <= ARMS else np.zeros(3)
-    M = chain.along_z[k]
-    along = M[:3, :3].T @ M[:3, 3]
-    size = float(np.linalg.norm(along))
-    return along / size if size > 1e-3 else np.zeros(3)
 
 
 def _delay(effect: Effect, drivers: Drivers) -> Array:

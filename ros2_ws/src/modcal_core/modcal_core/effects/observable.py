@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import ALL, AXIS, LENGTH, SHIFT, length_direction
+from modcal_core.effects.effect import ALL, AXIS, LENGTH, SHIFT
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 
@@ -68,7 +68,7 @@ def growing(drivers: Drivers) -> list[tuple[str, str]]:
     for k, name in enumerate(chain.names, chain.first_place):
         if k:
             out += [(name, d) for d in ("x", "y", "z")]
-            if length_direction(chain, k).any():
+            if chain.length_direction(k).any():
                 out.append((name, LENGTH))
         out.append((name, AXIS))
     return out

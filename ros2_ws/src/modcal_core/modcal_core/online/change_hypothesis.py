@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.effects.effect import length_direction
 from modcal_core.geometry.so3 import Array
 from modcal_core.online.change_detector import ChangeDetector, Seen
 from modcal_core.robots.gravity import payload_wrench
@@ -106,7 +105,7 @@ def _hypotheses(watch: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypoth
         yield _Hypothesis("base", "all", driver, *of_all_frames(every, scale))
         yield _Hypothesis("tool", "all", driver, *of(n, every, scale))
         for k, name in enumerate(chain.names):
-            along = length_direction(chain, k)
+            along = chain.length_direction(k)
             if along.any() and k > 0:
                 yield _Hypothesis(name, "length", driver, *of(k, np.r_[along, np.zeros(3)][None], scale))
             axis = every[[5 if chain.revolute[k] else 2]]

@@ -36,7 +36,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.movable import Movable, movables
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import is_serial_arm
 
 WEEK = 604800.0  # s
 SURE = 0.01  # chance of naming something where nothing has changed
@@ -98,7 +98,7 @@ def change_since(
     """
     known = reference.uncertainty
     model = reference.calibrated
-    if known is None or not isinstance(model.chain, Chain) or model.instruments or not is_direct(samples.kind.tolist()):
+    if known is None or not is_serial_arm(model.chain) or model.instruments or not is_direct(samples.kind.tolist()):
         raise BadTable(
             "drift of this robot",
             "needs a serial arm, readings of poses or points, and a covariance in the first calibration",

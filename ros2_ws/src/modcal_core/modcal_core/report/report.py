@@ -20,7 +20,6 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
 from modcal_core.report.intervals import independent_units
-from modcal_core.report.sentence import sentence
 from modcal_core.report.trace import Trace
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.rejection import Rejected
@@ -180,6 +179,8 @@ class Report:
     @property
     def verdict(self) -> str:
         """What a person reads first: what was scored, how large the error is, and what may be said of the rest."""
+        from modcal_core.report.sentence import sentence
+
         return sentence(self)
 
     @property

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from modcal_core.measurements.dropped import unexpected
 from modcal_core.report.counted import counted
+from modcal_core.report.report import Report
 from modcal_core.verdict.verdict import Status, Verdict
-
-if TYPE_CHECKING:
-    from modcal_core.report.report import Report
 
 REMEDY = (
     "Return to six postures, each left in between and approached from another side, or state --repeatability-mm and "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-import modcal_core
+from modcal_core.version import __version__
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Trace:
     in the description. instrument: kind of reading, topic and frame. None where not known.
     """
 
-    version: str = modcal_core.__version__
+    version: str = __version__
     date: str | None = None
     bag_sha256: str | None = None
     robot: str | None = None

@@ -120,6 +120,11 @@ class Chain:
         """The place of the tool, behind the last joint."""
         return self.n
 
+    @property
+    def closed(self) -> bool:
+        """Whether its links form loops; those of a chain do not."""
+        return False
+
     @cached_property
     def T_base_root(self) -> Array:
         """The frame of the first joint before it moves, its axis along z, in the base, (4, 4)."""
@@ -170,6 +175,32 @@ class Chain:
         other = replace(self, origins=_read_only(origins))
         other.__dict__["joint_basis"] = self.joint_basis  # depends on the axes only, and is asked for at every step
         return other
+
+    def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Chain:
+        """The same robot with other limits of its joints [rad or m], (n,) each."""
+        return replace(self, lower=_read_only(lower), upper=_read_only(upper))
+
+    def with_errors(self, E: Array, constants: Array) -> Chain:
+        """The same robot with small motions E of its places behind the first, the tool's last, (n, 4, 4).
+
+        constants: a chain has none.
+        """
+        A = se3.transform(self.joint_basis)
+        origins = np.array(self.origins)
+        origins[1:-1] = origins[1:-1] @ A[1:] @ E[:-1] @ se3.inverse(A[1:])
+        return self.with_origins(origins)
+
+    def length_direction(self, k: int) -> Array:
+        """Unit vector along the link that ends in place k, in that place's frame, (3,); zero where it has no length."""
+        M = self.along_z[k]
+        along = M[:3, :3].T @ M[:3, 3]
+        size = float(np.linalg.norm(along))
+        return np.asarray(along / size) if size > 1e-3 else np.zeros(3)
+
+    def digits(self) -> bytes:
+        """Origins, axes and kinds of the joints, to 1 nm and 1 nrad, as bytes."""
+        numbers = [np.round(a * 1e9).astype("<i8").tobytes() for a in (self.origins, self.axes)]
+        return b"".join([*numbers, np.asarray(self.revolute, dtype="u1").tobytes()])
 
     def reach(self) -> float:
         """An upper bound on the distance from the first joint to the tip [m], used to recognise wrong units."""

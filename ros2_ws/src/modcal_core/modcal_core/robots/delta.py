@@ -119,6 +119,11 @@ class Delta:
         return ()
 
     @property
+    def closed(self) -> bool:
+        """Whether its links form loops: three, which close only where the platform fits its arms."""
+        return True
+
+    @property
     def first_place(self) -> int:
         """The place of the first arm's joint; place 0 is the base, which all arms stand on."""
         return 1
@@ -162,6 +167,22 @@ class Delta:
     def moved(self, deviation: ArrayLike) -> Delta:
         """The same robot with its arms' constants changed by these amounts, (6, 3)."""
         return replace(self, constants=_read_only(self.constants + np.asarray(deviation, dtype=float)))
+
+    def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Delta:
+        """The same robot with other limits of its joints [rad or m], (n,) each."""
+        return replace(self, lower=_read_only(lower), upper=_read_only(upper))
+
+    def with_errors(self, E: Array, constants: Array) -> Delta:
+        """The same robot with errors (k, 3) of the constants of its arms, which take up small motions of its places."""
+        return self.moved(constants[:ARMS].T)
+
+    def length_direction(self, k: int) -> Array:
+        """Unit vector of what leads to a shoulder, in the frame of place k, (3,); zero behind the arms."""
+        return np.array([1.0, 0.0, 0.0]) if k <= ARMS else np.zeros(3)
+
+    def digits(self) -> bytes:
+        """Constants of the arms and the shaft's ratio, to 1 nm and 1 nrad, as bytes."""
+        return np.round(np.r_[self.constants.ravel(), self.shaft_ratio] * 1e9).astype("<i8").tobytes()
 
     def reach(self) -> float:
         """An upper bound on the distance from the base to the tip [m], used to recognise wrong units."""

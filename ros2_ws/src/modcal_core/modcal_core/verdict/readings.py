@@ -9,8 +9,7 @@ import numpy as np
 from modcal_core.calibration.score import FINEST, Errors
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 # Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
 _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
@@ -80,7 +79,7 @@ def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) ->
     Each joint's last digit is as wrong as a number between two steps is, step / √12, and moves the tip by its lever.
     """
     step = _step_of_joints(samples.q)
-    if not step or len(samples) < _LEAST or not is_direct(samples.kinds) or not isinstance(chain, Chain):
+    if not step or len(samples) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
         return ()
     tip = forward(chain, samples.q)[:, :3, 3]
     moved = np.stack([forward(chain, samples.q + step * e)[:, :3, 3] - tip for e in np.eye(chain.n)])
@@ -150,7 +149,7 @@ def coarse_joints(left: Errors, scored: Samples, samples: Samples, chain: Mechan
 
     samples: all of the recording, which tell better than the scored ones what is rounded.
     """
-    if len(scored) < _LEAST or not is_direct(samples.kinds) or not isinstance(chain, Chain):
+    if len(scored) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
         return ()
     steps = np.array([_step_of_joints(q) if np.ptp(q) > _MOVED else 0.0 for q in samples.q.T])
     if not steps.any():

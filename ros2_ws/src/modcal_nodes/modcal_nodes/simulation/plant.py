@@ -15,6 +15,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
@@ -42,11 +43,12 @@ class Plant:
         rng = np.random.default_rng(chosen["seed"])
         compliance = _compliance(chosen["joint_compliance_rad_per_nm"], self.chain)
         off = chosen["length_std_m"], chosen["angle_std_rad"]
-        self.world: Machine = (
-            make_world(self.chain, rng, *off, read_inertias(self.text, self.chain), compliance)
-            if isinstance(self.chain, Chain)
-            else make_delta_world(self.chain, rng, *off, compliance)
-        )
+        self.world: Machine
+        if isinstance(self.chain, Delta):
+            self.world = make_delta_world(self.chain, rng, *off, compliance)
+        else:
+            assert isinstance(self.chain, Chain)
+            self.world = make_world(self.chain, rng, *off, read_inertias(self.text, self.chain), compliance)
         self.switches = Switches(self.world, chosen)
         self._chosen, self._rng = chosen, rng
         self._noise = np.random.default_rng(chosen["seed"] + 1)

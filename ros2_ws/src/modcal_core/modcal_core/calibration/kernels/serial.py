@@ -35,7 +35,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import is_serial_arm
 
 BLOCK = 4096  # samples in a sweep
 COLUMNS = 2048  # samples whose columns are made at once; they fit the cache of one core
@@ -46,7 +46,7 @@ _ALIKE = 1e-13  # relative differences of weights that are rounding
 def is_serial(model: Model, samples: Samples, parameters: Sequence[Parameter]) -> bool:
     """Whether the equations are of the kind that this module knows."""
     return (
-        isinstance(model.chain, Chain)
+        is_serial_arm(model.chain)
         and not model.effects
         and not model.instruments
         and all(p.place >= 0 and p.direction < 6 for p in parameters)
