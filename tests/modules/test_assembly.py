@@ -49,6 +49,7 @@ def test_a_thousand_assemblies_against_pinocchio(rng: np.random.Generator) -> No
     assert worst < 1e-12
 
 
+@pytest.mark.slow
 def test_the_urdf_gives_the_same_chain(rng: np.random.Generator) -> None:
     for _ in range(30):
         assembly = random_assembly(rng)
