@@ -97,6 +97,7 @@ def test_importing_is_quick_and_loads_neither_scipy_nor_ros(module: str) -> None
     assert not {m for m in loaded - set(sys.stdlib_module_names) if not m.startswith("modcal")}
 
 
+@pytest.mark.slow
 def test_calibrating_arrays_needs_numpy_and_scipy_only() -> None:
     """A Delta has no URDF, so that not even what reads one is loaded."""
     program = """
@@ -119,6 +120,7 @@ print(result.report.size_mm("final").rms)
 # values
 
 
+@pytest.mark.slow
 def test_arrays_of_public_values_are_read_only(made: modcal.Result) -> None:
     door = np.c_[np.cos(np.linspace(0, 1, 30)), np.sin(np.linspace(0, 1, 30)), np.zeros(30)]
     track = modcal.Track.from_arrays(points=door)
@@ -208,6 +210,7 @@ def test_a_prediction_names_the_driver_that_it_lacks(made: modcal.Result) -> Non
 # one way for library and command
 
 
+@pytest.mark.slow
 def test_the_report_is_that_of_the_command(tmp_path: Path) -> None:
     assert run(["calibrate", str(BAG), "--seed", "3", "--geometry-only", "--out", str(tmp_path / "verb")]) == 0
     bag = modcal.read_bag(BAG)
@@ -221,6 +224,7 @@ def test_the_report_is_that_of_the_command(tmp_path: Path) -> None:
     assert json.loads((folder / "report.json").read_text()) == result.report.to_data()
 
 
+@pytest.mark.slow
 def test_the_evaluation_is_that_of_the_command(tmp_path: Path) -> None:
     bag = modcal.read_bag(BAG)
     robot = bag.robot()
@@ -302,6 +306,7 @@ def test_columns_go_by_name(made: modcal.Result) -> None:
         assert again.report.to_data()["error_mm"][stage]["rms"] == pytest.approx(size["rms"], rel=1e-6), stage
 
 
+@pytest.mark.slow
 def test_no_ros_is_asked_for(tmp_path: Path) -> None:
     """The five lines, and verbs, with ROS barred; a verb that needs it says so in one line."""
     program = """

@@ -16,6 +16,8 @@ import pytest
 
 import modcal_core
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "ros2_ws" / "src"
 BAG = ROOT / "bags" / "ur10_cell"

@@ -22,6 +22,7 @@ def shared(n: int, rho: float, rng: np.random.Generator) -> Array:
     return out
 
 
+@pytest.mark.slow
 def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
     # n samples with correlation ρ from one to the next say as much as n (1 − ρ) / (1 + ρ) independent ones
     squares = []

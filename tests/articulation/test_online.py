@@ -127,6 +127,7 @@ def test_bad_poses_are_refused_and_change_nothing(pose: tuple[list[float], None,
     assert tracker.update(np.zeros(3), None, 2.0).samples == 2
 
 
+@pytest.mark.slow
 def test_a_pose_costs_the_same_however_many_came_before(rng: np.random.Generator) -> None:
     """In the process's own time; the bound itself stands in bench, as a busy machine is not a failure."""
     seen = pulled("revolute", 1.2, rng, 1600)

@@ -75,6 +75,7 @@ def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
     assert "tool (or the target on it) sits elsewhere" in found(placed(clean, T @ away, rows)).what
 
 
+@pytest.mark.slow
 def test_a_joint_that_is_stale_or_was_never_reported(clean: Samples) -> None:
     stale = with_joint(clean, ELBOW, np.where(LATER, clean.q[45, ELBOW], clean.q[:, ELBOW]))
     said = found(stale).what

@@ -115,12 +115,14 @@ def test_a_turn_and_an_axis_of_the_description(clean: Samples) -> None:
     assert f"joint {CHAIN.names[2]} looks as if it turned about 0 0 1" in said
 
 
+@pytest.mark.slow
 def test_a_calibration_is_refused_by_name(clean: Samples) -> None:
     late = replace(clean, position=np.roll(clean.position, 1, axis=0), R=np.roll(clean.R, 1, axis=0))
     with pytest.raises(BadRecording, match="readings look late by 1 station"):
         calibrate(late, CHAIN, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "sign", "said"),
     [

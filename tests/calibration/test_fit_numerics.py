@@ -56,6 +56,7 @@ def test_a_known_distance_stands_beside_what_was_found(made: Recorded) -> None:
     assert report.grounds.converged
 
 
+@pytest.mark.slow
 def test_a_wrong_distance_is_a_contradiction(made: Recorded) -> None:
     """5 mm too long: the fit follows the statement, but the readings by themselves say otherwise."""
     known = far_apart(made)

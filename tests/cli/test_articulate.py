@@ -66,6 +66,7 @@ def test_a_drawer_in_a_text_file(columns: int, separator: str, tmp_path: Path) -
     assert data["configuration"]["upper"] - data["configuration"]["lower"] == pytest.approx(0.4, abs=0.01)
 
 
+@pytest.mark.slow
 def test_an_arm_that_turns_about_its_first_joint(tmp_path: Path) -> None:
     text = URDF.read_text()
     chain = read_chain(text)

@@ -51,6 +51,7 @@ def test_what_it_writes_it_reads(tmp_path: Path) -> None:
         assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
 
 
+@pytest.mark.slow
 def test_a_library_of_ones_own(tmp_path: Path) -> None:
     mine = yaml.safe_load(published_text())
     mine["modules"]["G"]["output"]["xyz"] = [0, 0, 0.2]
@@ -102,6 +103,7 @@ def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator, st
     return folder
 
 
+@pytest.mark.slow
 def test_from_recordings_to_a_better_start(
     tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -167,6 +167,7 @@ def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return keys_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
 
 
+@pytest.mark.slow
 def test_a_key_of_a_calibration_that_nobody_reads(calibration: dict[str, Any]) -> None:
     """Refused with its path and what is known there; names that are free, and settings of shapes, may be any."""
     effect = {**dict.fromkeys(("family", "place", "direction", "driver"), "x"), "shape": {"kind": "linear"},

@@ -46,12 +46,14 @@ def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
     assert said(made.samples) == ""
 
 
+@pytest.mark.slow
 def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
     far = np.linalg.norm(made.samples.position, axis=1, keepdims=True)
     bent = replace(made.samples, position=made.samples.position * (1.0 + 1e-3 * (far - far.mean()) ** 2))
     assert "an error of the tracker's readings" in said(bent)
 
 
+@pytest.mark.slow
 def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
     down = made.world.T_tracker_base[:3, :3] @ [0.0, 0.0, -1.0]
     side = np.sign(made.samples.R[:, :, 0] @ down)[:, None]
@@ -68,6 +70,7 @@ def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
     assert "as an error of joint elbow_joint" in text
 
 
+@pytest.mark.slow
 def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
     """The base tilts with the weight's moment until it slips, and from there again: MuJoCo's poses say the moment."""
     base = made.world.T_tracker_base
@@ -102,18 +105,21 @@ def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Re
     assert report.judged.status == "open"
 
 
+@pytest.mark.slow
 def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) -> None:
     """Its error goes with nothing, but it moves the tool as no other joint does."""
     off = 1e-3 * np.random.default_rng(8).normal(size=len(made.samples))
     assert "goes with nothing that was recorded, as an error of joint elbow_joint" in said(with_error(made, 2, off))
 
 
+@pytest.mark.slow
 def test_readings_whose_scale_changes_half_way(made: Recorded) -> None:
     scale = np.where(np.arange(len(made.samples)) < 60, 1.0, 1.0006)[:, None]
     text = said(replace(made.samples, position=made.samples.position * scale))
     assert "as an error of the tracker's readings" in text
 
 
+@pytest.mark.slow
 def test_positions_alone_that_miss_are_no_joint(made: Recorded) -> None:
     off = 8e-4 * np.random.default_rng(9).normal(size=(len(made.samples), 3))
     text = said(replace(made.samples, position=made.samples.position + off))

@@ -6,6 +6,7 @@ here and by Pinocchio's gravity, with joints that do not repeat, so that noise i
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -118,12 +119,17 @@ CAUSES: dict[str, tuple[Error, tuple[str, str, str]]] = {
 }  # fmt: skip
 
 
+@functools.cache
+def clean_report() -> Report:
+    return report_of(recorded(3, nothing))
+
+
 @pytest.mark.parametrize("name", CAUSES)
 def test_a_planted_cause_is_named_and_removed(name: str) -> None:
     error, expected = CAUSES[name]
     report = report_of(recorded(3, error))
     assert named(report) == [expected], named(report)
-    clean = report_of(recorded(3, nothing)).size_mm("final")
+    clean = clean_report().size_mm("final")
     final, geometric = report.size_mm("final"), report.size_mm("geometric")
     assert final is not None
     assert geometric is not None

@@ -59,6 +59,7 @@ def test_where_nothing_has_changed_nothing_is_named() -> None:
     assert report.left is None
 
 
+@pytest.mark.slow
 def test_geometry_alone_names_what_it_did_not_look_for() -> None:
     samples = visited(4, 120)
     q = samples.q.copy()

@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 FILE = """
@@ -72,6 +74,7 @@ def told(folder: Path, *arguments: str, path: tuple[str, ...] = ()) -> dict[str,
     return dict(json.loads(done.stdout))
 
 
+@pytest.mark.slow
 def test_one_file_is_a_family_in_the_house_and_in_a_package(tmp_path: Path) -> None:
     house, package = tmp_path / "house", tmp_path / "package"
     info = package / "stick-1.0.dist-info"

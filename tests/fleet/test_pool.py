@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pytest
 from fleet.killing import quick
 
 from modcal_nodes.fleet.pool import run_here
@@ -17,6 +18,7 @@ def tasks(folder: Path, *names: str) -> list[Task]:
     return [Task(name, folder / name, Options()) for name in names]
 
 
+@pytest.mark.slow
 def test_a_killed_process_loses_nothing(tmp_path: Path) -> None:
     names = ["a", "once_1", "b", "always", "c", "once_2", "d"]
     outcomes = {o.name: o for o in run_here(tasks(tmp_path, *names), 2, quick)}

@@ -19,6 +19,7 @@ def rotation_vector(direction: np.ndarray, angle: float) -> np.ndarray:
     return angle * (direction / n if n > 1e-3 else np.array([0.0, 0.6, 0.8]))
 
 
+@pytest.mark.slow
 @given(vectors, angles)
 def test_rotations(direction: np.ndarray, angle: float) -> None:
     w = rotation_vector(direction, angle)

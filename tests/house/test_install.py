@@ -20,6 +20,7 @@ PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
 EXECUTABLES = sorted(e for e in entry_points(group="console_scripts") if e.value.startswith("modcal_nodes."))
 
 
+@pytest.mark.slow
 def test_colcon_sees_ament_packages() -> None:
     """An invalid package.xml does not fail: the package is then built as plain Python, and ROS does not find it."""
     command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list", "--base-paths", SRC]

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 
 # A room may import from itself and from those before it; `top` are the files beside the rooms, where the loop stands.
@@ -212,6 +214,7 @@ def test_messages_know_no_node() -> None:
     assert not {(place, root) for place, root in roots if root in ("rclpy", "modcal_nodes")}
 
 
+@pytest.mark.slow
 def test_importing_the_core_loads_no_ros() -> None:
     modules = [
         ".".join(["modcal_core", *Path(place).with_suffix("").parts]).removesuffix(".__init__")

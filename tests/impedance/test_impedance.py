@@ -26,6 +26,7 @@ def energy(law: Impedance) -> float:
     return float(0.5 * law.v @ M @ law.v + 0.5 * law.x @ K @ law.x)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), h=st.floats(1e-4, 10.0))
 def test_left_alone_its_energy_only_falls(seed: int, h: float) -> None:

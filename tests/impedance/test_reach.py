@@ -34,6 +34,7 @@ def test_a_way_within_reach_is_found_with_its_joints(model: object) -> None:
     assert np.allclose(found.posture(0.5 / 29), found.joints[:2].mean(axis=0))
 
 
+@pytest.mark.slow
 def test_a_way_out_of_reach_says_where_it_ends(rng: np.random.Generator) -> None:
     """Pushed straight away from the base: where the arm is stretched, it says so, and not before."""
     farthest = 1.2
@@ -67,6 +68,7 @@ def test_a_walk_in_pieces_is_the_same_walk() -> None:
     assert (walk.result.joints == reach(PANDA, poses, READY).joints).all()
 
 
+@pytest.mark.slow
 def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -> None:
     """Goals that jump, ticks that jitter: the guard's limits hold, and the last goal is reached."""
     lim = limits(speed=0.2, acceleration=2.0, turning=1.0, turning_acceleration=10.0)
@@ -94,6 +96,7 @@ def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -
     assert speeds(follower.pose, goal)[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_goal_behind_a_joint_limit_is_not_followed_through_it() -> None:
     follower = SetpointFilter(PANDA, limits())
     follower.begin(READY, T_READY)

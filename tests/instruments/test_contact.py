@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from cells import ur10
 from instruments import worlds
 from instruments.test_recovery import PLANES
@@ -59,6 +60,7 @@ def apart(a: Array, b: Array) -> tuple[float, float]:
     return growth, float(np.sqrt(np.mean(np.sum((b - growth * a @ (U @ Vt).T) ** 2, axis=1))))
 
 
+@pytest.mark.slow
 def test_contact_alone_shows_the_shape_of_the_arm() -> None:
     w = worlds.world(1)
     samples = recorded(w, np.random.default_rng(1))

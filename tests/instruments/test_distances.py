@@ -35,6 +35,7 @@ def blocks(seed: int) -> tuple[worlds.World, worlds.Samples, tuple[StationDistan
     return w, samples, known
 
 
+@pytest.mark.slow
 def test_derivatives() -> None:
     _, samples, known = blocks(1)
     met = [d.met(samples) for d in known]
@@ -45,6 +46,7 @@ def test_derivatives() -> None:
     assert_jacobian(lambda v: -distance_rows(start, parameters, v, met).residual, J.T, x)
 
 
+@pytest.mark.slow
 def test_a_few_known_lengths_give_bearings_their_scale() -> None:
     scores = []
     for seed in range(2):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from cells import ur10
 from instruments import worlds
 from instruments.test_recovery import THEODOLITES, TRACKER, WIRES, read
@@ -17,6 +18,7 @@ from modcal_core.loop import calibrate
 from modcal_core.online.live import Live
 
 
+@pytest.mark.slow
 def test_positions_are_followed_and_the_rest_is_passed_over() -> None:
     rng = np.random.default_rng(2)
     w = worlds.world(2)

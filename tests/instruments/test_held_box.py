@@ -33,6 +33,7 @@ def scanned(T: Array, rng: np.random.Generator, each: int = 4, sigma: float = SI
     return np.array(rays), np.array(lengths), faces
 
 
+@pytest.mark.slow
 def test_pose_and_size_lie_within_three_sigma() -> None:
     rng = np.random.default_rng(1)
     scores = []

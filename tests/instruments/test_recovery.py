@@ -178,6 +178,7 @@ def test_the_ray_is_found_where_the_plane_is_known() -> None:
     assert np.abs(tilt).max() < 3.5 * max(fit.deviation(f"instrument laser/ray_tilt_{i}") for i in (1, 2)) < 5e-4
 
 
+@pytest.mark.slow
 def test_a_known_plane_tells_more_than_an_unknown_one() -> None:
     """Everything that the plane's three numbers could hide is then seen."""
     rng = np.random.default_rng(4)

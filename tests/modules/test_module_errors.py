@@ -79,6 +79,7 @@ def stories() -> list[tuple[float, float, list[RecordingEvidence]]]:
     return [story(seed) for seed in range(8)]
 
 
+@pytest.mark.slow
 def test_a_third_assembly_starts_better_than_its_drawing(
     stories: list[tuple[float, float, list[RecordingEvidence]]],
 ) -> None:

@@ -136,6 +136,7 @@ def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Gene
 # the search
 
 
+@pytest.mark.slow
 def test_the_published_task() -> None:
     """All 20 seeds are in bench/synthesis.py; three here."""
     task = example()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import itertools
 import os
 import signal
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import rclpy
+from nodes.forking import Forked, Forker
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -64,21 +66,31 @@ SLOWER = 4.0
 MUTUAL = 0.5  # s, within which two sides of a service have found each other
 
 
-class Process:
-    """One node process; its output is kept and shown when a test fails."""
+@functools.cache
+def _forker() -> Forker:
+    return Forker(environment(0))
 
-    def __init__(self, name: str, domain: int, folder: Path, *arguments: str, **parameters: Any) -> None:
+
+class Process:
+    """One node process; its output is kept and shown when a test fails.
+
+    from_nothing: in an interpreter of its own, not one that was forked with everything imported.
+    """
+
+    popen: subprocess.Popen[bytes] | Forked
+
+    def __init__(
+        self, name: str, domain: int, folder: Path, *arguments: str, from_nothing: bool = False, **parameters: Any
+    ) -> None:
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         ros = ["--ros-args", *arguments, *settings] if arguments or settings else []
         self.log = folder / f"{name}-{time.monotonic_ns()}.log"
+        words, variables = [str(EXECUTABLES / name), *ros], environment(domain)
         with self.log.open("wb") as stream:
-            self.popen = subprocess.Popen(
-                [str(EXECUTABLES / name), *ros],
-                env=environment(domain),
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                cwd=folder,
-            )
+            if from_nothing:
+                self.popen = subprocess.Popen(words, env=variables, stdout=stream, stderr=subprocess.STDOUT, cwd=folder)
+            else:
+                self.popen = _forker().start(words, variables, folder, stream.fileno())
 
     def stop(self, number: int = signal.SIGTERM, patience: float = 15.0) -> int:
         """Signal the process and return its exit code."""

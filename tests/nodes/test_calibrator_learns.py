@@ -145,6 +145,8 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
         wait(lambda: report, 10.0)
         found = json.loads(report[-1])["effects"]
         assert [(e["family"], e["place"]) for e in found] == [("step", "tool")]
+        sizes = [found[0]["parameters"][d]["value"] for d in "xyz"]
+        assert np.linalg.norm(sizes) == pytest.approx(np.linalg.norm(bump[:3, 3]), rel=0.05)
 
 
 def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.dds
 @pytest.mark.slow
 def test_one_command_opens_a_simulated_door(tmp_path: Path) -> None:
     """Some 20 s, most of which the arm takes to pull; nothing else runs the four as their user does."""
-    demo = Process("door_demo", fresh_domain(), tmp_path, kind="door", seed=0)
+    demo = Process("door_demo", fresh_domain(), tmp_path, from_nothing=True, kind="door", seed=0)
     with running(demo):
         assert demo.popen.wait(200.0) == 0, demo.output
     opened = re.search(r"in truth it is open by ([0-9.]+) rad", demo.output)

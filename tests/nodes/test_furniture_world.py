@@ -177,6 +177,7 @@ def test_scenes_come_out_as_chosen_and_the_same_for_the_same_seed() -> None:
     assert 3.0 < np.mean(off) < 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [{"kind": "window"}, {"grasp": "magnet"}, {"kind": "door", "radius_m": 1.9}])
 def test_scenes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadTable, match=str(next(reversed(wrong.values())))):

@@ -11,6 +11,7 @@ DRAWING = {"matplotlib", "jinja2"}
 COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("node", "unwanted"),
     [

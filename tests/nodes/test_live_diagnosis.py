@@ -1,6 +1,7 @@
-"""Something happens to the cell while it runs, see live_diagnosis.py; a payload: test_live_payload.py.
+"""A link warms up while the cell runs, see live_diagnosis.py; a payload: test_live_payload.py.
 
-Longer than 20 s each, for stations take time: nowhere else does a running calibrator open the diagnosis by itself.
+Longer than 20 s, for stations take time: nowhere else does a running calibrator open the diagnosis by itself. A tool that
+is bumped: test_calibrator_learns.py, and in the running cell test_viewer.py.
 """
 
 from __future__ import annotations
@@ -13,6 +14,5 @@ from nodes.live_diagnosis import diagnosed
 
 @pytest.mark.dds
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["bump", "warm-up"])
-def test_what_happens_while_running(what: str, tmp_path: Path) -> None:
-    diagnosed(what, tmp_path)
+def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
+    diagnosed("warm-up", tmp_path)

@@ -22,18 +22,18 @@ PACED = {"publish_clock": True, "keep_step": True, "clock_rate_hz": 250.0}
 pytestmark = pytest.mark.dds
 
 
-def opened(folder: Path, seed: int, **chosen: Any) -> Opening:
+def opened(folder: Path, seed: int, share: float = 0.35, **chosen: Any) -> Opening:
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
     # a third of the way that bench/pulling.py goes: by then the model is known and followed at full speed
-    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=0.35)
+    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=share)
     print(f"{scene.kind}, {scene.grasp}, radius {scene.radius:.2f} m, {opening.seconds:.1f} s: {opening.pull}")
     return opening
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "grasp", "seed"), [("door", "weld", 24), ("drawer", "ball", 0), ("screw", "ball", 3)])
+@pytest.mark.parametrize(("kind", "grasp", "seed"), [("door", "weld", 24), ("screw", "ball", 3)])
 def test_furniture_opens_gently(tmp_path: Path, kind: str, grasp: str, seed: int) -> None:
-    """Of bench/pulling.py a part; the stiff, straight pull takes 100 to 800 N there."""
+    """Of bench/pulling.py a part; the stiff, straight pull takes 100 to 800 N there. A drawer: below."""
     pull = opened(tmp_path, seed, kind=kind, grasp=grasp).pull
     assert pull.done, pull
     assert pull.peak <= 40.0
@@ -52,9 +52,14 @@ def test_a_locked_door_is_let_alone(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -> None:
-    """At a hard stop, half way and at full speed."""
-    opening = opened(tmp_path, 1, kind="drawer", grasp="weld", stop=0.12)
+    """At a hard stop, half way and at full speed; up to there it opens gently."""
+    # the goal, 0.15 m, lies beyond the stop
+    opening = opened(tmp_path, 1, share=0.5, kind="drawer", grasp="weld", stop=0.12)
     assert not opening.pull.done
     assert opening.pull.opened == pytest.approx(0.12, abs=2e-3)
+    met = opening.opened[np.argmax(opening.opened[:, 1] > 0.115), 0]
+    before = opening.forces[opening.forces[:, 0] < met, 1]
+    assert before.max() <= 40.0
+    assert before.mean() <= 12.0
     assert 15.0 < opening.pull.peak < 60.0
     assert opening.forces[-10:, 1].mean() < 0.5 * opening.pull.peak

@@ -135,6 +135,7 @@ def test_the_stated_covariance_is_right() -> None:
     assert 0.8 < np.mean(squares) < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["base", "tool"])
 def test_what_wanders_is_followed(place: str) -> None:
     """Tracker or tool creep by a millimetre, in a direction that a minimal set of parameters does not hold as such."""

@@ -20,6 +20,7 @@ def blocks(root: Path, page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (root / "docs" / page).read_text(), re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "count"), [("sensitivity.md", 2), ("planning.md", 1)])
 def test_examples_run(page: str, count: int, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     programs = blocks(root, page, "python")

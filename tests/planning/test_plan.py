@@ -61,6 +61,7 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
     assert counts[0] < counts[1]
 
 
+@pytest.mark.slow
 def test_refining_never_loses() -> None:
     found = plan(ur10(), hall(), Wish(stations=24, candidates=100, starts=2, criterion="d"), np.random.default_rng(4))
     assert len(found.values) == 3

@@ -96,6 +96,7 @@ def test_the_simulated_tour_keeps_its_postures_and_comes_back() -> None:
     assert np.allclose(np.diff([t for t, _ in back]), 0.5)
 
 
+@pytest.mark.slow
 def test_a_simulated_bag_has_returns_and_info_says_when_one_has_none(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
     assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
 
 
+@pytest.mark.slow
 def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_named() -> None:
     """Readings of a displaced arm to the last digit: the fitted model finds them again."""
     assert "fitted model reproduces the readings" in said(record(2, 100).exact)

@@ -97,6 +97,7 @@ def test_torques_are_used_up_and_not_exceeded(seed: int) -> None:
     assert np.median(use.max(axis=1)) > 0.97
 
 
+@pytest.mark.slow
 def test_more_torque_is_faster_and_more_payload_slower() -> None:
     job = PickAndPlace()
     full = job.by_torque().duration
@@ -105,6 +106,7 @@ def test_more_torque_is_faster_and_more_payload_slower() -> None:
     assert within_torque(job.chain, heavier, job.drives, job.path, SHARE).duration > full
 
 
+@pytest.mark.slow
 def test_pick_and_place_in_mujoco(rng: np.random.Generator) -> None:
     """Faster than by the constant bounds of the workspace, and of this very path, and no drive is ever asked too much."""
     job = PickAndPlace()

@@ -31,6 +31,7 @@ def test_csv_holds_what_the_table_holds(arm: str, convention: str) -> None:
     assert_same(from_table(again), chain_of(arm), EXACT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["any", "coordinate axes"])
 def test_every_convention_into_every_other(kind: str, rng: np.random.Generator) -> None:
     """Ends included, wherever base and tool stand: also where roll and yaw are one."""

@@ -55,6 +55,7 @@ def test_six_returns_make_a_floor(count: int, known: bool) -> None:
     assert got.returns == count
 
 
+@pytest.mark.slow
 def test_the_interval_holds_what_was_planted() -> None:
     """200 draws of white noise, and of noise along one axis, which says a third as much."""
     samples = visited(3, 40, 8)

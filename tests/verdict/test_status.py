@@ -63,6 +63,7 @@ def test_more_than_was_stated_is_open() -> None:
     assert "was stated" in judged.open_because[0]
 
 
+@pytest.mark.slow
 def test_a_stated_floor_far_above_what_is_left_is_contradicted() -> None:
     """Micrometres stated as millimetres: no model predicts what an arm does not repeat."""
     samples = visited(3, 80, 0, "point")
@@ -73,6 +74,7 @@ def test_a_stated_floor_far_above_what_is_left_is_contradicted() -> None:
     assert verdict_of(samples, twice).status == "at_floor"
 
 
+@pytest.mark.slow
 def test_orientations_that_drift_alone_are_open() -> None:
     samples = visited(5, 100, 8)
     angle = np.outer(np.linspace(0.0, 6e-3, len(samples)), [0.0, 0.0, 1.0])
@@ -81,6 +83,7 @@ def test_orientations_that_drift_alone_are_open() -> None:
     assert any("the order of the stations" in said for said in judged.open_because)
 
 
+@pytest.mark.slow
 def test_orientation_alone_can_be_open() -> None:
     stated = Stated(repeatability_mm=0.05, instrument_mm=0.05, repeatability_deg=0.0005, instrument_deg=0.0005)
     judged = verdict_of(visited(3, 80, 0), stated)

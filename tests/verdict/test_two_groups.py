@@ -48,6 +48,7 @@ def test_a_bit_that_an_encoder_lost(made: Recorded) -> None:
     assert "1/4096 of a turn" in text
 
 
+@pytest.mark.slow
 def test_a_tracker_that_looks_with_either_face(made: Recorded) -> None:
     face = np.random.default_rng(1).choice([-1.0, 1.0], 120)[:, None]
     shifted = made.samples.position + 3e-4 * face * [0.6, -0.8, 0.0]
@@ -65,6 +66,7 @@ def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
     assert "the tool (or the target on it) had two positions" in said(bent(made, made.samples.q, step))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", ["normal", "uniform", "wave", "outliers"])
 def test_what_has_more_values_than_two_is_not_split(made: Recorded, off: str) -> None:
     rng, q = np.random.default_rng(3), made.samples.q.copy()
