@@ -9,7 +9,7 @@ publisher gave it.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -31,6 +31,7 @@ _DEPTH = 5000
 # After a process was killed, a publisher may take seconds to learn of the one that subscribes in its place, for the
 # middleware holds on to the dead one. To subscribe once more is announced anew, and often shortens that.
 _AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
+_SETTLES = 1.0  # s from the first message, after which one of several subscriptions is kept
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
 UNHEARD = "unheard"  # kind of that complaint
 _FAST = (*READINGS, "joint_states", "wrench")
@@ -90,8 +91,9 @@ class TopicRecorder:
         self._subscribed = self._last
         self._again = 0
         self._spares: list[tuple[Offer, Subscription]] = []
-        self._first: dict[Offer, Subscription] = {}
+        self._heard: Counter[int] = Counter()  # messages by subscription since the last look, while there are spares
         self.waited: float | None = None  # s from the subscription to the first message
+        self._first_at: float | None = None
 
     def look(self) -> bool:
         """Subscribe to what is offered now; whether that was something new."""
@@ -116,8 +118,9 @@ class TopicRecorder:
         }
         if self._inputs and not self.count and self.publishers:
             self._insist()
-        elif self._spares:
+        elif self._spares and self._first_at is not None and time.monotonic() - self._first_at > _SETTLES:
             self._settle()
+        self._heard.clear()
         new = offers - set(self._inputs)
         for offer in new:
             self._inputs[offer] = self._subscribe(offer)
@@ -131,12 +134,21 @@ class TopicRecorder:
             self._spares += [(offer, self._subscribe(offer)) for offer in self._inputs]
 
     def _settle(self) -> None:
-        """Of the subscriptions of one kind keep the one that was heard first."""
-        for offer, subscription in [*self._inputs.items(), *self._spares]:
-            if subscription is not self._first.get(offer, self._inputs[offer]):
-                self._node.destroy_subscription(subscription)
-        self._inputs.update(self._first)
-        self._spares.clear()
+        """Of the subscriptions of one kind keep the one that hears most now.
+
+        The one that was heard first may have got a single message of those that the publisher keeps, and be matched
+        seconds later.
+        """
+        for offer, own in list(self._inputs.items()):
+            mine = [own, *(spare for its, spare in self._spares if its == offer)]
+            kept = max(mine, key=lambda subscription: self._heard[id(subscription)])
+            if not self._heard[id(kept)]:
+                continue  # nothing has come since the last look
+            for subscription in mine:
+                if subscription is not kept:
+                    self._node.destroy_subscription(subscription)
+            self._inputs[offer] = kept
+            self._spares = [(its, spare) for its, spare in self._spares if its != offer]
 
     def profiles(self) -> list[dict[str, Any]]:
         """The QoS that was offered so far, as a bag holds it."""
@@ -211,10 +223,13 @@ class TopicRecorder:
         return box[0]
 
     def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
-        self._first.setdefault(offer, box[0])
         self._keep(offer, cdr, info)
+        more = 1
         for behind in waiting(box[0], _AT_ONCE, raw=True):
             self._keep(offer, *behind)
+            more += 1
+        if self._spares:
+            self._heard[id(box[0])] += more
 
     def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         published = info["source_timestamp"]
@@ -223,7 +238,7 @@ class TopicRecorder:
             return
         self._count_gaps(info.get("publication_sequence_number"))
         if not self.count:
-            self.waited = self._last - self._subscribed
+            self.waited, self._first_at = self._last - self._subscribed, self._last
         self.count += 1
         self.bytes += len(cdr)
         taken = Taken(self.topic, cdr, published, info["received_timestamp"])
