@@ -236,12 +236,12 @@ ARTICULATION = _all(
     ("models.axis.AxisMotion.prior_terms", "gradient of the prior", "gradient[at] = d / std", "gradient[at] = d"),
     ("choice.choose", "rigid only if less probable",
      "if probabilities[STILL.name] > probabilities[kind]:", "if probabilities[STILL.name] < probabilities[kind]:"),
-    ("choice.gross", "nothing is gross", "> 4.0 * max(sigma[0],", "> 400.0 * max(sigma[0],"),
+    ("choice.gross", "nothing is gross", "> _GROSS * max(sigma[0],", "> 400.0 * max(sigma[0],"),
     ("models.revolute.RevoluteJoint.twist", "pitch dropped", "np.cross(self.point, self.axis) + self.pitch * self.axis",
      "np.cross(self.point, self.axis)"),
     ("models.revolute.RevoluteJoint.configuration", "lever of the handle forgotten", "_LENGTH**2 / (_LENGTH**2 + r * r)", "0.5"),
     ("online.Tracker._checked", "poses out of order", "stamp < self._stamp:", "False:"),
-    ("online.Tracker._stuck", "locked and jammed swapped", "if self._moved < 3.0 *", "if self._moved >= 3.0 *"),
+    ("online.Tracker._stuck", "locked and jammed swapped", "if self._moved < _UNMOVED *", "if self._moved >= _UNMOVED *"),
     ("online.Tracker._accepted", "a lone jump is learned from", "if far > _JUMP[0] or turn > _JUMP[1]:", "if False:"),
 )
 
