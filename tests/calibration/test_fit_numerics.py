@@ -39,7 +39,7 @@ def test_reaching_the_most_iterations_is_said(made: Recorded, monkeypatch: pytes
 
 def far_apart(made: Recorded) -> StationDistance:
     """Two stations whose true distance is known from MuJoCo."""
-    a, b = made.exact.position[3], made.exact.position[40]
+    a, b = made.exact.reading[3], made.exact.reading[40]
     stamps = float(made.samples.stamps[3]), float(made.samples.stamps[40])
     return StationDistance(stamps, float(np.linalg.norm(a - b)), 2e-5)
 
@@ -69,7 +69,7 @@ def test_a_wrong_distance_is_a_contradiction(made: Recorded) -> None:
 
 @pytest.mark.parametrize("longer", [0.0, 0.02])
 def test_distances_that_are_wrong_alike_are_judged_together(made: Recorded, longer: float) -> None:
-    p, stamps = made.exact.position, made.samples.stamps
+    p, stamps = made.exact.reading, made.samples.stamps
     known = tuple(
         StationDistance(
             (float(stamps[a]), float(stamps[b])), (1.0 + longer) * float(np.linalg.norm(p[a] - p[b])), 1e-5

@@ -68,12 +68,12 @@ def test_parameters_lie_within_three_sigma(kind: str) -> None:
 
 def test_outliers_do_not_move_the_fit() -> None:
     made = record(7, 200)
-    position = made.samples.position.copy()
+    position = made.samples.reading.copy()
     wrong = np.arange(0, 200, 20)
     position[wrong] += [0.02, -0.03, 0.01]
     from dataclasses import replace
 
-    fit = fit_all(ur10(), replace(made.samples, position=position))
+    fit = fit_all(ur10(), replace(made.samples, reading=position))
     assert set(np.flatnonzero(fit.weights == 0.0)) >= set(wrong)
     q = made.samples.q[::-1]
     assert position_rms(fit, q, made.world.tool_in_tracker(q)) < 3e-5

@@ -21,9 +21,9 @@ COUNT = 160
 
 
 def shifted(samples: Samples, rows: np.ndarray, by: float = 0.005) -> Samples:
-    position = samples.position.copy()
+    position = samples.reading.copy()
     position[rows, 0] += by
-    return replace(samples, position=position)
+    return replace(samples, reading=position)
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def test_the_information_is_that_of_the_data_alone() -> None:
     still[:, 5] = 0.3  # the last joint never moves, so data alone leaves a direction open
     T = made.world.tool_in_tracker(still)
     noise = NOISE_M * np.random.default_rng(2).standard_normal((60, 3))
-    fit = fitted(replace(made.samples, q=still, position=T[:, :3, 3] + noise))
+    fit = fitted(replace(made.samples, q=still, reading=T[:, :3, 3] + noise))
     prior = np.array([p.prior_std for p in fit.parameters])
     # with the prior added it is the inverse of the covariance; in units of the prior, so that sizes compare
     unit = np.outer(prior, prior)

@@ -159,7 +159,7 @@ def test_covariance_is_right_over_many_recordings() -> None:
     for _ in range(12):
         samples = replace(
             blank,
-            position=T[:, :3, 3] + NOISE_M * rng.standard_normal((100, 3)),
+            reading=T[:, :3, 3] + NOISE_M * rng.standard_normal((100, 3)),
             R=T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((100, 3))),
         )
         scored = identify(replace(truth, chain=chain), samples, choice.parameters)

@@ -123,7 +123,7 @@ def test_residuals_of_the_right_model_are_noise() -> None:
     """The true arm of a recording by MuJoCo misses by what was added to the readings."""
     cell = record(3, 200)
     bare = Model(cell.world.nominal, ("tracker",), cell.world.T_tracker_base[None], np.eye(4))
-    noise = cell.samples.position - cell.exact.position
+    noise = cell.samples.reading - cell.exact.reading
     of, exact = misses(bare, cell.samples, SPREAD), misses(bare, cell.exact, SPREAD)
     R = cell.world.T_tracker_base[:3, :3]
     assert np.abs((of.miss - exact.miss) @ R.T - noise).max() < 1e-12

@@ -38,7 +38,7 @@ def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
         tip = corrected_frame(model.serial.base, model.serial.tip, forward(model.chain, cell.samples.q[row]))
         assert tip.child == tool.parent
         seen = se3.inverse(tracker.T) @ tip.T @ tool.T
-        assert np.linalg.norm(seen[:3, 3] - cell.samples.position[row]) < 5e-4
+        assert np.linalg.norm(seen[:3, 3] - cell.samples.reading[row]) < 5e-4
     message = filled(TransformStamped(), tracker, TransformStamped().header.stamp)
     p, o = message.transform.translation, message.transform.rotation
     assert np.allclose(se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w]), tracker.T, atol=1e-12)

@@ -152,7 +152,7 @@ def test_what_wanders_is_followed(place: str) -> None:
         for i in range(len(samples)):
             estimator.update(samples.select(np.array([i])))
     late = samples.select(np.arange(380, 400))
-    missed = [np.sqrt(np.mean((e.model.predict(late.q)[:, :3, 3] - late.position) ** 2)) for e in (stiff, free)]
+    missed = [np.sqrt(np.mean((e.model.predict(late.q)[:, :3, 3] - late.reading) ** 2)) for e in (stiff, free)]
     assert missed[1] < 1.5 * 5e-5  # the noise of the readings
     assert missed[0] > 2e-4
 
@@ -176,7 +176,7 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
 def test_an_outlier_is_counted_and_has_no_say() -> None:
     cell = record(7, 200)
     fit = batch(cell.samples, cell.world.nominal)
-    wrong = cell.samples.position.copy()
+    wrong = cell.samples.reading.copy()
     wrong[::20] += 0.02
     bad = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, wrong))
     estimator = Estimator(fit.model, fit.parameters, fit.spread, 100.0 * fit.covariance)
@@ -189,7 +189,7 @@ def test_an_outlier_is_counted_and_has_no_say() -> None:
 def test_a_doubtful_sample_counts_as_much_as_its_weight_says() -> None:
     cell = record(7, 200)
     fit = batch(cell.samples, cell.world.nominal)
-    shifted = cell.samples.position + [3.5 * fit.spread.position, 0.0, 0.0]
+    shifted = cell.samples.reading + [3.5 * fit.spread.position, 0.0, 0.0]
     samples = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, shifted))
     seen = 0
     for i in range(20):
@@ -231,4 +231,4 @@ def test_covariance_stays_positive_definite_for_long() -> None:
 
 
 def _poses(samples: Samples) -> Array:
-    return se3.transform(samples.R, samples.position)
+    return se3.transform(samples.R, samples.reading)

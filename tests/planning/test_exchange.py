@@ -29,7 +29,7 @@ def test_information_is_that_of_the_normal_equations(reading: str) -> None:
     q = there.q[:25]
     model, parameters = there.model, there.parameters
     samples = samples_of(ur10(), q, model.predict(q), reading)
-    distance = np.linalg.norm(samples.position, axis=1)
+    distance = np.linalg.norm(samples.reading, axis=1)
     position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.rows.spread[0])
     weight = np.tile(position, 3)
     if reading == "pose":

@@ -105,9 +105,9 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
 
 def _inverted(samples: Samples, rows: np.ndarray) -> Samples:
     part = inverse_pose().undone(samples.select(rows))
-    position, R = samples.position.copy(), samples.R.copy()
-    position[rows], R[rows] = part.position, part.R
-    return replace(samples, position=position, R=R)
+    position, R = samples.reading.copy(), samples.R.copy()
+    position[rows], R[rows] = part.reading, part.R
+    return replace(samples, reading=position, R=R)
 
 
 def _degrees(angle: float) -> str:
@@ -194,7 +194,7 @@ class _Scale:
 def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
     """Log-likelihood of these readings as they are, and with each mistake undone, without the last refinement."""
     each = [samples, *(mistake.undone(samples) for mistake in mistakes)]
-    position, R = (np.stack(x) for x in zip(*((s.position, s.R) for s in each), strict=True))
+    position, R = (np.stack(x) for x in zip(*((s.reading, s.R) for s in each), strict=True))
     A = np.broadcast_to(forward(chain, samples.q), (len(each), len(samples), 4, 4)).copy()
     moved = [i for i, mistake in enumerate(mistakes, 1) if mistake.touches == "joints"]
     if moved:
@@ -218,13 +218,13 @@ def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> lis
 def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
     """How well these readings fit, cut into as many of these numbers of parts as pay."""
     A, size = forward(chain, samples.q), len(samples)
-    scale = _Scale.of(chain, samples.position)
+    scale = _Scale.of(chain, samples.reading)
     best: Match | None = None
     for count in parts:
         if count > 1 and size < count * _LEAST_PART:
             continue
         left = [
-            _together(A[rows], samples.R[rows], samples.position[rows], scale)
+            _together(A[rows], samples.R[rows], samples.reading[rows], scale)
             for rows in np.array_split(np.arange(size), count)
         ]
         total = sum(scale.log_likelihood(turns, gaps) for turns, gaps in left) + size * log_volume

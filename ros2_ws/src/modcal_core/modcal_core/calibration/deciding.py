@@ -112,7 +112,7 @@ def _candidates(
     T = model.predict(q, 0)
     return replace(
         repeated, q=q, approach=approach, velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
-        acceleration=np.zeros_like(q), station=np.arange(N), position=T[:, :3, 3], R=T[:, :3, :3],
+        acceleration=np.zeros_like(q), station=np.arange(N), reading=T[:, :3, 3], R=T[:, :3, :3],
     )  # fmt: skip
 
 

@@ -104,7 +104,7 @@ def place_instruments(
             placed.add(f)
         rows = spread_rows(instrument.rows(samples))
         poses[f], values = instrument.of_kind.place(
-            instrument.at_target(T_base_tool[rows]), samples.position[rows], poses[f] if f in placed else None
+            instrument.at_target(T_base_tool[rows]), samples.reading[rows], poses[f] if f in placed else None
         )
         placed.add(f)
         out[i] = replace(instrument, values=values)
@@ -129,7 +129,7 @@ def misses(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Arr
     for instrument in instruments:
         rows = spread_rows(instrument.rows(samples))
         scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
-        sight = instrument.of_kind.see(scene, instrument.values, samples.position[rows])
+        sight = instrument.of_kind.see(scene, instrument.values, samples.reading[rows])
         out.append((sight.residual * sight.lever).ravel())
     return np.concatenate(out)
 

@@ -51,7 +51,7 @@ def _standing(calibration: Calibration, q: ArrayLike) -> Samples:
         station=np.arange(N),
         frame=np.zeros(N, int),
         kind=np.full(N, POSE, dtype=KIND_NAMES),
-        position=np.zeros((N, 3)),
+        reading=np.zeros((N, 3)),
         R=np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=unknown,
         sigma_rotation=unknown,

@@ -66,7 +66,7 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
     choice = choose_parameters(start.model, views_of(samples))
     fit = identify(start.model, samples, choice.parameters)
     require_plausible(start, fit, samples)
-    gap = samples.position - fit.model.predict_samples(samples)[:, :3, 3]
+    gap = samples.reading - fit.model.predict_samples(samples)[:, :3, 3]
     inner = slice(1, chain.n)
     deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.serial.origins[inner])
     _require_as_described(assembly, deviation)

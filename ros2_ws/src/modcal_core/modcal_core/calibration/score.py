@@ -75,7 +75,7 @@ def errors(model: Model, samples: Samples) -> Errors:
     T = model.predict_samples(samples)
     pose = samples.is_pose
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
-    gap, lever = samples.position - T[:, :3, 3], None
+    gap, lever = samples.reading - T[:, :3, 3], None
     if model.instruments:
         sights = RowView.of(model, samples, model.drivers(samples)).sights
         if sights is not None:

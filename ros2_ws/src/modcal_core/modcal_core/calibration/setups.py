@@ -63,7 +63,7 @@ class SetupReadings:
         order = np.argsort(samples.stamps, kind="stable")
         A = se3.inverse(model.chain.T_base_root) @ forward(model.chain, samples.q[order])
         T_root_frame = se3.inverse(model.T_frame_base @ model.chain.T_base_root)
-        reading = se3.transform(samples.R[order], samples.position[order])
+        reading = se3.transform(samples.R[order], samples.reading[order])
         lever = float(np.linalg.norm(A[:, :3, 3], axis=1).mean())
         return cls(
             *(A, T_root_frame[samples.frame[order]] @ reading, bool(samples.is_pose.all()), lever),

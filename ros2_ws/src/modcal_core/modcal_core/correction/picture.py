@@ -63,7 +63,7 @@ def misses(model: Model, samples: Samples, spread: Spread) -> Misses:
     """
     e = errors(model, samples)
     T_base_frame = se3.inverse(model.T_frame_base)[samples.frame]
-    expected = se3.apply(T_base_frame, samples.position - e.position)
+    expected = se3.apply(T_base_frame, samples.reading - e.position)
     miss = (T_base_frame[:, :3, :3] @ e.position[..., None])[..., 0]
     finite = np.isfinite(expected).all(axis=1) & np.isfinite(miss).all(axis=1)
     return Misses(expected[finite], miss[finite], outlying(model, spread, samples)[finite])

@@ -87,7 +87,7 @@ def station_rows(
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
     Jq = _by_station(np.stack([view.unit_column(k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
     unrepeated = np.sum(Jq[:, :3] ** 2, axis=(1, 2))
-    distance = np.linalg.norm(samples.position, axis=1)
+    distance = np.linalg.norm(samples.reading, axis=1)
     read = np.full((N, J.shape[1]), noise.rotation)
     read[:, :3] = (noise.position + noise.per_metre * distance)[:, None]
     # as a fit finds it: one number for all stations
