@@ -59,7 +59,7 @@ def test_parameters_lie_within_three_sigma(kind: str) -> None:
         parameters = choose_parameters(start, views_of(made.samples)).parameters
         fit = identify(start, made.samples, parameters)
         truth = identify(start, made.exact, parameters, robust=False)
-        assert truth.spread.position < 1e-8  # the exact readings are met, so these are the true values
+        assert truth.noise.position < 1e-8  # the exact readings are met, so these are the true values
         scores.append((fit.values - truth.values) / fit.std)
     size = np.abs(np.concatenate(scores))
     assert np.mean(size < 3.0) >= 0.99

@@ -9,7 +9,7 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.effects.driver_limits import DriverLimits
@@ -57,7 +57,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
         clock=clock,
         ranges=driver_ranges(model, samples),
         usual=usual_sizes(model, samples),
-        spread=Spread(1e-3, 1e-3),
+        noise=NoiseModel(1e-3, 1e-3),
     ), samples
 
 

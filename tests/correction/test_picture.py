@@ -11,7 +11,7 @@ from cells import NOISE_M, record, samples_of, ur10
 from correction.test_compensation import STEEP, calibration_of, moment, true_model
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.correction.correction import Correction
 from modcal_core.correction.picture import (
     ellipsoid,
@@ -27,7 +27,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_nodes.simulation.mjcf import body_name
 from modcal_nodes.simulation.world import World
 
-SPREAD = Spread(NOISE_M, 1e-4)
+SPREAD = NoiseModel(NOISE_M, 1e-4)
 T_TIP_TOOL = se3.exp(np.array([0.05, 0.03, 0.12, 0.4, -0.2, 0.1]))
 
 
@@ -113,8 +113,8 @@ def test_the_ellipsoid_is_about_the_predicted_tool(rng: np.random.Generator) -> 
     at = moment(q, rng)
     T, half = tool_ellipsoid(correction, at)
     assert np.abs(T[:3, 3] - correction.pose(q, at, "tool")[:3, 3]).max() < 1e-15
-    assert half == pytest.approx(3.0 * correction.calibration.spread.position)
-    unknown = replace(correction.calibration, spread=Spread(np.nan, 1e-4))
+    assert half == pytest.approx(3.0 * correction.calibration.noise.position)
+    unknown = replace(correction.calibration, noise=NoiseModel(np.nan, 1e-4))
     with pytest.raises(BadCommand):
         tool_ellipsoid(Correction(unknown), at)
 

@@ -31,7 +31,7 @@ def trusted(seed: int, kind: str = "pose") -> tuple[World, Fit]:
 
 
 def watch_of(fit: Fit) -> ChangeDetector:
-    return ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.spread)
+    return ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.noise)
 
 
 def readings(world: World, q: Array, T: Array, rng: Generator, kind: str = "pose") -> Samples:

@@ -60,7 +60,7 @@ def evaluate(
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
-    wrong[sets.held_out] = outlying(models["final"], calibration.spread, calibration.with_scatter(held_out))
+    wrong[sets.held_out] = outlying(models["final"], calibration.noise, calibration.with_scatter(held_out))
     single = wrong[sets.held_out].mean() <= MOST_SINGLE
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
     scored = samples.select(rows)
@@ -97,5 +97,5 @@ def evaluate(
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
-        left=located(frozen(models["final"], calibration.spread), samples) if judged.status == "open" else None,
+        left=located(frozen(models["final"], calibration.noise), samples) if judged.status == "open" else None,
     )

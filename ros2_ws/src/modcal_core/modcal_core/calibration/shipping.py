@@ -64,7 +64,7 @@ def ship(
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
-        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, covariance, watched),
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
         scatter=usual_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.correction.commander import finite
 from modcal_core.correction.conditions import Conditions
@@ -55,10 +55,10 @@ def known_to(model: Model, samples: Samples) -> Samples:
     return replace(kept, frames=model.frames, frame=numbers[numbers >= 0])
 
 
-def misses(model: Model, samples: Samples, spread: Spread) -> Misses:
+def misses(model: Model, samples: Samples, noise: NoiseModel) -> Misses:
     """How far readings lie from where a model, with its effects, expects them.
 
-    samples: poses and points in the model's frames. spread: how readings scatter about the calibrated model. Rows that
+    samples: poses and points in the model's frames. noise: how readings scatter about the calibrated model. Rows that
     do not come out finite are left out.
     """
     e = errors(model, samples)
@@ -66,7 +66,7 @@ def misses(model: Model, samples: Samples, spread: Spread) -> Misses:
     expected = se3.apply(T_base_frame, samples.reading - e.position)
     miss = (T_base_frame[:, :3, :3] @ e.position[..., None])[..., 0]
     finite = np.isfinite(expected).all(axis=1) & np.isfinite(miss).all(axis=1)
-    return Misses(expected[finite], miss[finite], outlying(model, spread, samples)[finite])
+    return Misses(expected[finite], miss[finite], outlying(model, noise, samples)[finite])
 
 
 def conditions_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> Conditions:

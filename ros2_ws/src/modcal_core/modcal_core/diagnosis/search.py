@@ -295,7 +295,7 @@ class _Search:
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
         stay = len(self.known)
-        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances, stay)
+        pruned, gone = needless(final, train, self.explain, self._geometric.noise, self.distances, stay)
         if gone:
             known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
@@ -307,7 +307,7 @@ class _Search:
     def _missed(self, fit: Fit) -> float:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
-        square = squared_misses(errors(fit.model, self.explain), self.explain, self._geometric.spread)
+        square = squared_misses(errors(fit.model, self.explain), self.explain, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.calibration.identify import priors
 from modcal_core.calibration.linearise import RowView, linearise, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import HUBER_Z, Spread, robust_weights, score_of_one
+from modcal_core.calibration.noise import HUBER_Z, NoiseModel, robust_weights, score_of_one
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.effects.effect import place_index
@@ -85,7 +85,7 @@ class Estimator:
         self,
         model: Model,
         parameters: Sequence[Parameter],
-        spread: Spread,
+        noise: NoiseModel,
         covariance: Array | None = None,
         wander: RandomWalk | None = None,
         kind: str = POSE,
@@ -94,12 +94,12 @@ class Estimator:
     ) -> None:
         """Begin at a model.
 
-        spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
+        noise: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
         known; None: the priors of a batch fit. wander: what may change with time. kind: of the readings. robust:
         mistrust samples that do not fit. kept: samples that are linearised again when the estimate moves; none with
         ``wander``, which has an order.
         """
-        self.start, self.parameters, self.spread = model, tuple(parameters), spread
+        self.start, self.parameters, self.noise = model, tuple(parameters), noise
         self.names = (*(p.name for p in parameters), *_effect_names(model))
         self._robust = robust
         self._kept_most = 0 if wander else kept
@@ -182,8 +182,8 @@ class Estimator:
 
     def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
-        position = hypot(self.spread.position, _known(sample.sigma_position[0]))
-        rotation = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
+        position = hypot(self.noise.position, _known(sample.sigma_position[0]))
+        rotation = hypot(self.noise.rotation, _known(sample.sigma_rotation[0]))
         return np.array([position] * 3 + [rotation] * (rows - 3))
 
     def _judged(self, square: float, rows: int) -> tuple[float, float]:
@@ -224,8 +224,8 @@ class Estimator:
         together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose
-        deviation_p = np.hypot(self.spread.position, np.nan_to_num(together.sigma_position))
-        deviation_r = np.hypot(self.spread.rotation, np.nan_to_num(together.sigma_rotation[pose]))
+        deviation_p = np.hypot(self.noise.position, np.nan_to_num(together.sigma_position))
+        deviation_r = np.hypot(self.noise.rotation, np.nan_to_num(together.sigma_rotation[pose]))
         w = np.asarray(self._weights)
         scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
         assert len(scale) == 3 * N + 3 * int(pose.sum())

@@ -29,9 +29,9 @@ class Live:
             raise ValueError("a calibration without its uncertainty cannot be followed")
         covariance = known.covariance + _RIDGE * np.diag(np.diag(known.covariance))
         self.calibration = calibration
-        model, spread = calibration.calibrated, calibration.spread
-        self.estimator = Estimator(model, known.parameters, spread, covariance, wander, calibration.kind)
-        self.watch = ChangeDetector(model, known.parameters, covariance, spread)
+        model, noise = calibration.calibrated, calibration.noise
+        self.estimator = Estimator(model, known.parameters, noise, covariance, wander, calibration.kind)
+        self.watch = ChangeDetector(model, known.parameters, covariance, noise)
         self.suspicion: ChangeHypothesis | None = None
         self.changed: float | None = None
         self.since = 0

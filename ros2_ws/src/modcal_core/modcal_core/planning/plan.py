@@ -153,7 +153,9 @@ def refined(
         moved = np.clip(moved + size * rng.standard_normal(moved.shape), chain.lower, chain.upper)
         moved = moved[clearance(ground.spheres, site, moved) >= 0.0]
         moved = np.concatenate([q, moved[visible(ground.spheres, site, moved)]])
-        more = station_rows(ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.spread)
+        more = station_rows(
+            ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.joint_variance
+        )
         better = exchange(more, count, good, rng, begin=np.arange(count), given=ground.given)
         q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
     return q, rows, value

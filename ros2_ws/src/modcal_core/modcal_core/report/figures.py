@@ -104,14 +104,14 @@ def error_histogram(report: Report) -> Chart | None:
 def spread_chart(report: Report) -> Chart | None:
     """How well each combination of parameters is known by the data alone."""
     seen = report.identifiability
-    if seen is None or not seen.spread:
+    if seen is None or not seen.deviations:
         return None
     figure, axes = small(4.6, 2.0)
-    spread = np.clip(np.array(seen.spread), 1e-9, 1e3)
-    count = np.arange(1, len(spread) + 1)
-    known = np.arange(len(spread)) < seen.rank
-    axes.semilogy(count[known], spread[known], "o", ms=3.0, color=LIGHT["after"])
-    axes.semilogy(count[~known], spread[~known], "x", ms=5.0, color=LIGHT["bad"])
+    deviations = np.clip(np.array(seen.deviations), 1e-9, 1e3)
+    count = np.arange(1, len(deviations) + 1)
+    known = np.arange(len(deviations)) < seen.rank
+    axes.semilogy(count[known], deviations[known], "o", ms=3.0, color=LIGHT["after"])
+    axes.semilogy(count[~known], deviations[~known], "x", ms=5.0, color=LIGHT["bad"])
     axes.minorticks_off()
     in_decades(axes.yaxis)
     axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")

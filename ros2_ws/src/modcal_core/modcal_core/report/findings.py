@@ -134,7 +134,7 @@ def findings(
                 sampled=min(c.sampled for c in causes),
             )
         )
-    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _certain(shipped, samples)
+    wrong = wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 

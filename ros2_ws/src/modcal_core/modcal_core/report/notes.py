@@ -13,7 +13,7 @@ from modcal_core.measurements.samples import Samples
 def instrument_notes(fit: Fit) -> tuple[str, ...]:
     """For each kind of reading that is no position what it cannot see, and how it scatters about the model."""
     out = []
-    for name, size in fit.spread.others.items():
+    for name, size in fit.noise.others.items():
         kind = kinds()[name]
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")

@@ -71,8 +71,8 @@ class Stations:
         moments = tuple(conditions_of(samples.select(np.array([i])), signals) for i in range(len(samples)))
         for at in moments:
             correction.require(at)
-        models, spread = (calibration.calibrated, calibration.nominal), calibration.spread
-        calibrated, nominal = (misses(model, samples, spread) for model in models)
+        models, noise = (calibration.calibrated, calibration.nominal), calibration.noise
+        calibrated, nominal = (misses(model, samples, noise) for model in models)
         return Judged(calibrated, nominal, moments, strangers)
 
 
