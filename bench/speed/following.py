@@ -32,7 +32,7 @@ def rows() -> Iterator[Row]:
     running = Estimator(start, parameters, fit.noise, robust=False)
     for row in single:
         running.update(row)
-    running.settle()
+    running.relinearise()
     apart = float(np.abs((running.values - fit.values) / fit.std).max())
     if apart > 1e-2:
         raise SystemExit(f"the running estimate is {apart:.2g} standard deviations from the batch")

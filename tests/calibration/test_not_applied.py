@@ -11,7 +11,7 @@ from cells import record, samples_of, ur10
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, from_data, to_data
-from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
@@ -56,7 +56,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
         watched=watched,
         clock=clock,
         ranges=driver_ranges(model, samples),
-        usual=usual_sizes(model, samples),
+        typical=typical_sizes(model, samples),
         noise=NoiseModel(1e-3, 1e-3),
     ), samples
 
@@ -104,7 +104,7 @@ def test_gravity_stands_in_for_measured_effort(rng: np.random.Generator) -> None
 def test_an_older_file_names_a_cost_too() -> None:
     calibration, samples = frozen(BY_HEAT)
     data = to_data(calibration)
-    assert np.array_equal(from_data(data).usual[0].mean, calibration.usual[0].mean)  # type: ignore[union-attr]
+    assert np.array_equal(from_data(data).typical[0].mean, calibration.typical[0].mean)  # type: ignore[union-attr]
     assert from_data(data).ranges == calibration.ranges
     del data["effects"][0]["usual"], data["recorded"]["ranges"]
     (item,) = applicable(from_data(data), replace(samples, signals=())).not_applied

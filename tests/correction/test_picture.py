@@ -18,7 +18,7 @@ from modcal_core.correction.picture import (
     enlarged_axes,
     joint_axes,
     known_to,
-    misses,
+    residuals,
     tool_ellipsoid,
 )
 from modcal_core.errors import BadCommand
@@ -38,10 +38,10 @@ def test_misses_are_how_far_mujocos_tool_is_from_the_drawings(rng: np.random.Gen
     q = rng.uniform(-2.0, 2.0, (40, 6))
     seen = samples_of(chain, q, world.tool_in_tracker(q))
     drawn = Model(chain, ("tracker",), world.T_tracker_base[None], T_TIP_TOOL)
-    of = misses(drawn, seen, SPREAD)
+    of = residuals(drawn, seen, SPREAD)
     expected = (forward(chain, q) @ T_TIP_TOOL)[:, :3, 3]
     assert np.abs(of.expected - expected).max() < 1e-12
-    assert np.abs(of.miss - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
+    assert np.abs(of.residual - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
     assert of.size.max() > 1e-3
     assert of.rejected.sum() > 20  # a millimetre is far outside this spread
 
@@ -50,7 +50,7 @@ def test_a_reading_that_is_no_number_is_not_drawn(rng: np.random.Generator) -> N
     model, q = true_model(), rng.uniform(-2.0, 2.0, (5, 6))
     T = model.predict(q)
     T[3, 0, 3] = np.nan
-    of = misses(model, samples_of(model.serial, q, T), SPREAD)
+    of = residuals(model, samples_of(model.serial, q, T), SPREAD)
     assert len(of) == 4
     assert of.size.max() < 1e-9
     assert not of.rejected.any()
@@ -124,6 +124,6 @@ def test_residuals_of_the_right_model_are_noise() -> None:
     cell = record(3, 200)
     bare = Model(cell.world.nominal, ("tracker",), cell.world.T_tracker_base[None], np.eye(4))
     noise = cell.samples.reading - cell.exact.reading
-    of, exact = misses(bare, cell.samples, SPREAD), misses(bare, cell.exact, SPREAD)
+    of, exact = residuals(bare, cell.samples, SPREAD), residuals(bare, cell.exact, SPREAD)
     R = cell.world.T_tracker_base[:3, :3]
-    assert np.abs((of.miss - exact.miss) @ R.T - noise).max() < 1e-12
+    assert np.abs((of.residual - exact.residual) @ R.T - noise).max() < 1e-12

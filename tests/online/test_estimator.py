@@ -32,7 +32,7 @@ def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> 
 def feed(estimator: Estimator, samples: Samples) -> None:
     for i in range(len(samples)):
         estimator.update(samples.select(np.array([i])))
-    estimator.settle()
+    estimator.relinearise()
 
 
 def test_information_is_the_batch_solution(rng: Generator) -> None:
@@ -145,9 +145,9 @@ def test_what_wanders_is_followed(place: str) -> None:
     creep = np.outer(np.linspace(0.0, 1e-3, 400), np.ones(3) / np.sqrt(3.0))
     T[:, :3, 3] += creep if place == "base" else (T[:, :3, :3] @ creep[..., None])[..., 0]
     samples = samples_of(cell.world.nominal, cell.samples.q, T)
-    wander = RandomWalk((place,), 3e-5, 1e-7)
+    random_walk = RandomWalk((place,), 3e-5, 1e-7)
     stiff = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance)
-    free = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, wander, robust=False)
+    free = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, random_walk, robust=False)
     for estimator in (stiff, free):
         for i in range(len(samples)):
             estimator.update(samples.select(np.array([i])))
@@ -161,8 +161,8 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
     """After 25 s without a reading that says anything, the tool may be elsewhere by five times its way of one second."""
     cell = record(6, 60)
     fit = batch(cell.samples, cell.world.nominal)
-    wander = RandomWalk(("tool",), 3e-4, 1e-7)
-    estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, wander)
+    random_walk = RandomWalk(("tool",), 3e-4, 1e-7)
+    estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, random_walk)
     row = cell.samples.select(np.array([0]))
     estimator.update(row)
     before = estimator.covariance
@@ -170,7 +170,7 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
     estimator.update(replace(row, stamps=row.stamps + 25.0, sigma_position=blind, sigma_rotation=blind))
     J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), row).J[:, :3]
     grown = J.T @ (estimator.covariance - before) @ J
-    assert np.abs(grown / (5.0 * wander.metres) ** 2 - np.eye(3)).max() < 0.02
+    assert np.abs(grown / (5.0 * random_walk.metres) ** 2 - np.eye(3)).max() < 0.02
 
 
 def test_an_outlier_is_counted_and_has_no_say() -> None:

@@ -64,8 +64,8 @@ def test_a_change_asks_for_a_solve_after_so_many_stations_and_again_after_a_fail
             asked.append(i)
             supervisor.failed()
     assert supervisor.state == SUSPECTED
-    assert supervisor.suspicion is not None
-    assert supervisor.suspicion.place == "tool"
+    assert supervisor.hypothesis is not None
+    assert supervisor.hypothesis.place == "tool"
     gaps = np.diff(asked)
     assert 9 <= asked[0] <= 15
     assert (gaps >= 10).all()

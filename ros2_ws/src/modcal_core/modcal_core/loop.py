@@ -156,7 +156,7 @@ def calibrate(
         steps=steps,
         evidence=diagnosis.maps,
         model=final.model,
-        missed=errors(final.model, samples).position_norm,
+        residuals=errors(final.model, samples).position_norm,
         wrong=wrong,
         searched=look_for_effects,
         rejection=rejection(errors(final.model, held_out), wrong, samples, sets.held_out),

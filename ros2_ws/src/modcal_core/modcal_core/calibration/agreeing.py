@@ -58,7 +58,7 @@ class _Placed:
     x: Array
     t: Array
 
-    def missed(self, A: Array, samples: Samples) -> tuple[Array, Array]:
+    def residual(self, A: Array, samples: Samples) -> tuple[Array, Array]:
         """Angles [rad] and distances [m], (N,)."""
         gap = samples.reading - (se3.apply(A, self.x) @ self.Y.T + self.t)
         turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
@@ -118,7 +118,7 @@ class _Search:
         return self._joint_throughout(float(agree.mean()))
 
     def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
-        angle, gap = placed.missed(A, samples)
+        angle, gap = placed.residual(A, samples)
         return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
     def _placed(self, A: Array, samples: Samples) -> _Placed:

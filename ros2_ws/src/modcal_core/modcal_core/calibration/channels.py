@@ -313,7 +313,7 @@ class _Channels:
             seen = np.swapaxes(L, -1, -2) @ np.swapaxes(Y, -1, -2)[:, None] @ R @ np.swapaxes(X, -1, -2)[:, None]
             S = so3.nearest_rotation(np.sum(seen @ np.swapaxes(T, -1, -2), axis=1))
             if r == 3:  # go on with the best of them
-                keep = np.argsort(self._missed(L @ S[:, None] @ T, R))[:12]
+                keep = np.argsort(self._residual(L @ S[:, None] @ T, R))[:12]
                 which, S, L, T = [which[i] for i in keep], S[keep], L[keep], T[keep]
         k, missed = self._best(L @ S[:, None] @ T, R)
         if missed > ANGLE:
@@ -325,13 +325,13 @@ class _Channels:
             f"see <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
         )
 
-    def _missed(self, a: Array, R: Array) -> Array:
+    def _residual(self, a: Array, R: Array) -> Array:
         R = np.broadcast_to(R, a.shape)
         Y, X = base_and_tool_turns(a, R)
         return np.asarray(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=-1), axis=-1))
 
     def _best(self, a: Array, R: Array) -> tuple[int, float]:
-        missed = self._missed(a, R)
+        missed = self._residual(a, R)
         k = int(np.argmin(missed))
         return k, float(missed[k])
 

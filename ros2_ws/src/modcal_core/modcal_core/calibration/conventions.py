@@ -60,7 +60,7 @@ _NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gau
 @dataclass(frozen=True)
 class Match:
     """How well readings fit the nominal arm. score: log-likelihood less what parameters cost. angle [rad], position
-    [m]: what is left, RMS over space. perfect: nothing could fit better. usual: median of the distances left [m].
+    [m]: what is left, RMS over space. perfect: nothing could fit better. typical: median of the distances left [m].
     parts: that the recording was cut into.
     """
 
@@ -68,8 +68,8 @@ class Match:
     angle: float
     position: float
     perfect: bool
-    usual: float
-    usual_angle: float
+    typical: float
+    typical_angle: float
     parts: int
 
 
@@ -133,7 +133,7 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     found = [(score, i, mistakes[i]) for score, i in sorted(plausible, key=lambda c: (-c[0], c[1]))]
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
     judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
-    judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach() and _explains(c[0], before)]
+    judged = [c for c in judged if c[0].typical <= _AN_ARM * chain.reach() and _explains(c[0], before)]
     top = max((after.score for after, _, _ in judged), default=-np.inf)
     if top - before.score <= BEYOND_DOUBT:
         return None
@@ -150,9 +150,9 @@ def _explains(after: Match, before: Match) -> bool:
     """Whether what was left of orientations or positions is mostly gone: to be a little better is no explanation."""
     pairs = (
         (after.angle, before.angle),
-        (after.usual_angle, before.usual_angle),
+        (after.typical_angle, before.typical_angle),
         (after.position, before.position),
-        (after.usual, before.usual),
+        (after.typical, before.typical),
     )
     return any(now <= _MOST_LEFT * then for now, then in pairs)
 
@@ -231,8 +231,8 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple
         score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)  # BIC: half of twelve values a part
         turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
         if best is None or score > best.score:
-            usual, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))
-            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, turned, count)
+            typical, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))
+            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), typical, turned, count)
         if best.perfect:
             break
     assert best is not None
@@ -286,8 +286,9 @@ def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Sc
         G[1, :, :, 9:] = np.eye(3)
         r = np.stack([turns, gaps])
         square = np.sum(r**2, axis=2)
-        usual = np.maximum(np.median(square, axis=1) / 2.366, np.array([scale.rotation, scale.position]) ** 2)[:, None]
-        weight = 1.0 / (usual + square)  # Cauchy
+        least = np.array([scale.rotation, scale.position]) ** 2
+        typical = np.maximum(np.median(square, axis=1) / 2.366, least)[:, None]
+        weight = 1.0 / (typical + square)  # Cauchy
         flat, weighted = G.reshape(-1, 12), (weight[..., None, None] * G).reshape(-1, 12)
         H, g = flat.T @ weighted, weighted.T @ r.ravel()
         unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))

@@ -89,14 +89,14 @@ def outlying(model: Model, noise: NoiseModel, samples: Samples) -> np.ndarray:
     return _scores(errors(model, samples), samples, noise, bool(model.instruments)) > REJECT_Z
 
 
-def usual_scatter(samples: Samples) -> tuple[float, float]:
+def typical_scatter(samples: Samples) -> tuple[float, float]:
     """Median deviation of the readings' positions [m, or the kind's unit] and orientations [rad]; 0 where unknown."""
     known = (samples.sigma_position, samples.sigma_rotation[samples.is_pose])
     position, rotation = (float(np.median(s[np.isfinite(s)])) if np.isfinite(s).any() else 0.0 for s in known)
     return position, rotation
 
 
-def squared_misses(e: Errors, samples: Samples, noise: NoiseModel, finest: float = 0.0) -> Array:
+def squared_residuals(e: Errors, samples: Samples, noise: NoiseModel, finest: float = 0.0) -> Array:
     """Squares of each sample's error, (N,), in variances: of this spread, no less than the finest, and of the reading's
     own scatter.
     """
@@ -110,4 +110,4 @@ def squared_misses(e: Errors, samples: Samples, noise: NoiseModel, finest: float
 
 
 def _scores(e: Errors, samples: Samples, noise: NoiseModel, mixed: bool) -> Array:
-    return standard_score(squared_misses(e, samples, noise, FINEST), Groups.of(samples, mixed).dimensions)
+    return standard_score(squared_residuals(e, samples, noise, FINEST), Groups.of(samples, mixed).dimensions)

@@ -16,7 +16,7 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.removal import without
-from modcal_core.calibration.score import errors, squared_misses
+from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
@@ -41,7 +41,7 @@ def needless(
         limit, have = _limited(fit.model, explain, noise)
         costs = []
         for i in range(keep, len(left)):
-            lost = _missed(without(fit.model, known, [i]), explain, noise, limit) / have - 1.0
+            lost = _mean_square(without(fit.model, known, [i]), explain, noise, limit) / have - 1.0
             costs.append(-np.inf if is_nothing(fit.model.effects, i, known) else lost)
         weakest = int(np.argmin(costs))
         if costs[weakest] >= LEAST_GAIN:
@@ -86,9 +86,9 @@ def _limited(model: Model, samples: Samples, noise: NoiseModel) -> tuple[float, 
     return limit, float(np.mean(np.minimum(square, limit))) + 1e-300
 
 
-def _missed(model: Model, samples: Samples, noise: NoiseModel, limit: float) -> float:
+def _mean_square(model: Model, samples: Samples, noise: NoiseModel, limit: float) -> float:
     return float(np.mean(np.minimum(_squares(model, samples, noise), limit)))
 
 
 def _squares(model: Model, samples: Samples, noise: NoiseModel) -> Array:
-    return squared_misses(errors(model, samples), samples, noise)
+    return squared_residuals(errors(model, samples), samples, noise)

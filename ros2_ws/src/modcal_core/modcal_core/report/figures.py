@@ -127,11 +127,11 @@ def spread_chart(report: Report) -> Chart | None:
 def timeline(report: Report) -> Chart | None:
     """The stations in the order of their time, what each was used for, and those that were left out."""
     samples = report.samples
-    if not len(report.missed) or not len(samples):
+    if not len(report.residuals) or not len(samples):
         return None
     figure, axes = small(7.4, 2.3)
     wrong = report.wrong if len(report.wrong) == len(samples) else np.zeros(len(samples), bool)
-    miss, time = 1e3 * np.maximum(report.missed, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
+    miss, time = 1e3 * np.maximum(report.residuals, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
     sizes = report.set_sizes()
     for name, marker, colour in _SETS:
         rows = getattr(report.sets, name)

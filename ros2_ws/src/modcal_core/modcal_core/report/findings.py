@@ -184,5 +184,5 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     )
 
 
-def _rms(missed: Errors) -> float:
-    return float(np.sqrt(np.mean(missed.position_norm**2))) if len(missed.position) else float("nan")
+def _rms(residuals: Errors) -> float:
+    return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")

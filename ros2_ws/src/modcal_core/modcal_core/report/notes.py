@@ -20,9 +20,9 @@ def instrument_notes(fit: Fit) -> tuple[str, ...]:
     return tuple(out)
 
 
-def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
+def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
     """A sentence for the person whose robot, tracker or tool stands elsewhere than when it was calibrated."""
-    size = missed.size_mm()
+    size = residuals.size_mm()
     limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
     if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
         return ()

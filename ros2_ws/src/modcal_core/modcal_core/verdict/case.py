@@ -32,8 +32,8 @@ class Case:
     samples: all of them. wrong: those rejected (N,). held_out: rows that are scored, without those rejected. unit: what
     the split kept together, "station" or "block". model: the final one. known: covariance of its parameters and of the
     values of its effects. noise: of its residuals when it was fitted.
-    errors: of the scored rows by stage. missed: of the final model at all samples. fitted: whether the parameters were
-    found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
+    errors: of the scored rows by stage. residuals: of the final model at all samples. fitted: whether the parameters
+    were found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
     """
 
     samples: Samples
@@ -44,7 +44,7 @@ class Case:
     known: Uncertainty
     noise: NoiseModel
     errors: dict[str, Errors]
-    missed: Errors
+    residuals: Errors
     fitted: bool
 
     @property
@@ -66,8 +66,8 @@ def fitted_case(
     part = replace(fit, weights=fit.weights[rows] * (len(sets.train) / max(len(rows), 1)))
     known = uncertainty(fit.model, samples.select(sets.train[rows]), fit.parameters, part, distances)
     held_out = sets.held_out[~wrong[sets.held_out]]
-    missed = errors(fit.model, samples)
-    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.noise, left, missed, fitted=True)
+    residuals = errors(fit.model, samples)
+    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.noise, left, residuals, fitted=True)
 
 
 def frozen_case(
@@ -92,8 +92,8 @@ def frozen_case(
         part = np.flatnonzero(train)
         part = part[np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST_REFITTED)).astype(int))]
         known = _refitted(known, model, samples.select(part), calibration.noise, refit_base, refit_tool)
-    missed = errors(model, samples)
-    return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, missed, fitted=False)
+    residuals = errors(model, samples)
+    return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, fitted=False)
 
 
 def _carried(calibration: Calibration, model: Model) -> Uncertainty:
