@@ -47,13 +47,13 @@ def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
 def test_a_frame_that_has_a_parent_already_is_refused() -> None:
     frame, parents = Frame("base", "laser_calibrated", np.eye(4)), Parents()
     parents.require_free(frame)
-    parents.hear([("base", "laser_calibrated")])  # as it comes back from the topic
+    parents.receive([("base", "laser_calibrated")])  # as it comes back from the topic
     parents.require_free(frame)
-    parents.hear([("/world", "/laser_calibrated")])
+    parents.receive([("/world", "/laser_calibrated")])
     with pytest.raises(BadTable, match="has the parent world already"):
         parents.require_free(frame)
     loop = Parents()
-    loop.hear([("link", "base"), ("laser_calibrated", "link")])
+    loop.receive([("link", "base"), ("laser_calibrated", "link")])
     with pytest.raises(BadTable, match="is above base already"):
         loop.require_free(frame)
     with pytest.raises(BadTable, match="is not one of this package's"):

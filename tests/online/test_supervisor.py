@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ASKED, LEARNING, SUSPECTED, TRUSTED, Policy, Supervisor
-from modcal_core.recalibrate import Remembered, compared, thinned
+from modcal_core.recalibrate import SampleMemory, compared, thinned
 
 BUMP = se3.exp(np.array([6e-4, 0.0, -3e-4, 0.0, 0.0, 0.0]))
 
@@ -157,4 +157,4 @@ def test_thinning_keeps_the_newest() -> None:
     assert (few.stamps[-20:] == samples.stamps[-20:]).all()
     assert few.stamps[0] == samples.stamps[0]
     assert thinned(samples, 200) is samples
-    assert Remembered((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40
+    assert SampleMemory((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40

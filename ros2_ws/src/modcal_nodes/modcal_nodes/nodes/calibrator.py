@@ -236,7 +236,7 @@ class Calibrator(GuardedNode):
             self._solve_next = True
             return ""
         job = Job(
-            self._buffer.heard(),
+            self._buffer.collected(),
             self._arm.chain,
             read_inertias(self._arm.description, self._arm.chain),
             self._cell,
@@ -353,7 +353,7 @@ class Calibrator(GuardedNode):
         self._worker.close()
         if self._folder and self._arm.chain is not None:
             try:
-                heard = self._buffer.heard()
+                heard = self._buffer.collected()
                 if heard.recordings:
                     most, limit = self._chosen["max_stations"], self._chosen["clock_limit_s"]
                     self._buffer.samples, _ = condense(heard, self._arm.chain, limit, most)
