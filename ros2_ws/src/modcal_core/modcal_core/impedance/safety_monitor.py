@@ -7,8 +7,8 @@ opened anew.
 
 A force or a moment beyond its limit shuts the guard as well, which leaves the last setpoint standing, and with it the
 spring that a servo has wound up between the tool and there. Whoever wants that let go says so
-(:meth:`SafetyMonitor.allow_release`): for a second forces are then no reason to stand still, nor is a wrench that is late or missing, and only what goes back
-towards the tool passes.
+(:meth:`SafetyMonitor.allow_release`): for a second forces are then no reason to stand still, nor is a wrench
+that is late or missing, and only what goes back towards the tool passes.
 
 Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
 stop, after which no more than one period's step is allowed.

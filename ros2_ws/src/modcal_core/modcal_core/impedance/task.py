@@ -65,7 +65,8 @@ class ImpedanceTask:
     direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
     be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
     never both. exploration_speed, speed: of the tool while the way is unknown, and once it is known [m/s].
-    max_exploration: longest way that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
+    max_exploration: longest way that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the
+    pull, across it, and turning.
     stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
     servo_lag: how far ahead of the arm a setpoint is that moves steadily [s], and so how late the arm stops.
     gravity (3,): gravity in the base [m/s²]. input_timeout_s: longest silence of an input before it is the end [s].
