@@ -1,7 +1,7 @@
 """Mistakes that people make with a recording, each with how to undo it: joints, units, direction, conventions.
 
 A mistake says how the samples would look had it not been made. Whether that fits better is for others to judge:
-:mod:`conventions` by likelihood, :mod:`doubts` where a model misses by far.
+:mod:`conventions` by likelihood, :mod:`plausibility` where a model misses by far.
 """
 
 from __future__ import annotations
