@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.store_schema import SCHEMA
 from modcal_core.calibration.uncertainty import Uncertainty
@@ -49,7 +49,7 @@ class Calibration:
     geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
     made from, (2, n); outside them it extrapolates.
     parameters: (name, value, standard deviation, unit) of the fit, for people. rivals: for each effect others that
-    explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
+    explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
@@ -66,7 +66,7 @@ class Calibration:
     rivals: tuple[tuple[Effect, ...], ...] = ()
     kind: str = "pose"
     postures: Array = field(default_factory=lambda: np.empty((0, 0)))
-    spread: Spread = field(default_factory=lambda: Spread(_ASSUMED, _ASSUMED))
+    noise: NoiseModel = field(default_factory=lambda: NoiseModel(_ASSUMED, _ASSUMED))
     uncertainty: Uncertainty | None = None
     watched: tuple[float, float] | None = None
     scatter: tuple[float, float] = (0.0, 0.0)
@@ -197,10 +197,10 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         ],
         "recorded": {
             "kind": calibration.kind,
-            "spread": [calibration.spread.position, calibration.spread.rotation],
+            "spread": [calibration.noise.position, calibration.noise.rotation],
             "scatter": _floats(np.array(calibration.scatter)),
             "converged": calibration.converged,
-            **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
+            **({"spread_of": dict(calibration.noise.others)} if calibration.noise.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
@@ -229,7 +229,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         rivals = tuple(tuple(_effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
         postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
         others = {str(kind): float(x) for kind, x in recorded.get("spread_of", {}).items()}
-        spread = Spread(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
+        noise = NoiseModel(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
@@ -248,7 +248,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
-        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
+        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
         *(watched, alone, converged, clock, ranges, usual),
     )
 
