@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.usual import outside_drivers
+from modcal_core.calibration.typical import outside_drivers
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array

@@ -27,7 +27,7 @@ from modcal_core.calibration.moves import What, identify_moved
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
-from modcal_core.calibration.score import errors, outlying, squared_misses
+from modcal_core.calibration.score import errors, outlying, squared_residuals
 from modcal_core.calibration.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
@@ -256,7 +256,7 @@ class _Score:
             model = self.search.fit(start(part), part, tolerance).model
         except (ModcalError, np.linalg.LinAlgError, ValueError):
             return None
-        return np.minimum(squared_misses(errors(model, rest), rest, self.noise), _CAP)
+        return np.minimum(squared_residuals(errors(model, rest), rest, self.noise), _CAP)
 
     def simplify(self, move: Move) -> None:
         """Let only the tool, or only the base, have moved where that does as well."""
