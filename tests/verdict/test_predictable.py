@@ -69,8 +69,8 @@ def test_what_changes_half_way_is_predictable(changed: str) -> None:
         T = replace(case.model, chain=replace(case.model.chain, origins=origins)).predict_samples(case.samples)
         more = T[:, :3, 3] - case.model.predict_samples(case.samples)[:, :3, 3]
     else:
-        more = 4e-4 * case.samples.position
-    samples = replace(case.samples, position=case.samples.position + late[:, None] * more)
+        more = 4e-4 * case.samples.reading
+    samples = replace(case.samples, reading=case.samples.reading + late[:, None] * more)
     found = predictable(replace(case, samples=samples))
     assert found.both is not None
     assert found.both.lower99 > MOST_PREDICTABLE

@@ -17,8 +17,8 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.store_schema import SCHEMA
-from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.calibration.typical import TypicalDriver
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
