@@ -281,7 +281,7 @@ def _deviations(one: Calibration, other: Calibration) -> float:
         at = Conditions(0.0, q, np.zeros(n), np.zeros(n), np.full(n, np.nan), ())
         apart = both[0].pose(q, at)[:3, 3] - both[1].pose(q, at)[:3, 3]
         # without the scatter of the arm, which is no error of the calibration
-        var = [np.diag(c.covariance(q, at))[:3] - c.calibration.spread.position**2 for c in both]
+        var = [np.diag(c.covariance(q, at))[:3] - c.calibration.noise.position**2 for c in both]
         worst = max(worst, float(np.abs(apart / np.sqrt(var[0] + var[1])).max()))
     return worst
 

@@ -31,7 +31,7 @@ ROWS = ("nominal", "annealing", "annealing, then distances", "distances", "point
 
 def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
     """RMS distance [mm] of held-out readings, the frame found from the ones that were fitted."""
-    q, y = cell.samples.q, cell.samples.position
+    q, y = cell.samples.q, cell.samples.reading
     T = procrustes(tool_pose(fitted, q[:count])[:, :3, 3], y[:count])
     gap = y[count:] - se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3])
     return 1e3 * float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
@@ -40,7 +40,7 @@ def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
 def compare(seed: int, count: int) -> dict[str, tuple[float, int, float]]:
     """(held-out RMS [mm], evaluations, CPU seconds) by way of calibrating."""
     cell = record_delta(seed, count + HELD_OUT)
-    q, pairs = cell.samples.q[:count], Pairs.of_points(cell.samples.position[:count])
+    q, pairs = cell.samples.q[:count], Pairs.of_points(cell.samples.reading[:count])
     out = {"nominal": (missed(cell.nominal, cell, count), 0, 0.0)}
     began = time.process_time()
     annealed, went = anneal_distances(cell.nominal, q, pairs, np.random.default_rng(seed))
@@ -57,7 +57,7 @@ def compare(seed: int, count: int) -> dict[str, tuple[float, int, float]]:
     start = fit_cell(cell.nominal, train, Cell())
     fit = identify(start.model, train, choose_parameters(start.model, views_of(train)).parameters)
     spent = time.process_time() - began
-    gap = cell.samples.position[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
+    gap = cell.samples.reading[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
     rms = 1e3 * float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
     out[ROWS[4]] = (rms, 2 * (start.iterations + fit.iterations), spent)
     return out

@@ -74,7 +74,7 @@ def write(path: Path, minutes: float, compression: CompressionType) -> int:
     period = STAND + TRAVEL
     stations = int(60.0 * minutes / period)
     made = record(1, stations + 1).samples
-    poses = se3.to_pose(se3.transform(made.R, made.position))
+    poses = se3.to_pose(se3.transform(made.R, made.reading))
     rng, count = np.random.default_rng(0), 0
     name = {key: message_class(f"geometry_msgs/msg/{key}") for key in ("Pose", "Point", "Quaternion")}
     header = message_class("std_msgs/msg/Header")

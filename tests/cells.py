@@ -91,7 +91,7 @@ def samples_of(chain: Mechanism, q: Array, T: Array, kind: str = "pose", frame: 
         station=np.arange(N),
         frame=np.zeros(N, int),
         kind=np.array([kind] * N, dtype=KIND_NAMES),
-        position=T[:, :3, 3],
+        reading=T[:, :3, 3],
         R=T[:, :3, :3] if kind == "pose" else np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),

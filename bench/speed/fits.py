@@ -134,11 +134,11 @@ def against_pybotics(fit: Fit, samples: Samples, work: str, ms: float) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "samples.npz"
         start = fit.start
-        np.savez(file, q=samples.q, position=samples.position, frame=start.T_frame_base[0], tool=start.T_tip_tool)
+        np.savez(file, q=samples.q, position=samples.reading, frame=start.T_frame_base[0], tool=start.T_tip_tool)
         answer = ask("pybotics", "pybotics_fit", str(file), seconds=60.0)
     said = answer.remark
     if answer.found:
-        left = fit.model.predict(samples.q)[:, :3, 3] - samples.position
+        left = fit.model.predict(samples.q)[:, :3, 3] - samples.reading
         ours = 1e3 * float(np.sqrt(np.mean(left**2)))
         # the same least squares, so no less may be left than rounding and our priors make
         if answer.found[0] < (1.0 - SAME) * ours:

@@ -29,15 +29,15 @@ def rows() -> Iterator[Row]:
     parameters = choose_parameters(start, views_of(samples)).parameters
     fit = identify(start, samples, parameters, robust=False)
     single = [samples.select(np.array([i])) for i in range(len(samples))]
-    running = Estimator(start, parameters, fit.spread, robust=False)
+    running = Estimator(start, parameters, fit.noise, robust=False)
     for row in single:
         running.update(row)
-    running.settle()
+    running.relinearise()
     apart = float(np.abs((running.values - fit.values) / fit.std).max())
     if apart > 1e-2:
         raise SystemExit(f"the running estimate is {apart:.2g} standard deviations from the batch")
-    estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
-    watch = ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.spread)
+    estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance)
+    watch = ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.noise)
     batch = lambda: identify(fit.model, samples, parameters)  # noqa: E731
     ours, other = pair_ms(lambda: [estimator.update(row) for row in single[:ROWS]], batch, 5)
     yield Row("online", "recursive update, one pose", ours / ROWS, "batch fit of 1000", other)

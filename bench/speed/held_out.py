@@ -46,7 +46,7 @@ def against_figaroh(fit: Fit, samples: Samples, work: str, ms: float, seed: int 
             continue
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "samples.npz"
-            np.savez(file, names=np.array(samples.names), q=samples.q, position=samples.position, held=q)
+            np.savez(file, names=np.array(samples.names), q=samples.q, position=samples.reading, held=q)
             answer = ask("figaroh", "figaroh_fit", str(file), str(URDF), method, seconds=120.0)
         remark = answer.remark
         if answer.found:

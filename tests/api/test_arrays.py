@@ -19,7 +19,7 @@ def test_rows_without_stamps_are_stations_in_order() -> None:
     assert samples.names == ()
     assert not samples.clock
     assert np.array_equal(samples.q, Q)
-    assert np.array_equal(samples.position, P)
+    assert np.array_equal(samples.reading, P)
     assert (samples.sigma_position == 2e-5).all()
     assert np.array_equal(samples.approach[1:], np.ones((N - 1, 3)))  # from the row before
     assert not samples.moving.any()

@@ -38,7 +38,7 @@ def made() -> modcal.Result:
 
 def _matrices(samples: modcal.Samples) -> np.ndarray:
     T = np.tile(np.eye(4), (len(samples), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = samples.R, samples.position
+    T[:, :3, :3], T[:, :3, 3] = samples.R, samples.reading
     return T
 
 
@@ -147,7 +147,7 @@ def test_what_is_given_is_copied() -> None:
     samples = modcal.Samples.from_arrays(q, points=p)
     q[:], p[:] = 0.0, 0.0
     assert samples.q.any()
-    assert samples.position.all()
+    assert samples.reading.all()
     assert q.flags.writeable
 
 
@@ -282,7 +282,7 @@ def test_tolerances_are_checked_before_anything_is_computed(made: modcal.Result)
 
 
 def test_refusals_of_samples(made: modcal.Result) -> None:
-    q, p = np.array(made.samples.q), np.array(made.samples.position)
+    q, p = np.array(made.samples.q), np.array(made.samples.reading)
     with pytest.raises(BadRecording, match="degrees"):
         modcal.calibrate(made.robot, modcal.Samples.from_arrays(np.degrees(q), points=p))
     with pytest.raises(BadRecording, match="millimetres"):

@@ -40,8 +40,8 @@ def with_joint(samples: Samples, j: int, column: Array) -> Samples:
 
 def placed(samples: Samples, T: Array, rows: np.ndarray) -> Samples:
     """Readings (4, 4) that are others at some rows."""
-    position = np.where(rows[:, None], T[:, :3, 3], samples.position)
-    return replace(samples, position=position, R=np.where(rows[:, None, None], T[:, :3, :3], samples.R))
+    position = np.where(rows[:, None], T[:, :3, 3], samples.reading)
+    return replace(samples, reading=position, R=np.where(rows[:, None, None], T[:, :3, :3], samples.R))
 
 
 @pytest.mark.slow
@@ -55,7 +55,7 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
 def test_a_joint_is_not_blamed_for_what_only_makes_the_whole_worse(clean: Samples) -> None:
     """Positions that scatter by more than an arm's: the joint would stand where it is reported."""
     noise = 0.02 * np.random.default_rng(1).normal(size=(80, 3))
-    assert disagreement(replace(clean, position=clean.position + noise), CHAIN) is None
+    assert disagreement(replace(clean, reading=clean.reading + noise), CHAIN) is None
 
 
 def test_another_order_of_quaternions_from_some_station_on(clean: Samples) -> None:
@@ -68,7 +68,7 @@ def test_another_order_of_quaternions_from_some_station_on(clean: Samples) -> No
 
 @pytest.mark.slow
 def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
-    T = se3.transform(clean.R, clean.position)
+    T = se3.transform(clean.R, clean.reading)
     rows = np.random.default_rng(3).random(80) < 0.4
     away = se3.exp([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
     assert "base (or the tracker) stands elsewhere" in found(placed(clean, away @ T, rows)).what
@@ -106,5 +106,5 @@ def test_the_refusal_names_it(clean: Samples) -> None:
 
 def test_points_in_millimetres_for_a_part() -> None:
     points = record(12, 80, "point").samples
-    said = found(replace(points, position=points.position * np.where(LATER, 1e3, 1.0)[:, None]))
+    said = found(replace(points, reading=points.reading * np.where(LATER, 1e3, 1.0)[:, None]))
     assert "millimetres at stations 45 to 79" in said.what

@@ -37,7 +37,7 @@ def turned(samples: Samples, R: Array) -> Samples:
 
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
     order = np.random.default_rng(0).permutation(len(clean))
-    shuffled = replace(clean, position=clean.position[order], R=clean.R[order])
+    shuffled = replace(clean, reading=clean.reading[order], R=clean.R[order])
     for samples in (clean, shuffled, clean.select(np.arange(20))):
         assert disagreeing_channel(samples, CHAIN) is None
     assert wrong_description(clean, CHAIN) is None
@@ -46,15 +46,15 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
 
 @pytest.mark.parametrize(("shift", "side"), [(1, "late"), (-2, "early")])
 def test_a_table_that_slipped(clean: Samples, shift: int, side: str) -> None:
-    position, R = np.roll(clean.position, shift, axis=0), np.roll(clean.R, shift, axis=0)
-    said = named(disagreeing_channel(replace(clean, position=position, R=R), CHAIN))
+    position, R = np.roll(clean.reading, shift, axis=0), np.roll(clean.R, shift, axis=0)
+    said = named(disagreeing_channel(replace(clean, reading=position, R=R), CHAIN))
     assert said.startswith(f"readings look {side} by {abs(shift)} station")
 
 
 def test_one_column_and_the_orientations_alone_that_slipped(clean: Samples) -> None:
-    position = clean.position.copy()
+    position = clean.reading.copy()
     position[:, 2] = np.roll(position[:, 2], 1)
-    said = named(disagreeing_channel(replace(clean, position=position), CHAIN))
+    said = named(disagreeing_channel(replace(clean, reading=position), CHAIN))
     assert said.startswith("column z of the positions looks late by 1 station:")
     said = named(disagreeing_channel(replace(clean, R=np.roll(clean.R, 1, axis=0)), CHAIN))
     assert said.startswith("orientations look late by 1 station:")
@@ -64,7 +64,7 @@ def test_orientations_in_another_frame_than_positions(clean: Samples) -> None:
     other = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
     said = named(disagreeing_channel(turned(clean, other), CHAIN))
     assert f"turned by {np.degrees(np.linalg.norm([0.3, -0.5, 0.2])):.3g}°" in said
-    cycled = replace(clean, position=clean.position[:, [1, 2, 0]])
+    cycled = replace(clean, reading=clean.reading[:, [1, 2, 0]])
     assert "turned by 120°" in named(disagreeing_channel(cycled, CHAIN))
     slightly = Rotation.from_rotvec([0.01, 0.0, 0.0]).as_matrix()  # what a displaced arm may do
     assert disagreeing_channel(turned(clean, slightly), CHAIN) is None
@@ -76,7 +76,7 @@ def test_orientations_that_go_along_with_nothing(clean: Samples) -> None:
 
 
 def test_a_coordinate_that_is_too_long(clean: Samples) -> None:
-    inches = replace(clean, position=clean.position * [1.0, 1.0, 1.0 / 0.0254])
+    inches = replace(clean, reading=clean.reading * [1.0, 1.0, 1.0 / 0.0254])
     said = named(disagreeing_channel(inches, CHAIN))
     assert said.startswith("coordinate z of the readings looks ")
     # an arm that is displaced knows the scale to some parts in a thousand
@@ -85,7 +85,7 @@ def test_a_coordinate_that_is_too_long(clean: Samples) -> None:
 
 def test_an_offset_taken_off_in_the_inverse_orientation(clean: Samples) -> None:
     offset = np.array([0.03, -0.05, 0.04])
-    wrong = replace(clean, position=clean.position - np.swapaxes(clean.R, 1, 2) @ offset)
+    wrong = replace(clean, reading=clean.reading - np.swapaxes(clean.R, 1, 2) @ offset)
     said = named(disagreeing_channel(wrong, CHAIN))
     assert "not as those of one point of the tool" in said
     size = float(said.partition("an offset of ")[2].partition(" mm")[0])
@@ -117,7 +117,7 @@ def test_a_turn_and_an_axis_of_the_description(clean: Samples) -> None:
 
 @pytest.mark.slow
 def test_a_calibration_is_refused_by_name(clean: Samples) -> None:
-    late = replace(clean, position=np.roll(clean.position, 1, axis=0), R=np.roll(clean.R, 1, axis=0))
+    late = replace(clean, reading=np.roll(clean.reading, 1, axis=0), R=np.roll(clean.R, 1, axis=0))
     with pytest.raises(BadRecording, match="readings look late by 1 station"):
         calibrate(late, CHAIN, np.random.default_rng(0))
 

@@ -38,8 +38,8 @@ def quaternions(samples: Samples, columns: list[int]) -> Samples:
 
 
 def inverted(samples: Samples) -> Samples:
-    T = np.linalg.inv(se3.transform(samples.R, samples.position))
-    return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
+    T = np.linalg.inv(se3.transform(samples.R, samples.reading))
+    return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
 
 
 MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
@@ -55,7 +55,7 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
         ),
         "look like radians read as degrees",
     ),
-    "metres as millimetres": (lambda s: replace(s, position=1e-3 * s.position), "positions look like metres taken"),
+    "metres as millimetres": (lambda s: replace(s, reading=1e-3 * s.reading), "positions look like metres taken"),
     "joint sign": (lambda s: replace(s, q=s.q * [1, 1, 1, 1, 1, -1]), "joint wrist_3_joint looks reversed"),
     "joints converted twice": (lambda s: replace(s, q=np.radians(s.q)), "converted to radians twice"),
 }
@@ -73,7 +73,7 @@ def test_an_inverse_pose_is_undone() -> None:
     samples = record(2, 60).samples
     undone, convention = proved(inverted(samples), CHAIN)
     assert convention == INVERTED
-    assert np.allclose(undone.position, samples.position, atol=1e-9)
+    assert np.allclose(undone.reading, samples.reading, atol=1e-9)
     assert np.allclose(undone.R, samples.R, atol=1e-9)
 
 
@@ -86,9 +86,9 @@ def test_a_wrong_arm_is_not_a_wrong_convention(size: float) -> None:
 
 
 def retooled(samples: Samples, first: int, last: int, twist: np.ndarray) -> Samples:
-    T = se3.transform(samples.R, samples.position)
+    T = se3.transform(samples.R, samples.reading)
     T[first:last] = T[first:last] @ se3.exp(twist)
-    return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
+    return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
 
 
 @pytest.mark.slow

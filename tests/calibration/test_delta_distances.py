@@ -40,7 +40,7 @@ def held_room(delta: Delta) -> Array:
 
 def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
     """RMS distance [m] of held-out readings, the frame found from the ones that were fitted."""
-    q, y = cell.samples.q, cell.samples.position
+    q, y = cell.samples.q, cell.samples.reading
     T = procrustes(tool_pose(fitted, q[:count])[:, :3, 3], y[:count])
     gap = y[count:] - se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3])
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
@@ -51,7 +51,7 @@ def missed_by_points(cell: RecordedDelta, count: int) -> float:
     train = cell.samples.select(np.arange(count))
     start = fit_cell(cell.nominal, train, Cell()).model
     fit = identify(start, train, choose_parameters(start, views_of(train)).parameters)
-    gap = cell.samples.position[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
+    gap = cell.samples.reading[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
 
 
@@ -64,7 +64,7 @@ def test_planted_errors_are_recovered_to_the_noise_floor(count: int) -> None:
     by_distances, by_points, before = [], [], []
     for seed in (1, 2):
         cell = record_delta(seed, count + HELD_OUT)
-        pairs = Pairs.of_points(cell.samples.position[:count])
+        pairs = Pairs.of_points(cell.samples.reading[:count])
         found = fit_distances(cell.nominal, cell.samples.q[:count], pairs)
         assert not found.at_bound
         by_distances.append(missed(found.delta, cell, count))
@@ -162,14 +162,14 @@ def test_bounds_hold_and_are_named() -> None:
     cell = record_delta(5, 60)
     room = rooms(cell.nominal)
     room[15:18] = 1e-5  # the rods of the drawing are believed to 0.01 mm, and are wrong by more
-    found = fit_distances(cell.nominal, cell.samples.q, Pairs.of_points(cell.samples.position), room)
+    found = fit_distances(cell.nominal, cell.samples.q, Pairs.of_points(cell.samples.reading), room)
     assert (np.abs(found.delta.vector - cell.nominal.vector) <= room * (1.0 + 1e-9)).all()
     assert set(found.at_bound) & {"arm_1/distal", "arm_2/distal", "arm_3/distal"}
 
 
 def test_annealing_gets_better_and_least_squares_gets_there() -> None:
     cell = record_delta(6, 30)
-    pairs = Pairs.of_points(cell.samples.position)
+    pairs = Pairs.of_points(cell.samples.reading)
     before = objective(cell.nominal, cell.samples.q, pairs)
     plan = Schedule(trials=15, cooling=0.75)
     annealed, went = anneal_distances(cell.nominal, cell.samples.q, pairs, np.random.default_rng(0), plan)

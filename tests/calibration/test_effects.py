@@ -130,7 +130,7 @@ def test_predictions_and_residuals_are_one_model(name: str) -> None:
     samples = recorded()
     model = cell(samples, (started(name),))
     at = linearise(model, [], model.effects[0].values, samples, jacobian=False)
-    gap = np.linalg.norm(samples.position - model.predict_samples(samples)[:, :3, 3], axis=1)
+    gap = np.linalg.norm(samples.reading - model.predict_samples(samples)[:, :3, 3], axis=1)
     assert np.abs(np.linalg.norm(at.position, axis=0) - gap).max() < (1e-6 if name == "scale" else 1e-12)
 
 

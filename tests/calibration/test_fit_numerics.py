@@ -12,7 +12,7 @@ from modcal_core.calibration.distances_together import common_factor, contradict
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.known_distances import contradictions, distances_of
 from modcal_core.calibration.linearise import RowView, linearise
-from modcal_core.calibration.noise import excess_spread
+from modcal_core.calibration.noise import excess_sigma
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.effects.effect import ALL, Effect, all_columns
@@ -39,7 +39,7 @@ def test_reaching_the_most_iterations_is_said(made: Recorded, monkeypatch: pytes
 
 def far_apart(made: Recorded) -> StationDistance:
     """Two stations whose true distance is known from MuJoCo."""
-    a, b = made.exact.position[3], made.exact.position[40]
+    a, b = made.exact.reading[3], made.exact.reading[40]
     stamps = float(made.samples.stamps[3]), float(made.samples.stamps[40])
     return StationDistance(stamps, float(np.linalg.norm(a - b)), 2e-5)
 
@@ -69,7 +69,7 @@ def test_a_wrong_distance_is_a_contradiction(made: Recorded) -> None:
 
 @pytest.mark.parametrize("longer", [0.0, 0.02])
 def test_distances_that_are_wrong_alike_are_judged_together(made: Recorded, longer: float) -> None:
-    p, stamps = made.exact.position, made.samples.stamps
+    p, stamps = made.exact.reading, made.samples.stamps
     known = tuple(
         StationDistance(
             (float(stamps[a]), float(stamps[b])), (1.0 + longer) * float(np.linalg.norm(p[a] - p[b])), 1e-5
@@ -100,7 +100,7 @@ def test_a_fit_with_a_distance_ends_where_the_whole_cost_is_level(made: Recorded
     assert fit.converged
     rows = distance_rows(start, parameters, fit.values, known)
     now = linearise(start, parameters, fit.values, made.samples)
-    weight = fits.row_weights(fit.weights, fit.spread, made.samples)
+    weight = fits.row_weights(fit.weights, fit.noise, made.samples)
     prior = np.array([p.prior_std for p in parameters])
     slope = now.J @ (weight * now.residual) + (rows.J / rows.std**2) @ rows.residual - fit.values / prior**2
     assert np.abs(slope * fit.std).max() < 1e-2
@@ -114,7 +114,7 @@ def test_spread_where_some_deviations_are_unknown(unknown: float, true: float) -
     rng = np.random.default_rng(2)
     known = np.where(rng.random(400) < unknown, 0.0, 5e-5)
     square = np.sum((np.sqrt(true**2 + known**2)[:, None] * rng.standard_normal((400, 3))) ** 2, axis=1)
-    found = excess_spread(square, known, np.ones(400), 0.0)
+    found = excess_sigma(square, known, np.ones(400), 0.0)
     assert np.isfinite(found)
     assert found == pytest.approx(true, rel=0.3, abs=1.5e-5)
 

@@ -59,7 +59,7 @@ def test_parameters_lie_within_three_sigma(kind: str) -> None:
         parameters = choose_parameters(start, views_of(made.samples)).parameters
         fit = identify(start, made.samples, parameters)
         truth = identify(start, made.exact, parameters, robust=False)
-        assert truth.spread.position < 1e-8  # the exact readings are met, so these are the true values
+        assert truth.noise.position < 1e-8  # the exact readings are met, so these are the true values
         scores.append((fit.values - truth.values) / fit.std)
     size = np.abs(np.concatenate(scores))
     assert np.mean(size < 3.0) >= 0.99
@@ -68,12 +68,12 @@ def test_parameters_lie_within_three_sigma(kind: str) -> None:
 
 def test_outliers_do_not_move_the_fit() -> None:
     made = record(7, 200)
-    position = made.samples.position.copy()
+    position = made.samples.reading.copy()
     wrong = np.arange(0, 200, 20)
     position[wrong] += [0.02, -0.03, 0.01]
     from dataclasses import replace
 
-    fit = fit_all(ur10(), replace(made.samples, position=position))
+    fit = fit_all(ur10(), replace(made.samples, reading=position))
     assert set(np.flatnonzero(fit.weights == 0.0)) >= set(wrong)
     q = made.samples.q[::-1]
     assert position_rms(fit, q, made.world.tool_in_tracker(q)) < 3e-5

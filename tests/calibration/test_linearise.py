@@ -33,7 +33,7 @@ def cell(chain: Chain, kinds: tuple[str, ...]) -> tuple[Model, Samples]:
         parts.append(part)
     joined = {
         name: np.concatenate([getattr(p, name) for p in parts])
-        for name in ("q", "stamps", "position", "R", "kind", "sigma_position", "sigma_rotation", "velocity", "moving")
+        for name in ("q", "stamps", "reading", "R", "kind", "sigma_position", "sigma_rotation", "velocity", "moving")
     }
     frame = np.repeat(np.arange(len(kinds)), 8)
     return model, Samples(chain.names, frames, station=np.arange(8 * len(kinds)), frame=frame, **joined)
@@ -89,5 +89,5 @@ def test_what_is_located_meets_exact_readings() -> None:
     for kind in ("pose", "point"):
         made = record(5, 60, kind, length_std=0.0, angle_std=0.0)
         found = locate(place_model(ur10(), ("tracker",)), made.exact)
-        gap = found.predict(made.samples.q)[:, :3, 3] - made.exact.position
+        gap = found.predict(made.samples.q)[:, :3, 3] - made.exact.reading
         assert np.abs(gap).max() < 1e-5

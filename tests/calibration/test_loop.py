@@ -54,10 +54,10 @@ def test_held_out_error_is_that_of_the_world() -> None:
 @pytest.mark.slow
 def test_outliers_are_counted_and_do_not_count() -> None:
     samples = record(3, 160).samples
-    position = samples.position.copy()
+    position = samples.reading.copy()
     wrong = np.arange(5, 160, 16)
     position[wrong] += 0.01
-    report = calibrate(replace(samples, position=position), ur10(), np.random.default_rng(0)).report
+    report = calibrate(replace(samples, reading=position), ur10(), np.random.default_rng(0)).report
     assert report.rejected == len(wrong)
     size = report.size_mm("final")
     assert size is not None

@@ -9,9 +9,9 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, from_data, to_data
-from modcal_core.calibration.usual import driver_ranges, usual_sizes
+from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
@@ -48,7 +48,7 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
     nominal = replace(nominal, arm=replace(nominal.drivers(samples).arm, inertias=inertias))
     model = nominal.with_effects((effect,))
     T = model.predict_samples(samples)
-    samples = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3])
+    samples = replace(samples, reading=T[:, :3, 3], R=T[:, :3, :3])
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     watched = (float(samples.stamps.min()), float(samples.stamps.max()))
     return Calibration(
@@ -56,8 +56,8 @@ def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True)
         watched=watched,
         clock=clock,
         ranges=driver_ranges(model, samples),
-        usual=usual_sizes(model, samples),
-        spread=Spread(1e-3, 1e-3),
+        typical=typical_sizes(model, samples),
+        noise=NoiseModel(1e-3, 1e-3),
     ), samples
 
 
@@ -92,7 +92,7 @@ def test_gravity_stands_in_for_measured_effort(rng: np.random.Generator) -> None
     gravity = calibration.calibrated.drivers(samples).gravity[:, 5].T
     model = calibration.calibrated
     T = model.predict_samples(replace(samples, effort=-gravity))
-    recorded = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3], effort=np.full_like(samples.effort, np.nan))
+    recorded = replace(samples, reading=T[:, :3, 3], R=T[:, :3, :3], effort=np.full_like(samples.effort, np.nan))
     report = evaluate(calibration, recorded, rng)
     assert report.grounds.not_applied == ()
     assert any("Gravity stands in" in note for note in report.notes)
@@ -104,7 +104,7 @@ def test_gravity_stands_in_for_measured_effort(rng: np.random.Generator) -> None
 def test_an_older_file_names_a_cost_too() -> None:
     calibration, samples = frozen(BY_HEAT)
     data = to_data(calibration)
-    assert np.array_equal(from_data(data).usual[0].mean, calibration.usual[0].mean)  # type: ignore[union-attr]
+    assert np.array_equal(from_data(data).typical[0].mean, calibration.typical[0].mean)  # type: ignore[union-attr]
     assert from_data(data).ranges == calibration.ranges
     del data["effects"][0]["usual"], data["recorded"]["ranges"]
     (item,) = applicable(from_data(data), replace(samples, signals=())).not_applied
@@ -153,8 +153,8 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect, rng: np.random.G
 def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     """A drift over the rows of one table, and a second table of the same cell at another time of day."""
     made = record(7, 160, noise_m=1e-5, noise_rad=1e-5)
-    drifted = made.samples.position + np.linspace(0.0, 5e-4, 160)[:, None]
-    drifting = replace(made.samples, clock=False, position=drifted)
+    drifted = made.samples.reading + np.linspace(0.0, 5e-4, 160)[:, None]
+    drifting = replace(made.samples, clock=False, reading=drifted)
     calibration = calibrate(drifting, CHAIN, np.random.default_rng(0)).calibration
     assert any(e.driver == "time" for e in calibration.calibrated.effects)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))

@@ -21,9 +21,9 @@ COUNT = 160
 
 
 def shifted(samples: Samples, rows: np.ndarray, by: float = 0.005) -> Samples:
-    position = samples.position.copy()
+    position = samples.reading.copy()
     position[rows, 0] += by
-    return replace(samples, position=position)
+    return replace(samples, reading=position)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_without_a_stated_deviation_the_usual_one_is_taken(made: Recorded) -> No
     """Spread is what readings do not scatter by themselves: that must not be missing where a recording is silent."""
     stated = replace(made.samples, sigma_position=np.full(2 * COUNT, 5e-5), sigma_rotation=np.full(2 * COUNT, 5e-5))
     frozen = calibrate(stated.select(slice(None, COUNT)), ur10(), np.random.default_rng(0), look_for_effects=False)
-    assert frozen.calibration.spread.position < 4e-5
+    assert frozen.calibration.noise.position < 4e-5
     report = evaluate(frozen.calibration, made.samples.select(slice(COUNT, None)), np.random.default_rng(0))
     assert report.rejected == 0
 

@@ -56,13 +56,13 @@ def test_predictions_scatter_as_it_says_with_effects_too() -> None:
     for _ in range(40):
         samples = replace(
             blank,
-            position=T[:, :3, 3] + NOISE_M * rng.standard_normal((90, 3)),
+            reading=T[:, :3, 3] + NOISE_M * rng.standard_normal((90, 3)),
             R=T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((90, 3))),
         )
         fit = identify(model, samples, choice.parameters)
         known = uncertainty(fit.model, samples, choice.parameters, fit)
         T_fit = fit.model.predict_samples(here)
-        seen = replace(here, position=T_here[:, :3, 3], R=T_here[:, :3, :3])
+        seen = replace(here, reading=T_here[:, :3, 3], R=T_here[:, :3, :3])
         values = np.concatenate([np.zeros(len(choice.parameters)), *(e.values for e in fit.model.effects)])
         J = linearise(fit.model, choice.parameters, values, seen).J
         C = J.T @ known.covariance @ J

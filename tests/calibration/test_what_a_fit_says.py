@@ -25,8 +25,8 @@ def fitted(samples: Samples) -> Fit:
 def test_what_is_left_counts_what_the_parameters_took() -> None:
     # 18 poses give 108 rows for 30 parameters: without their degrees of freedom the spread would come out at 0.85
     fits = [fitted(record(seed, 18).samples) for seed in range(40)]
-    assert np.mean([f.spread.position for f in fits]) == pytest.approx(NOISE_M, rel=0.06)
-    assert np.mean([f.spread.rotation for f in fits]) == pytest.approx(NOISE_RAD, rel=0.06)
+    assert np.mean([f.noise.position for f in fits]) == pytest.approx(NOISE_M, rel=0.06)
+    assert np.mean([f.noise.rotation for f in fits]) == pytest.approx(NOISE_RAD, rel=0.06)
 
 
 def test_the_information_is_that_of_the_data_alone() -> None:
@@ -35,7 +35,7 @@ def test_the_information_is_that_of_the_data_alone() -> None:
     still[:, 5] = 0.3  # the last joint never moves, so data alone leaves a direction open
     T = made.world.tool_in_tracker(still)
     noise = NOISE_M * np.random.default_rng(2).standard_normal((60, 3))
-    fit = fitted(replace(made.samples, q=still, position=T[:, :3, 3] + noise))
+    fit = fitted(replace(made.samples, q=still, reading=T[:, :3, 3] + noise))
     prior = np.array([p.prior_std for p in fit.parameters])
     # with the prior added it is the inverse of the covariance; in units of the prior, so that sizes compare
     unit = np.outer(prior, prior)

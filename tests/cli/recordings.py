@@ -23,7 +23,7 @@ def stations(count: int = 80, seed: int = 1) -> Recording:
     """A joint state and a pose with the same stamp, every two seconds."""
     made = record(seed, count)
     t = START + 2.0 * np.arange(count)
-    T = se3.transform(made.samples.R, made.samples.position)
+    T = se3.transform(made.samples.R, made.samples.reading)
     return _recording(t, made.samples.q, t, se3.to_pose(T))
 
 

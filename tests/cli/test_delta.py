@@ -21,7 +21,7 @@ def write(cell: RecordedDelta, bag: Path) -> None:
     s = cell.samples
     unknown = np.full_like(s.q, np.nan)
     joints = JointTrack(s.names, s.stamps, s.q, unknown, unknown, s.stamps)
-    points = ReadingTrack("point", "tracker", s.stamps, s.position, s.stamps)
+    points = ReadingTrack("point", "tracker", s.stamps, s.reading, s.stamps)
     write_recording(Recording((joints,), (points,), source="made"), bag)
 
 

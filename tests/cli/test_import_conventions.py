@@ -22,7 +22,7 @@ def table(folder: Path, sequence: str = "xyz") -> None:
     samples = record(1, 60).samples
     angles = Rotation.from_matrix(samples.R).as_euler(sequence, degrees=True)
     header = ",".join((*NAMES, *"xyzabc"))
-    rows = np.c_[samples.q, 1e3 * samples.position, angles]
+    rows = np.c_[samples.q, 1e3 * samples.reading, angles]
     np.savetxt(folder / "table.csv", rows, delimiter=",", header=header, comments="")
 
 

@@ -46,7 +46,7 @@ def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.Mo
     # stations that stand where pieces meet are found once; their edges lie as they lay to a message
     assert np.abs(pieces.stamps - whole.stamps).max() < 0.1
     assert np.abs(pieces.q - whole.q).max() < 1e-9
-    assert np.abs(pieces.position - whole.position).max() < 1e-5
+    assert np.abs(pieces.reading - whole.reading).max() < 1e-5
     assert np.array_equal(pieces.approach[1:], whole.approach[1:])
     assert len(np.unique(pieces.station)) == 200
     (warmth,), (known,) = pieces.signals, whole.signals

@@ -33,7 +33,7 @@ def simulated(folder: Path, *options: str, robot: Path = URDF) -> Recording:
 def still(recording: Recording) -> tuple[Array, Array, Array]:
     """(stamps (k,), postures (k, n), readings (k, 4, 4)) in the dwells."""
     samples = prepare(recording, CHAIN).samples
-    return samples.stamps, samples.q, se3.transform(samples.R, samples.position)
+    return samples.stamps, samples.q, se3.transform(samples.R, samples.reading)
 
 
 def test_it_says_what_the_true_cell_of_that_seed_shows(tmp_path: Path) -> None:

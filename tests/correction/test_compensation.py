@@ -159,14 +159,14 @@ def test_covariance_is_right_over_many_recordings() -> None:
     for _ in range(12):
         samples = replace(
             blank,
-            position=T[:, :3, 3] + NOISE_M * rng.standard_normal((100, 3)),
+            reading=T[:, :3, 3] + NOISE_M * rng.standard_normal((100, 3)),
             R=T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((100, 3))),
         )
         scored = identify(replace(truth, chain=chain), samples, choice.parameters)
         made = ship(samples, chain, choice, Cell(), inertias(), scored)
         correction = Correction(made)
-        noise = np.diag([made.spread.position**2] * 3 + [made.spread.rotation**2] * 3)
-        assert made.spread.position == pytest.approx(NOISE_M, rel=0.3)
+        noise = np.diag([made.noise.position**2] * 3 + [made.noise.rotation**2] * 3)
+        assert made.noise.position == pytest.approx(NOISE_M, rel=0.3)
         for target in ("tip", "tool"):
             for posture in here:
                 at = Conditions.at_rest(posture, T0 + 50.0, np.ones(6))
@@ -183,7 +183,7 @@ def test_covariance_without_a_record_of_it_is_the_scatter_alone(rng: np.random.G
     made = calibration_of(true_model())
     q = rng.uniform(-1, 1, 6)
     C = Correction(made).covariance(q, moment(q, rng))
-    assert np.array_equal(np.diag(C), [made.spread.position**2] * 3 + [made.spread.rotation**2] * 3)
+    assert np.array_equal(np.diag(C), [made.noise.position**2] * 3 + [made.noise.rotation**2] * 3)
 
 
 @pytest.mark.parametrize(("target", "frame"), [("tip", ""), ("tool", ""), ("tool", "tracker"), ("tip", "tracker")])

@@ -11,14 +11,14 @@ from cells import NOISE_M, record, samples_of, ur10
 from correction.test_compensation import STEEP, calibration_of, moment, true_model
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.correction.correction import Correction
 from modcal_core.correction.picture import (
     ellipsoid,
     enlarged_axes,
     joint_axes,
     known_to,
-    misses,
+    residuals,
     tool_ellipsoid,
 )
 from modcal_core.errors import BadCommand
@@ -27,7 +27,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_nodes.simulation.mjcf import body_name
 from modcal_nodes.simulation.world import World
 
-SPREAD = Spread(NOISE_M, 1e-4)
+SPREAD = NoiseModel(NOISE_M, 1e-4)
 T_TIP_TOOL = se3.exp(np.array([0.05, 0.03, 0.12, 0.4, -0.2, 0.1]))
 
 
@@ -38,10 +38,10 @@ def test_misses_are_how_far_mujocos_tool_is_from_the_drawings(rng: np.random.Gen
     q = rng.uniform(-2.0, 2.0, (40, 6))
     seen = samples_of(chain, q, world.tool_in_tracker(q))
     drawn = Model(chain, ("tracker",), world.T_tracker_base[None], T_TIP_TOOL)
-    of = misses(drawn, seen, SPREAD)
+    of = residuals(drawn, seen, SPREAD)
     expected = (forward(chain, q) @ T_TIP_TOOL)[:, :3, 3]
     assert np.abs(of.expected - expected).max() < 1e-12
-    assert np.abs(of.miss - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
+    assert np.abs(of.residual - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
     assert of.size.max() > 1e-3
     assert of.rejected.sum() > 20  # a millimetre is far outside this spread
 
@@ -50,7 +50,7 @@ def test_a_reading_that_is_no_number_is_not_drawn(rng: np.random.Generator) -> N
     model, q = true_model(), rng.uniform(-2.0, 2.0, (5, 6))
     T = model.predict(q)
     T[3, 0, 3] = np.nan
-    of = misses(model, samples_of(model.serial, q, T), SPREAD)
+    of = residuals(model, samples_of(model.serial, q, T), SPREAD)
     assert len(of) == 4
     assert of.size.max() < 1e-9
     assert not of.rejected.any()
@@ -113,8 +113,8 @@ def test_the_ellipsoid_is_about_the_predicted_tool(rng: np.random.Generator) -> 
     at = moment(q, rng)
     T, half = tool_ellipsoid(correction, at)
     assert np.abs(T[:3, 3] - correction.pose(q, at, "tool")[:3, 3]).max() < 1e-15
-    assert half == pytest.approx(3.0 * correction.calibration.spread.position)
-    unknown = replace(correction.calibration, spread=Spread(np.nan, 1e-4))
+    assert half == pytest.approx(3.0 * correction.calibration.noise.position)
+    unknown = replace(correction.calibration, noise=NoiseModel(np.nan, 1e-4))
     with pytest.raises(BadCommand):
         tool_ellipsoid(Correction(unknown), at)
 
@@ -123,7 +123,7 @@ def test_residuals_of_the_right_model_are_noise() -> None:
     """The true arm of a recording by MuJoCo misses by what was added to the readings."""
     cell = record(3, 200)
     bare = Model(cell.world.nominal, ("tracker",), cell.world.T_tracker_base[None], np.eye(4))
-    noise = cell.samples.position - cell.exact.position
-    of, exact = misses(bare, cell.samples, SPREAD), misses(bare, cell.exact, SPREAD)
+    noise = cell.samples.reading - cell.exact.reading
+    of, exact = residuals(bare, cell.samples, SPREAD), residuals(bare, cell.exact, SPREAD)
     R = cell.world.T_tracker_base[:3, :3]
-    assert np.abs((of.miss - exact.miss) @ R.T - noise).max() < 1e-12
+    assert np.abs((of.residual - exact.residual) @ R.T - noise).max() < 1e-12

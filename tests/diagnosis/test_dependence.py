@@ -37,9 +37,9 @@ def with_error(made: Recorded, j: int, off: Array) -> Samples:
     """Readings of an arm whose joint stands elsewhere than reported by so much (N,)."""
     q = made.samples.q.copy()
     q[:, j] += off
-    noise = made.samples.position - made.exact.position
+    noise = made.samples.reading - made.exact.reading
     moved = samples_of(CHAIN, made.samples.q, made.world.tool_in_tracker(q))
-    return replace(moved, position=moved.position + noise)
+    return replace(moved, reading=moved.reading + noise)
 
 
 def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
@@ -48,8 +48,8 @@ def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
 
 @pytest.mark.slow
 def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
-    far = np.linalg.norm(made.samples.position, axis=1, keepdims=True)
-    bent = replace(made.samples, position=made.samples.position * (1.0 + 1e-3 * (far - far.mean()) ** 2))
+    far = np.linalg.norm(made.samples.reading, axis=1, keepdims=True)
+    bent = replace(made.samples, reading=made.samples.reading * (1.0 + 1e-3 * (far - far.mean()) ** 2))
     assert "an error of the tracker's readings" in said(bent)
 
 
@@ -57,7 +57,7 @@ def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
 def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
     down = made.world.T_tracker_base[:3, :3] @ [0.0, 0.0, -1.0]
     side = np.sign(made.samples.R[:, :, 0] @ down)[:, None]
-    loose = replace(made.samples, position=made.samples.position + 4e-4 * side * made.samples.R[:, :, 0])
+    loose = replace(made.samples, reading=made.samples.reading + 4e-4 * side * made.samples.R[:, :, 0])
     text = said(loose)
     assert "how it is turned against gravity, as an error of the tool" in text
 
@@ -81,8 +81,8 @@ def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
         turn[k] = [-1.5e-3 * (moment - held)[1], 1.5e-3 * (moment - held)[0], 0.0]
     T = base @ se3.transform(so3.exp(turn), np.zeros((120, 3))) @ np.linalg.inv(base)
     moved = samples_of(CHAIN, made.samples.q, T @ made.world.tool_in_tracker(made.samples.q))
-    noise = made.samples.position - made.exact.position
-    text = said(replace(moved, position=moved.position + noise))
+    noise = made.samples.reading - made.exact.reading
+    text = said(replace(moved, reading=moved.reading + noise))
     assert "(it slips), as an error of the base" in text
 
 
@@ -115,12 +115,12 @@ def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) ->
 @pytest.mark.slow
 def test_readings_whose_scale_changes_half_way(made: Recorded) -> None:
     scale = np.where(np.arange(len(made.samples)) < 60, 1.0, 1.0006)[:, None]
-    text = said(replace(made.samples, position=made.samples.position * scale))
+    text = said(replace(made.samples, reading=made.samples.reading * scale))
     assert "as an error of the tracker's readings" in text
 
 
 @pytest.mark.slow
 def test_positions_alone_that_miss_are_no_joint(made: Recorded) -> None:
     off = 8e-4 * np.random.default_rng(9).normal(size=(len(made.samples), 3))
-    text = said(replace(made.samples, position=made.samples.position + off))
+    text = said(replace(made.samples, reading=made.samples.reading + off))
     assert "Look at what moves points alone" in text

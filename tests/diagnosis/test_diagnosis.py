@@ -231,9 +231,9 @@ def test_a_bumped_tool_is_dated() -> None:
 
 def test_wrong_readings_are_said_and_left_out() -> None:
     samples = recorded(8, nothing)
-    position = samples.position.copy()
+    position = samples.reading.copy()
     position[[11, 60, 121]] += [[2e-3, 0, 0], [0, 1e-3, 0], [0, 0, -3e-3]]
-    report = report_of(replace(samples, position=position))
+    report = report_of(replace(samples, reading=position))
     assert named(report) == [("outliers", "tracker", "constant")]
     assert report.effects[0].parameters["stations"][0] == 3.0
 

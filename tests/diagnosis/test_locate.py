@@ -29,8 +29,8 @@ def scored(samples: Samples) -> Report:
 
 
 def moved(samples: Samples, step: Array) -> Samples:
-    T = step @ se3.transform(samples.R, samples.position)
-    return replace(samples, R=T[:, :3, :3], position=T[:, :3, 3])
+    T = step @ se3.transform(samples.R, samples.reading)
+    return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
 
 
 @pytest.mark.slow

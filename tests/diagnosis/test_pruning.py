@@ -33,7 +33,7 @@ def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
     choice = choose_parameters(cell.model, views_of(samples))
     started = tuple(e.started(np.full(n, 1e-4)) for e, n in ((TRUE, 2), (NOTHING, 1), (TWIN, 2)))
     fit = identify(cell.model.with_effects(started), train, choice.parameters)
-    pruned, gone = needless(fit, train, explain, fit.spread)
+    pruned, gone = needless(fit, train, explain, fit.noise)
     assert 1 in gone
     assert len(gone) == 2
     (left,) = pruned.model.effects
@@ -43,7 +43,7 @@ def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
     removed = errors(without(pruned.model, known, [0]), explain).position_norm
     refitted = errors(identify(cell.model, train, choice.parameters).model, explain).position_norm
     assert abs(np.mean(removed**2) / np.mean(refitted**2) - 1.0) < 0.15
-    assert needless(fit, train, explain, fit.spread, keep=3)[1] == ()
+    assert needless(fit, train, explain, fit.noise, keep=3)[1] == ()
 
 
 def test_amplitudes_that_trade_with_geometry_are_judged_together() -> None:

@@ -13,7 +13,7 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
-from modcal_core.impedance.speed_governor import Patience, SpeedGovernor
+from modcal_core.impedance.speed_governor import GovernorSettings, SpeedGovernor
 from modcal_core.impedance.task import ImpedanceTask, JointPositions, Stop, Wait
 from modcal_core.impedance.wrench import WrenchSensor
 from modcal_core.robots.kinematics import forward
@@ -159,7 +159,9 @@ def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
 
 
 def test_what_nothing_predicts_is_given_up() -> None:
-    done = pull(Toy(drawer(), friction=3.0, inertia=4.0), Operation(PANDA, replace(TASK, explore=0.08), LIMITS), 9.9)
+    done = pull(
+        Toy(drawer(), friction=3.0, inertia=4.0), Operation(PANDA, replace(TASK, max_exploration=0.08), LIMITS), 9.9
+    )
     assert done.stop is not None
     assert "not understood after" in done.stop.why
     assert done.opened < 0.1
@@ -193,7 +195,7 @@ class Still:
         self.now += PERIOD
         if hear:
             w = np.array([0, 0, 8.0, 0, 0, 0]) + (0.0 if wrench is None else wrench)
-            self.sensor.hear(PANDA.tip, w, self.now, self.now, 0.1)
+            self.sensor.receive(PANDA.tip, w, self.now, self.now, 0.1)
         joints = JointPositions(self.q, self.now - joints_age)
         out = self.operation.tick(self.now, forward(PANDA, self.q), self.sensor, joints, self.belief)
         if isinstance(out, ArmSetpoint):
@@ -285,7 +287,7 @@ def test_the_tool_is_not_weighed_while_it_moves() -> None:
 
 
 def test_force_slows_the_pace_down_and_stops_it() -> None:
-    pace = SpeedGovernor(Patience())
+    pace = SpeedGovernor(GovernorSettings())
     free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (10.0, 25.0, 36.0))
     for _ in range(1000):
         pace.step(0.06, free, PERIOD)
@@ -296,4 +298,4 @@ def test_force_slows_the_pace_down_and_stops_it() -> None:
     for _ in range(100):
         pace.step(0.06, full, PERIOD)
     assert pace.speed == 0.0
-    assert Patience().share(np.array([0, 0, 0, 0, 0, 20.0])) == 0.0
+    assert GovernorSettings().share(np.array([0, 0, 0, 0, 0, 20.0])) == 0.0

@@ -8,7 +8,7 @@ from impedance.toy import PERIOD, T_READY, door, drawer
 
 from modcal_core.articulation.models.registry import joint
 from modcal_core.geometry import se3
-from modcal_core.impedance.path_model import PathModel, Pull
+from modcal_core.impedance.path_model import Exploration, PathModel
 
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
 
@@ -58,7 +58,7 @@ def test_what_seems_to_turn_about_an_axis_far_off_slides() -> None:
 
 def test_a_pull_turns_towards_where_the_tool_is_led() -> None:
     """Along an arc, held so that the tool need not turn: the direction follows the tangent within some degrees."""
-    truth, pulled = door(0.3), Pull(T_READY, BACK)
+    truth, pulled = door(0.3), Exploration(T_READY, BACK)
     for a in np.arange(0.0, 0.8, 0.001):
         T = se3.transform(T_READY[:3, :3], truth.pose(a)[:3, 3])
         pulled.advance(0.0003, T, PERIOD)
@@ -70,7 +70,7 @@ def test_a_pull_turns_towards_where_the_tool_is_led() -> None:
 
 def test_a_pull_is_led_aside_no_faster_than_it_explores() -> None:
     """A tool that is found 30 mm beside the way at once: the expected pose comes over there, but is not swung across."""
-    pulled, there = Pull(T_READY, BACK, 0.03), se3.transform(p=[0.0, 0.03, 0.0]) @ T_READY
+    pulled, there = Exploration(T_READY, BACK, 0.03), se3.transform(p=[0.0, 0.03, 0.0]) @ T_READY
     way = [T_READY[:3, 3], *(pulled.advance(0.0, there, PERIOD)[:3, 3] for _ in range(600))]
     speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / PERIOD
     assert speeds.max() == pytest.approx(0.03)

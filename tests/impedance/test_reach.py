@@ -71,7 +71,7 @@ def test_a_walk_in_pieces_is_the_same_walk() -> None:
 @pytest.mark.slow
 def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -> None:
     """Goals that jump, ticks that jitter: the guard's limits hold, and the last goal is reached."""
-    lim = limits(speed=0.2, acceleration=2.0, turning=1.0, turning_acceleration=10.0)
+    lim = limits(speed=0.2, acceleration=2.0, angular_speed=1.0, angular_acceleration=10.0)
     follower = SetpointFilter(PANDA, lim)
     follower.begin(READY, T_READY)
     goal, q, T, rates = T_READY, READY, T_READY, np.zeros(3)
@@ -84,7 +84,7 @@ def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -
         span = min(h, 0.5 * (h + before))
         way, turn = speeds(T, follower.pose)
         assert way <= lim.speed * h
-        assert turn <= lim.turning * h
+        assert turn <= lim.angular_speed * h
         rate = (follower.pose[:3, 3] - T[:3, 3]) / h
         assert np.linalg.norm(rate - rates) <= lim.acceleration * span
         joints = (follower.q - q) / h

@@ -24,14 +24,14 @@ _PARTS = ("pose", "q", "velocity", "wrench", "stiffness", "frame", "names", "T",
 NASTY = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e12, 1e-300, 0.0, -0.0, 4e-323)
 
 
-def wish(q: Array, velocity: Array | None = None) -> ArmSetpoint:
+def setpoint(q: Array, velocity: Array | None = None) -> ArmSetpoint:
     speed = np.zeros(7) if velocity is None else velocity
     return ArmSetpoint(
         PANDA.base, PANDA.names, forward(PANDA, q), q, speed, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3)
     )
 
 
-def heard(now: float, q: Array = READY) -> SensorReadings:
+def sensors(now: float, q: Array = READY) -> SensorReadings:
     joints = dict(zip(PANDA.names, q.tolist(), strict=True))
     return SensorReadings(
         joints, now - 0.004, forward(PANDA, q), np.array([5.0, 0, 0, 0, 1.0, 0]), PANDA.tip, now - 0.002
@@ -50,8 +50,8 @@ def test_what_is_good_goes_through_as_it_is() -> None:
         now = 10.0 + k * PERIOD
         v = min(v + 5.0 * PERIOD, 0.1)
         q = q + np.array([v * PERIOD, 0, 0, 0, 0, 0, v * PERIOD])
-        sent = wish(q)
-        assert guard.check(sent, heard(now, q), now) is sent
+        sent = setpoint(q)
+        assert guard.check(sent, sensors(now, q), now) is sent
 
 
 def _late(part: str, seconds: float) -> Callable[[SensorReadings], SensorReadings]:
@@ -96,22 +96,22 @@ def test_what_is_bad_does_not_and_the_guard_shuts(name: str) -> None:
     spoil_wish, spoil_heard, said = BAD[name]
     guard = opened()
     with pytest.raises(BadCommand, match=said) as refused:
-        guard.check(spoil_wish(wish(READY)), spoil_heard(heard(10.004)), 10.004)
+        guard.check(spoil_wish(setpoint(READY)), spoil_heard(sensors(10.004)), 10.004)
     late = isinstance(refused.value, Late)
     assert late == (name in ("old joints", "joints of the future", "old wrench"))
     if late:  # only late: it goes on
-        guard.check(wish(READY), heard(10.008), 10.008)
+        guard.check(setpoint(READY), sensors(10.008), 10.008)
     else:
         with pytest.raises(BadCommand, match="shut"):
-            guard.check(wish(READY), heard(10.008), 10.008)
+            guard.check(setpoint(READY), sensors(10.008), 10.008)
         guard.open(T_READY, READY, 10.012)
-        guard.check(wish(READY), heard(10.016), 10.016)
+        guard.check(setpoint(READY), sensors(10.016), 10.016)
 
 
 def test_speed_and_acceleration_of_the_tool() -> None:
     """Just within goes, just beyond does not; a pause is a stop, after which one step is all that is allowed."""
     step = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    most = LIMITS.turning_acceleration * PERIOD**2
+    most = LIMITS.angular_acceleration * PERIOD**2
     J = body_jacobian(PANDA, READY[None])[0] @ step
     assert np.linalg.norm(J[3:]) == pytest.approx(1.0)
     for share, passes in ((0.99, True), (1.01, False)):
@@ -119,10 +119,10 @@ def test_speed_and_acceleration_of_the_tool() -> None:
             guard, now = opened(), 10.0 + pause
             q = READY + share * most * step
             if passes:
-                guard.check(wish(q), heard(now), now)
+                guard.check(setpoint(q), sensors(now), now)
             else:
                 with pytest.raises(BadCommand, match="acceleration"):
-                    guard.check(wish(q), heard(now), now)
+                    guard.check(setpoint(q), sensors(now), now)
 
 
 def test_a_singular_posture_does_not_pass() -> None:
@@ -133,7 +133,7 @@ def test_a_singular_posture_does_not_pass() -> None:
         guard = SafetyMonitor(PANDA, limits(gain=share * least))
         guard.open(forward(PANDA, stretched), stretched, 10.0)
         with contextlib.nullcontext() if share < 1.0 else pytest.raises(BadCommand, match="singular"):
-            guard.check(wish(stretched), heard(10.004, stretched), 10.004)
+            guard.check(setpoint(stretched), sensors(10.004, stretched), 10.004)
 
 
 def test_beyond_the_limit_of_force_only_what_goes_back_to_the_tool_passes() -> None:
@@ -144,32 +144,32 @@ def test_beyond_the_limit_of_force_only_what_goes_back_to_the_tool_passes() -> N
         guard, tool = opened(), READY + 40.0 * side * step  # which lies on one side of where the arm was told to be
 
         def said(now: float, tool: Array = tool) -> SensorReadings:
-            return replace(heard(now, tool), wrench=pressed)
+            return replace(sensors(now, tool), wrench=pressed)
 
-        guard.let_go(10.0)
+        guard.allow_release(10.0)
         with contextlib.nullcontext() if passes else pytest.raises(BadCommand, match="leads away"):
-            guard.check(wish(READY + step), said(10.004), 10.004)
-        assert bool(guard.shut) != passes
+            guard.check(setpoint(READY + step), said(10.004), 10.004)
+        assert bool(guard.tripped) != passes
     guard = opened()
     with pytest.raises(BadCommand, match="90.0 N"):  # nobody has said so
-        guard.check(wish(READY), replace(heard(10.004), wrench=pressed), 10.004)
+        guard.check(setpoint(READY), replace(sensors(10.004), wrench=pressed), 10.004)
     guard = opened()
-    guard.let_go(10.0)
-    guard.check(wish(READY), replace(heard(10.9), wrench=pressed), 10.9)
+    guard.allow_release(10.0)
+    guard.check(setpoint(READY), replace(sensors(10.9), wrench=pressed), 10.9)
     with pytest.raises(BadCommand, match="90.0 N"):
-        guard.check(wish(READY), replace(heard(11.1), wrench=pressed), 11.1)
+        guard.check(setpoint(READY), replace(sensors(11.1), wrench=pressed), 11.1)
 
 
 def test_while_it_is_let_go_no_wrench_is_needed_but_the_joints_are() -> None:
-    nothing = replace(heard(10.004), wrench=np.full(6, np.nan), wrench_stamp=1.0)
+    nothing = replace(sensors(10.004), wrench=np.full(6, np.nan), wrench_stamp=1.0)
     guard = opened()
     with pytest.raises(BadCommand, match="wrench"):
-        guard.check(wish(READY), nothing, 10.004)
+        guard.check(setpoint(READY), nothing, 10.004)
     guard = opened()
-    guard.let_go(10.0)
-    guard.check(wish(READY), nothing, 10.004)
+    guard.allow_release(10.0)
+    guard.check(setpoint(READY), nothing, 10.004)
     with pytest.raises(BadCommand, match="joint_states"):
-        guard.check(wish(READY), replace(nothing, joints_stamp=1.0), 10.008)
+        guard.check(setpoint(READY), replace(nothing, joints_stamp=1.0), 10.008)
 
 
 def test_what_still_moves_away_must_brake() -> None:
@@ -178,19 +178,19 @@ def test_what_still_moves_away_must_brake() -> None:
     tool = READY - 40.0 * step
     for second, passes in ((0.9, False), (0.3, True)):
         guard = opened()
-        guard.check(wish(READY + step), heard(10.004, tool), 10.004)
-        guard.let_go(10.004)
+        guard.check(setpoint(READY + step), sensors(10.004, tool), 10.004)
+        guard.allow_release(10.004)
         with contextlib.nullcontext() if passes else pytest.raises(BadCommand, match="leads away"):
-            guard.check(wish(READY + (1.0 + second) * step), heard(10.008, tool), 10.008)
+            guard.check(setpoint(READY + (1.0 + second) * step), sensors(10.008, tool), 10.008)
 
 
 def test_a_clock_that_goes_back_shuts_it() -> None:
     guard = opened()
-    guard.check(wish(READY), heard(10.004), 10.004)
+    guard.check(setpoint(READY), sensors(10.004), 10.004)
     with pytest.raises(BadCommand, match="went back"):
-        guard.check(wish(READY), heard(9.0), 9.0)
+        guard.check(setpoint(READY), sensors(9.0), 9.0)
     with pytest.raises(BadCommand, match="shut"):
-        guard.check(wish(READY), heard(10.008), 10.008)
+        guard.check(setpoint(READY), sensors(10.008), 10.008)
 
 
 @dataclass
@@ -215,13 +215,13 @@ class Witness:
         assert out.frame == PANDA.base
         assert out.names == PANDA.names
         assert now > self.now
-        assert abs(now - h.joints_stamp) <= LIMITS.stale
-        assert abs(now - h.wrench_stamp) <= LIMITS.stale
+        assert abs(now - h.joints_stamp) <= LIMITS.timeout
+        assert abs(now - h.wrench_stamp) <= LIMITS.timeout
         assert np.linalg.norm(h.wrench[:3]) <= LIMITS.force
         assert (out.q >= PANDA.lower).all()
         assert (out.q <= PANDA.upper).all()
         assert np.linalg.det(out.pose[:3, :3]) == pytest.approx(1.0, abs=1e-5)
-        assert np.abs(forward(PANDA, out.q)[:3, 3] - out.pose[:3, 3]).max() <= LIMITS.apart
+        assert np.abs(forward(PANDA, out.q)[:3, 3] - out.pose[:3, 3]).max() <= LIMITS.consistency
         assert np.linalg.norm(out.pose[:3, 3] - h.T_base_tool[:3, 3]) <= LIMITS.displacement * 1.001
         assert (np.abs(out.stiffness) <= 5000.0).all()
         assert self.q is not None
@@ -294,20 +294,20 @@ def fuzz(attempts: int, rng: np.random.Generator) -> int:
     guard.open(T_READY, q, now)
     witness.restart(now)
     passed = 0
-    w, h = wish(q), heard(now)
+    w, h = setpoint(q), sensors(now)
     for _ in range(attempts):
-        if guard.shut:
+        if guard.tripped:
             # reopened where the arm stands, as an honest supervisor would
             now += PERIOD
             q, v = READY, np.zeros(7)
             guard.open(T_READY, q, now)
             witness.restart(now)
-            w, h = wish(q), heard(now)
+            w, h = setpoint(q), sensors(now)
         now += _STEPS[rng.integers(len(_STEPS))]
         if rng.random() < 0.15:
             v = np.clip(v + 0.01 * rng.normal(size=7) - 0.02 * v, -0.05, 0.05)
             q = q + v * PERIOD
-            w = wish(q, v)
+            w = setpoint(q, v)
         h = replace(h, joints_stamp=now - 0.01 * rng.random(), wrench_stamp=now - 0.01 * rng.random())
         attack = rng.random() < 0.85
         sent, said, at = attacked(rng, w, h, now) if attack else (w, h, now)

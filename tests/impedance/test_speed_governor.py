@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from modcal_core.impedance.speed_governor import ForcePrediction, Patience, SpeedGovernor
+from modcal_core.impedance.speed_governor import ForcePrediction, GovernorSettings, SpeedGovernor
 
 _STEP = 1e-5  # s
 _BRAKE = 2.0  # m/s²
@@ -30,15 +30,17 @@ def stopped(speed: float, delay: float, stiffness: float, force: float) -> float
 def test_at_the_speed_in_sight_a_hard_stop_comes_to_just_the_last_force(
     stiffness: float, delay: float, force: float
 ) -> None:
-    patience = Patience(last=50.0, hand=stiffness)
-    speed = SpeedGovernor(patience, brake=_BRAKE).in_sight(force, delay)
+    settings = GovernorSettings(max_force=50.0, contact_stiffness=stiffness)
+    speed = SpeedGovernor(settings, brake=_BRAKE).in_sight(force, delay)
     assert speed > 0.0
-    assert stopped(speed, delay, stiffness, force) == pytest.approx(patience.last, abs=2.0 * stiffness * speed * _STEP)
+    assert stopped(speed, delay, stiffness, force) == pytest.approx(
+        settings.max_force, abs=2.0 * stiffness * speed * _STEP
+    )
 
 
 @pytest.mark.parametrize("force", [50.0, 51.0, 1e6])
 def test_at_the_last_force_nothing_is_in_sight(force: float) -> None:
-    assert SpeedGovernor(Patience()).in_sight(force, 0.05) == 0.0
+    assert SpeedGovernor(GovernorSettings()).in_sight(force, 0.05) == 0.0
 
 
 def test_a_force_that_rises_steadily_is_foreseen() -> None:
@@ -70,7 +72,7 @@ def test_foresight_sees_no_more_than_there_is() -> None:
 
 def test_braking_goes_on_by_its_way() -> None:
     """v t is what v²/2a is."""
-    pace = SpeedGovernor(Patience(), brake=_BRAKE)
+    pace = SpeedGovernor(GovernorSettings(), brake=_BRAKE)
     pace.speed = 0.06
     t, way = pace.braking, 0.0
     while pace.speed > 0.0:

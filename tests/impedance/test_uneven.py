@@ -45,7 +45,7 @@ def test_an_arm_of_six_axes_is_kept_from_singular_postures(elbow: float, passes:
 def test_speeds_of_steps_of_unequal_length_change_between_their_middles(share: float, passes: bool) -> None:
     # 2 ms at rest, then 8 ms at a speed: from the middle of one to the middle of the other pass 5 ms
     bounds = limits()
-    speed = share * min(bounds.turning_acceleration, float(bounds.joint_acceleration[6])) * 0.005
+    speed = share * min(bounds.angular_acceleration, float(bounds.joint_acceleration[6])) * 0.005
     guard = SafetyMonitor(PANDA, bounds)
     guard.open(T_READY, READY, 10.0)
     asked(guard, PANDA, READY, 10.002)

@@ -28,14 +28,14 @@ def test_a_force_does_the_same_work_in_any_frame(rng: np.random.Generator) -> No
         w, V_tool = rng.normal(size=6), rng.normal(size=6)
         V_sensor = se3.adjoint(se3.inverse(T_tool_sensor)) @ V_tool
         sensor = WrenchSensor([("flange", T_tool_sensor)])
-        sensor.hear("flange", w, 1.0, 1.0, 0.1)
+        sensor.receive("flange", w, 1.0, 1.0, 0.1)
         F = sensor.on_tool(se3.exp(rng.normal(size=6)))
         assert F @ V_tool == pytest.approx(w @ V_sensor, abs=1e-12)
 
 
 def test_sign_of_a_sensor_that_says_what_the_tool_does() -> None:
     sensor = WrenchSensor([("tool", np.eye(4))], sign=-1.0)
-    sensor.hear("tool", [0, 0, 5, 0, 0, 0], 1.0, 1.0, 0.1)
+    sensor.receive("tool", [0, 0, 5, 0, 0, 0], 1.0, 1.0, 0.1)
     assert np.allclose(sensor.on_tool(np.eye(4)), [0, 0, -5, 0, 0, 0])
 
 
@@ -68,7 +68,7 @@ def test_a_tare_takes_off_what_is_there_and_known_weight_goes_along(rng: np.rand
         sensor, tare = WrenchSensor([("tool", np.eye(4))], known), Tare(0.5)
         done, k = False, 0
         while not done:
-            sensor.hear(
+            sensor.receive(
                 "tool", hung(np.eye(3)) + 0.2 * rng.normal(size=6) * [1, 1, 1, 0.1, 0.1, 0.1], 0.01 * k, 0.01 * k, 1
             )
             done = tare.add(sensor.raw, sensor.stamp, True)
@@ -76,7 +76,7 @@ def test_a_tare_takes_off_what_is_there_and_known_weight_goes_along(rng: np.rand
         assert 0.01 * (k - 1) >= 0.5
         sensor.load = tare.load(T0[:3, :3], known)
         sensor.forget_past()
-        sensor.hear("tool", hung(T1[:3, :3]), 9.0, 9.0, 1.0)
+        sensor.receive("tool", hung(T1[:3, :3]), 9.0, 9.0, 1.0)
         left[name] = np.linalg.norm(sensor.on_tool(T1)[:3])
     assert left["known"] < 0.3
     assert left["unknown"] == pytest.approx(LOAD.mass * 9.80665, abs=0.4)  # 60°: a chord as long as the weight
@@ -119,7 +119,7 @@ def test_the_low_pass_has_its_cutoff() -> None:
 )
 def test_bad_readings_are_refused_and_change_nothing(frame: str, wrench: object, stamp: float, said: str) -> None:
     sensor = WrenchSensor([("tool", np.eye(4))])
-    sensor.hear("tool", np.ones(6), 0.95, 1.0, 0.1)
+    sensor.receive("tool", np.ones(6), 0.95, 1.0, 0.1)
     with pytest.raises(BadCommand, match=said):
-        sensor.hear(frame, wrench, stamp, 1.0, 0.1)  # type: ignore[arg-type]
+        sensor.receive(frame, wrench, stamp, 1.0, 0.1)  # type: ignore[arg-type]
     assert (sensor.stamp, *sensor.raw) == (0.95, 1, 1, 1, 1, 1, 1)

@@ -161,7 +161,7 @@ def pull(
             continue
         stamp, q, w = late.popleft()
         if toy.peak < numb:
-            sensor.hear(PANDA.tip, w, stamp, now, 0.1)
+            sensor.receive(PANDA.tip, w, stamp, now, 0.1)
         if toy.a >= trusts:
             belief.trusted = True
             if belief.model is None or (revise and rng is not None and k % 50 == 0):

@@ -75,7 +75,7 @@ def test_mixed_instruments_in_one_calibration(tmp_path: Path) -> None:
     assert {p["unit"] for p in report["parameters"] if p["name"].startswith("instrument wire_0")} == {"m"}
     calibration = read_calibration(tmp_path / "out")
     assert [i.kind for i in calibration.calibrated.instruments] == ["range", "bearing"]
-    assert calibration.spread.others["range"] == pytest.approx(2e-4, rel=0.3)
+    assert calibration.noise.others["range"] == pytest.approx(2e-4, rel=0.3)
     out = ["--out", str(tmp_path / "scored")]
     assert run(["evaluate", str(tmp_path / "out"), str(tmp_path / "again"), *out]) == 0
     scored = json.loads((tmp_path / "scored" / "report.json").read_text())

@@ -66,7 +66,7 @@ def test_contact_alone_shows_the_shape_of_the_arm() -> None:
     samples = recorded(w, np.random.default_rng(1))
     start = fit_cell(ur10(), samples, Cell()).model
     fit = identify(start, samples, choose_parameters(start, views_of(samples)).parameters)
-    assert 2e-5 < fit.spread.others["touch"] < 4e-5
+    assert 2e-5 < fit.noise.others["touch"] < 4e-5
     q = worlds.postures(ur10(), 200, np.random.default_rng(9))
     true = w.tool_in_base(q)[:, :3, 3]
     growth, left = apart(fit.model.predict(q)[:, :3, 3], true)

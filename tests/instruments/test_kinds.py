@@ -56,7 +56,7 @@ def located(kind: str, own_target: bool = False) -> tuple[Model, Samples]:
     model = locate(place_model(ur10(), samples.frames), samples, (), (kind,) if own_target else ())
     # readings that do not fit, so that residuals matter
     rng = np.random.default_rng(1)
-    return model, replace(samples, position=samples.position + 0.01 * rng.standard_normal(samples.position.shape))
+    return model, replace(samples, reading=samples.reading + 0.01 * rng.standard_normal(samples.reading.shape))
 
 
 @pytest.mark.parametrize("kind", READINGS)
@@ -121,7 +121,7 @@ def test_too_few_readings_are_refused(kind: str) -> None:
 def recorded(kind: str, spoil: Callable[[Array], Array]) -> Recording:
     samples = exact(kind, 30)
     nothing = np.full_like(samples.q, np.nan)
-    values = spoil(samples.position[:, : kinds()[kind].width].copy())
+    values = spoil(samples.reading[:, : kinds()[kind].width].copy())
     return Recording(
         joints=(JointTrack(ur10().names, samples.stamps, samples.q, nothing, nothing, samples.stamps),),
         readings=(ReadingTrack(kind, kind, samples.stamps, values, samples.stamps, f"/{kinds()[kind].topic}"),),

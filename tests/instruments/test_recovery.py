@@ -104,7 +104,7 @@ def test_parameters_lie_within_three_sigma(name: str) -> None:
     scores = []
     for seed in range(3):
         fit, truth, _ = fits(name, seed)
-        assert all(s < 1e-8 for s in truth.spread.others.values())  # exact readings are met: these are the true values
+        assert all(s < 1e-8 for s in truth.noise.others.values())  # exact readings are met: these are the true values
         known = np.array([p.of_arm for p in fit.parameters]) | (name != "two theodolites")
         scores.append(((fit.values - truth.values) / fit.std)[known])
     size = np.abs(np.concatenate(scores))
@@ -117,7 +117,7 @@ def test_each_kind_gets_its_own_noise_in_its_own_unit(name: str) -> None:
     fit, _, _ = fits(name, 1)
     devices, _ = CELLS[name]
     for device in devices:
-        found = fit.spread.position if device.kind == "point" else fit.spread.others[device.kind]
+        found = fit.noise.position if device.kind == "point" else fit.noise.others[device.kind]
         assert 0.75 * device.noise < found < 1.3 * device.noise, device.frame
 
 
@@ -190,7 +190,7 @@ def test_a_known_plane_tells_more_than_an_unknown_one() -> None:
     for name, cell in {"unknown": Cell(), "known": Cell(known=(Known("laser", "tracker", T),))}.items():
         start = fit_cell(ur10(), samples, cell).model
         found[name] = identify(start, samples, choose_parameters(start, views_of(samples), cell.kept).parameters)
-        assert 3e-5 < found[name].spread.others["ray"] < 7e-5
+        assert 3e-5 < found[name].noise.others["ray"] < 7e-5
     assert len(found["unknown"].parameters) - len(found["known"].parameters) == 3
     for name in (f"instrument laser/ray_{d}" for d in "xyz"):
         assert found["known"].deviation(name) < found["unknown"].deviation(name)
@@ -208,7 +208,7 @@ def test_two_sensors_that_look_at_one_plane_share_it() -> None:
     fit = identify(start, samples, choose_parameters(start, views_of(samples), cell.kept).parameters)
     assert not [p.name for p in fit.parameters if p.name.startswith("frame laser_2")]
     assert np.array_equal(fit.model.T_frame_base[0], fit.model.T_frame_base[1])
-    assert 4e-5 < fit.spread.others["ray"] < 6e-5
+    assert 4e-5 < fit.noise.others["ray"] < 6e-5
     # how the two rays stand to each other does not hang on where tool and plane are taken to be
     rays = [i.values for i in fit.model.instruments]
     between = np.linalg.norm(rays[0][:3] - rays[1][:3])

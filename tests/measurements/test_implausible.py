@@ -66,7 +66,7 @@ def test_one_message_that_cannot_be_costs_itself(case: str) -> None:
     rest = prepare(whole, ur10()).samples
     rest = rest.select(np.arange(len(rest)) != AT)
     assert (prepared.samples.stamps == rest.stamps).all()
-    assert (prepared.samples.position == rest.position).all()
+    assert (prepared.samples.reading == rest.reading).all()
     assert (prepared.samples.q == rest.q).all()
     moved = prepare(spoil(streams(6)), ur10())
     assert dict(moved.dropped)[reason] == 1

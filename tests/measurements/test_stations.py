@@ -49,8 +49,8 @@ def test_a_tool_that_is_knocked_during_a_stand_is_where_it_was_for_most_of_it(co
         whole = with_reading(recording, stamps=stamps[~others], values=values[~others], received=stamps[~others])
         seen = cut_stations(whole, NAMES)
         assert seen.stations == 6
-        before = np.linalg.norm(seen.position[3] - still.position[3])
-        after = np.linalg.norm(seen.position[3] - still.position[3] - knock)
+        before = np.linalg.norm(seen.reading[3] - still.reading[3])
+        after = np.linalg.norm(seen.reading[3] - still.reading[3] - knock)
         assert min(before, after) < 2e-5  # 20 µm each, eighteen of them at least
         # at an end, one reading or two are a glitch like any other
         assert seen.sigma_position[3] < 1.5e-5
@@ -60,7 +60,7 @@ def test_paired_readings_are_stations_as_they_are() -> None:
     recording = stations(30)
     samples = cut_stations(recording, NAMES)
     assert np.array_equal(samples.q, recording.joints[0].position)
-    assert np.array_equal(samples.position, recording.readings[0].values[:, :3])
+    assert np.array_equal(samples.reading, recording.readings[0].values[:, :3])
     assert np.isnan(samples.sigma_position).all()
 
 

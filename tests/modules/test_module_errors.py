@@ -57,7 +57,7 @@ def before_calibration(assembly: Assembly, errors: dict | None, samples: Samples
     half = len(samples) // 2
     first, rest = samples.select(np.arange(half)), samples.select(np.arange(half, len(samples)))
     model = fit_cell(chain_of(assembly, LIBRARY, errors), first, Cell()).model
-    return float(np.linalg.norm(model.predict(rest.q)[:, :3, 3] - rest.position, axis=1).mean())
+    return float(np.linalg.norm(model.predict(rest.q)[:, :3, 3] - rest.reading, axis=1).mean())
 
 
 def story(seed: int) -> tuple[float, float, list[RecordingEvidence]]:

@@ -50,7 +50,7 @@ def measured(assembly: Assembly, seed: int, count: int = 150) -> tuple[Chain, Sa
 
 
 def mean_error(model: Model, samples: Samples) -> float:
-    return float(np.linalg.norm(model.predict(samples.q)[:, :3, 3] - samples.position, axis=1).mean())
+    return float(np.linalg.norm(model.predict(samples.q)[:, :3, 3] - samples.reading, axis=1).mean())
 
 
 @pytest.mark.parametrize("assembly", [five_joints(), PARALLEL], ids=["published", "parallel"])
@@ -177,7 +177,7 @@ class DhFit:
         return replace(self.start, chain=chain, T_frame_base=T_base, T_tip_tool=T_tool)
 
     def residual(self, x: Array) -> Array:
-        return (self.model(x).predict(self.samples.q)[:, :3, 3] - self.samples.position).ravel()
+        return (self.model(x).predict(self.samples.q)[:, :3, 3] - self.samples.reading).ravel()
 
     def jacobian(self, x: Array) -> Array:
         h = 1e-7

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modcal_core.errors import BadCommand
-from modcal_msgs_py.commands import JointsHeard, desired_pose, require_new
+from modcal_msgs_py.commands import JointInput, desired_pose, require_new
 
 
 def stamped(stamp: float, **parts: Any) -> SimpleNamespace:
@@ -22,21 +22,21 @@ def states(stamp: float, **joints: float) -> SimpleNamespace:
     return stamped(stamp, name=list(joints), position=list(joints.values()), velocity=[], effort=[])
 
 
-def arm() -> JointsHeard:
-    return JointsHeard(("a", "b"), np.array([-1.0, -2.0]), np.array([1.0, 2.0]))
+def arm() -> JointInput:
+    return JointInput(("a", "b"), np.array([-1.0, -2.0]), np.array([1.0, 2.0]))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("value", "believed"), [(1.05, True), (-1.05, True), (1.2, False), (-1.2, False)])
 def test_a_joint_far_outside_its_limits_is_not_believed(value: float, believed: bool) -> None:
     heard = arm()
-    heard.hear(states(10.0, a=0.5, b=0.0), 10.0, 0.1)
+    heard.receive(states(10.0, a=0.5, b=0.0), 10.0, 0.1)
     if believed:
-        heard.hear(states(10.0, a=value), 10.0, 0.1)
+        heard.receive(states(10.0, a=value), 10.0, 0.1)
         assert heard.position[0] == value
     else:
         with pytest.raises(BadCommand, match="joint_states of a: .* is far outside its limits"):
-            heard.hear(states(10.0, a=value), 10.0, 0.1)
+            heard.receive(states(10.0, a=value), 10.0, 0.1)
         assert heard.position[0] == 0.5
 
 
@@ -44,13 +44,13 @@ def test_a_joint_far_outside_its_limits_is_not_believed(value: float, believed: 
 @pytest.mark.parametrize("late", [-0.2, 0.2])
 def test_joint_states_of_another_time_are_refused(late: float) -> None:
     with pytest.raises(BadCommand, match="old" if late < 0.0 else "ahead"):
-        arm().hear(states(10.0 + late, a=0.0, b=0.0), 10.0, 0.1)
+        arm().receive(states(10.0 + late, a=0.0, b=0.0), 10.0, 0.1)
 
 
 def test_an_arm_is_as_fresh_as_its_oldest_joint() -> None:
     heard = arm()
-    heard.hear(states(10.0, a=0.0, b=0.0), 10.0, 0.1)
-    heard.hear(states(10.5, b=0.0), 10.5, 0.1)
+    heard.receive(states(10.0, a=0.0, b=0.0), 10.0, 0.1)
+    heard.receive(states(10.5, b=0.0), 10.5, 0.1)
     heard.require_fresh(10.05, 1.0)
     with pytest.raises(BadCommand, match=r"joint_states of a: are 0.5 s off, 0.1 s is the limit"):
         heard.require_fresh(10.5, 0.1)

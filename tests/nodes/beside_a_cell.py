@@ -28,11 +28,11 @@ PANDA = URDF.with_name("panda.urdf")
 def stations(count: int = STATIONS, seed: int = 1, begin: float = START, bump: Array | None = None) -> Recording:
     """Finished stations of one displaced arm: a joint state and a pose of the same stamp, two seconds apart."""
     cell = record(seed, count)
-    T = se3.transform(cell.samples.R, cell.samples.position)
+    T = se3.transform(cell.samples.R, cell.samples.reading)
     made = samples_of(cell.world.nominal, cell.samples.q, T if bump is None else T @ bump)
     t = begin + 2.0 * np.arange(count)
     unknown = np.full_like(made.q, np.nan)
-    poses = se3.to_pose(se3.transform(made.R, made.position))
+    poses = se3.to_pose(se3.transform(made.R, made.reading))
     return Recording(
         (JointTrack(made.names, t, made.q, unknown, unknown, t),), (ReadingTrack("pose", "tracker", t, poses, t),)
     )

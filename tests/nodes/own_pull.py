@@ -34,7 +34,7 @@ def pull(world: Pulling, urdf: str) -> Pull:
         world.advance(period)
         now, (q, _) = world.time, world.joints()
         T = forward(arm.chain, q)
-        arm.sensor.hear(arm.chain.tip, world.wrench(), now, now, _STALE)
+        arm.sensor.receive(arm.chain.tip, world.wrench(), now, now, _STALE)
         if k % _EVERY == 0 or state is None:
             pulled = float(np.linalg.norm(operation.force[:3])) > ARTICULATION_ESTIMATOR["pull_n"].default
             state = tracker.update(T[:3, 3], T[:3, :3], now, pulled)

@@ -38,7 +38,7 @@ def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
         tip = corrected_frame(model.serial.base, model.serial.tip, forward(model.chain, cell.samples.q[row]))
         assert tip.child == tool.parent
         seen = se3.inverse(tracker.T) @ tip.T @ tool.T
-        assert np.linalg.norm(seen[:3, 3] - cell.samples.position[row]) < 5e-4
+        assert np.linalg.norm(seen[:3, 3] - cell.samples.reading[row]) < 5e-4
     message = filled(TransformStamped(), tracker, TransformStamped().header.stamp)
     p, o = message.transform.translation, message.transform.rotation
     assert np.allclose(se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w]), tracker.T, atol=1e-12)
@@ -47,13 +47,13 @@ def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
 def test_a_frame_that_has_a_parent_already_is_refused() -> None:
     frame, parents = Frame("base", "laser_calibrated", np.eye(4)), Parents()
     parents.require_free(frame)
-    parents.hear([("base", "laser_calibrated")])  # as it comes back from the topic
+    parents.receive([("base", "laser_calibrated")])  # as it comes back from the topic
     parents.require_free(frame)
-    parents.hear([("/world", "/laser_calibrated")])
+    parents.receive([("/world", "/laser_calibrated")])
     with pytest.raises(BadTable, match="has the parent world already"):
         parents.require_free(frame)
     loop = Parents()
-    loop.hear([("link", "base"), ("laser_calibrated", "link")])
+    loop.receive([("link", "base"), ("laser_calibrated", "link")])
     with pytest.raises(BadTable, match="is above base already"):
         loop.require_free(frame)
     with pytest.raises(BadTable, match="is not one of this package's"):

@@ -179,7 +179,7 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
         arm.calibration.publish(String(data=text(made)))
         wait(lambda: len(seen.of("axes", "calibrated")) == CHAIN.n and seen.of("uncertainty", "present"), 20.0)
         (present,) = seen.of("uncertainty", "present")
-        size = 2.0 * 3.0 * SCALE * made.spread.position  # a calibration without its uncertainty: scatter only
+        size = 2.0 * 3.0 * SCALE * made.noise.position  # a calibration without its uncertainty: scatter only
         assert (present.scale.x, present.scale.y, present.scale.z) == pytest.approx((size,) * 3)
         assert said.level(CALIBRATION) == 1
 

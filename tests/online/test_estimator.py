@@ -32,7 +32,7 @@ def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> 
 def feed(estimator: Estimator, samples: Samples) -> None:
     for i in range(len(samples)):
         estimator.update(samples.select(np.array([i])))
-    estimator.settle()
+    estimator.relinearise()
 
 
 def test_information_is_the_batch_solution(rng: Generator) -> None:
@@ -80,7 +80,7 @@ def test_equals_the_batch_solution(kind: str, count: int) -> None:
     """1500 is more than can be linearised again: what was kept of the rest must do."""
     world = record(3, count, kind)
     fit = batch(world.samples, world.world.nominal)
-    estimator = Estimator(fit.start, fit.parameters, fit.spread, robust=False)
+    estimator = Estimator(fit.start, fit.parameters, fit.noise, robust=False)
     feed(estimator, world.samples)
     assert np.abs(estimator.values - fit.values).max() < 1e-9
     assert np.abs(estimator.std / fit.std - 1.0).max() < 1e-6
@@ -96,7 +96,7 @@ def test_equals_the_batch_solution_with_an_effect() -> None:
         "gear_harmonic", samples.names[2], AXIS, f"position:{samples.names[2]}", Shape("sine", {"cycles": 36.97})
     )
     fit = batch(samples, cell.world.nominal, (gear.started(np.zeros(2) + 1e-5),))
-    estimator = Estimator(fit.start, fit.parameters, fit.spread, robust=False)
+    estimator = Estimator(fit.start, fit.parameters, fit.noise, robust=False)
     feed(estimator, samples)
     effect = fit.model.effects[0]
     # the settings' prior stands where they were found, whatever the drivers of the first sample
@@ -110,7 +110,7 @@ def test_goes_on_from_a_batch_fit() -> None:
     whole = batch(cell.samples, cell.world.nominal)
     first, rest = cell.samples.select(np.arange(200)), cell.samples.select(np.arange(200, 400))
     half = identify(whole.start, first, whole.parameters, robust=False, tolerance=1e-9)
-    estimator = Estimator(half.model, half.parameters, whole.spread, half.covariance)
+    estimator = Estimator(half.model, half.parameters, whole.noise, half.covariance)
     for i in range(len(rest)):
         estimator.update(rest.select(np.array([i])))
     q = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
@@ -125,11 +125,11 @@ def test_the_stated_covariance_is_right() -> None:
     for seed in range(12):
         cell = record(100 + seed, 60)
         fit = batch(cell.samples, cell.world.nominal)
-        estimator = Estimator(fit.start, fit.parameters, fit.spread)
+        estimator = Estimator(fit.start, fit.parameters, fit.noise)
         feed(estimator, cell.samples)
         exact = batch(cell.exact, cell.world.nominal)
         truth = identify(fit.start, cell.exact, fit.parameters, robust=False, tolerance=1e-9)
-        assert exact.spread.position < 1e-7
+        assert exact.noise.position < 1e-7
         gap = np.linalg.solve(np.linalg.cholesky(estimator.covariance), estimator.values - truth.values)
         squares.append(float(gap @ gap) / len(gap))
     assert 0.8 < np.mean(squares) < 1.25
@@ -145,14 +145,14 @@ def test_what_wanders_is_followed(place: str) -> None:
     creep = np.outer(np.linspace(0.0, 1e-3, 400), np.ones(3) / np.sqrt(3.0))
     T[:, :3, 3] += creep if place == "base" else (T[:, :3, :3] @ creep[..., None])[..., 0]
     samples = samples_of(cell.world.nominal, cell.samples.q, T)
-    wander = RandomWalk((place,), 3e-5, 1e-7)
-    stiff = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance)
-    free = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander, robust=False)
+    random_walk = RandomWalk((place,), 3e-5, 1e-7)
+    stiff = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance)
+    free = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, random_walk, robust=False)
     for estimator in (stiff, free):
         for i in range(len(samples)):
             estimator.update(samples.select(np.array([i])))
     late = samples.select(np.arange(380, 400))
-    missed = [np.sqrt(np.mean((e.model.predict(late.q)[:, :3, 3] - late.position) ** 2)) for e in (stiff, free)]
+    missed = [np.sqrt(np.mean((e.model.predict(late.q)[:, :3, 3] - late.reading) ** 2)) for e in (stiff, free)]
     assert missed[1] < 1.5 * 5e-5  # the noise of the readings
     assert missed[0] > 2e-4
 
@@ -161,8 +161,8 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
     """After 25 s without a reading that says anything, the tool may be elsewhere by five times its way of one second."""
     cell = record(6, 60)
     fit = batch(cell.samples, cell.world.nominal)
-    wander = RandomWalk(("tool",), 3e-4, 1e-7)
-    estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, wander)
+    random_walk = RandomWalk(("tool",), 3e-4, 1e-7)
+    estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, random_walk)
     row = cell.samples.select(np.array([0]))
     estimator.update(row)
     before = estimator.covariance
@@ -170,16 +170,16 @@ def test_what_wanders_is_less_sure_by_the_root_of_the_time() -> None:
     estimator.update(replace(row, stamps=row.stamps + 25.0, sigma_position=blind, sigma_rotation=blind))
     J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), row).J[:, :3]
     grown = J.T @ (estimator.covariance - before) @ J
-    assert np.abs(grown / (5.0 * wander.metres) ** 2 - np.eye(3)).max() < 0.02
+    assert np.abs(grown / (5.0 * random_walk.metres) ** 2 - np.eye(3)).max() < 0.02
 
 
 def test_an_outlier_is_counted_and_has_no_say() -> None:
     cell = record(7, 200)
     fit = batch(cell.samples, cell.world.nominal)
-    wrong = cell.samples.position.copy()
+    wrong = cell.samples.reading.copy()
     wrong[::20] += 0.02
     bad = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, wrong))
-    estimator = Estimator(fit.model, fit.parameters, fit.spread, 100.0 * fit.covariance)
+    estimator = Estimator(fit.model, fit.parameters, fit.noise, 100.0 * fit.covariance)
     updates = [estimator.update(bad.select(np.array([i]))) for i in range(200)]
     assert [i for i, u in enumerate(updates) if u.weight == 0.0] == list(range(0, 200, 20))
     assert estimator.rejected == 10
@@ -189,15 +189,15 @@ def test_an_outlier_is_counted_and_has_no_say() -> None:
 def test_a_doubtful_sample_counts_as_much_as_its_weight_says() -> None:
     cell = record(7, 200)
     fit = batch(cell.samples, cell.world.nominal)
-    shifted = cell.samples.position + [3.5 * fit.spread.position, 0.0, 0.0]
+    shifted = cell.samples.reading + [3.5 * fit.noise.position, 0.0, 0.0]
     samples = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, shifted))
     seen = 0
     for i in range(20):
         sample = samples.select(np.array([i]))
-        estimator = Estimator(fit.model, fit.parameters, fit.spread, fit.covariance, kept=0)
+        estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance, kept=0)
         update = estimator.update(sample)
         J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), sample).J
-        noise = np.diag(np.repeat([fit.spread.position**2, fit.spread.rotation**2], 3))
+        noise = np.diag(np.repeat([fit.noise.position**2, fit.noise.rotation**2], 3))
         C = fit.covariance
         expected = C - C @ J @ np.linalg.solve(J.T @ C @ J + noise / update.weight, J.T @ C)
         assert np.abs((estimator.covariance - expected) / np.outer(fit.std, fit.std)).max() < 1e-7
@@ -210,7 +210,7 @@ def test_of_what_nothing_is_known_nothing_is_said() -> None:
     cell = record(3, 60, "point")
     fit = batch(cell.samples, cell.world.nominal)
     unknown = [replace(p, prior_std=np.inf) if p.place == 0 else p for p in fit.parameters]
-    estimator = Estimator(fit.start, unknown, fit.spread)
+    estimator = Estimator(fit.start, unknown, fit.noise)
     first = estimator.update(cell.samples.select(np.array([0])))
     assert (first.score, first.weight) == (0.0, 1.0)
     assert not estimator.values.any()
@@ -231,4 +231,4 @@ def test_covariance_stays_positive_definite_for_long() -> None:
 
 
 def _poses(samples: Samples) -> Array:
-    return se3.transform(samples.R, samples.position)
+    return se3.transform(samples.R, samples.reading)

@@ -47,7 +47,7 @@ def test_stands_become_the_stations_of_the_recording() -> None:
     live, whole = play(recording), cut_stations(recording, NAMES)
     assert len(live) == len(whole) == 30
     # one detector of dwells, so the same to the last digit
-    for name in ("q", "position", "R", "stamps", "sigma_position", "sigma_rotation", "approach"):
+    for name in ("q", "reading", "R", "stamps", "sigma_position", "sigma_rotation", "approach"):
         np.testing.assert_array_equal(getattr(live, name), getattr(whole, name), err_msg=name)
     assert not live.moving.any()
 
@@ -58,7 +58,7 @@ def test_finished_stations_are_paired_as_they_are() -> None:
     assert len(live) >= 38  # of the first two it is not known yet how fast messages come
     rows = np.searchsorted(whole.stamps, live.stamps)
     assert (live.q == whole.q[rows]).all()
-    assert (live.position == whole.position[rows]).all()
+    assert (live.reading == whole.reading[rows]).all()
 
 
 def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
@@ -70,7 +70,7 @@ def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
     rows = np.searchsorted(whole.stamps, live.stamps)
     assert np.abs(live.q - whole.q[rows]).max() < 5e-6
     assert np.abs(live.velocity - whole.velocity[rows]).max() < 2e-2
-    assert np.abs(live.position - whole.position[rows]).max() == 0.0
+    assert np.abs(live.reading - whole.reading[rows]).max() == 0.0
 
 
 def test_a_long_stand_makes_several_samples_of_one_posture() -> None:

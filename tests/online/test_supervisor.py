@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ASKED, LEARNING, SUSPECTED, TRUSTED, Policy, Supervisor
-from modcal_core.recalibrate import Remembered, compared, thinned
+from modcal_core.recalibrate import SampleMemory, compared, thinned
 
 BUMP = se3.exp(np.array([6e-4, 0.0, -3e-4, 0.0, 0.0, 0.0]))
 
@@ -64,8 +64,8 @@ def test_a_change_asks_for_a_solve_after_so_many_stations_and_again_after_a_fail
             asked.append(i)
             supervisor.failed()
     assert supervisor.state == SUSPECTED
-    assert supervisor.suspicion is not None
-    assert supervisor.suspicion.place == "tool"
+    assert supervisor.hypothesis is not None
+    assert supervisor.hypothesis.place == "tool"
     gaps = np.diff(asked)
     assert 9 <= asked[0] <= 15
     assert (gaps >= 10).all()
@@ -157,4 +157,4 @@ def test_thinning_keeps_the_newest() -> None:
     assert (few.stamps[-20:] == samples.stamps[-20:]).all()
     assert few.stamps[0] == samples.stamps[0]
     assert thinned(samples, 200) is samples
-    assert Remembered((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40
+    assert SampleMemory((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40

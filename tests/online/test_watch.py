@@ -18,7 +18,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_detector import ChangeDetector
-from modcal_core.online.change_hypothesis import suspect
+from modcal_core.online.change_hypothesis import find_change
 from modcal_nodes.simulation.world import World
 
 NOISE_M, NOISE_RAD = 5e-5, 5e-5
@@ -31,7 +31,7 @@ def trusted(seed: int, kind: str = "pose") -> tuple[World, Fit]:
 
 
 def watch_of(fit: Fit) -> ChangeDetector:
-    return ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.spread)
+    return ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.noise)
 
 
 def readings(world: World, q: Array, T: Array, rng: Generator, kind: str = "pose") -> Samples:
@@ -45,10 +45,10 @@ def rows(samples: Samples) -> list[Samples]:
     return [samples.select(np.array([i])) for i in range(len(samples))]
 
 
-def after(watch: ChangeDetector, samples: Samples) -> tuple[int, float] | None:
+def after(detector: ChangeDetector, samples: Samples) -> tuple[int, float] | None:
     """(samples needed, since when) of an alarm."""
     for i, row in enumerate(rows(samples)):
-        if (since := watch.add(row)) is not None:
+        if (since := detector.add(row)) is not None:
             return i + 1, since
     return None
 
@@ -73,10 +73,10 @@ def test_positions_and_orientations_are_weighed_by_their_own_scatter(rng: Genera
     T = cell.world.tool_in_tracker(q)
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(40.0 * NOISE_M * rng.standard_normal((60, 3)))
     T[:, :3, 3] += NOISE_M * rng.standard_normal((60, 3))
-    watch = watch_of(fit)
+    detector = watch_of(fit)
     for row in rows(samples_of(cell.world.nominal, q, T)):
-        watch.add(row)
-    squares = np.mean(np.array([seen.residual for seen in watch.seen]) ** 2, axis=0)
+        detector.add(row)
+    squares = np.mean(np.array([seen.residual for seen in detector.seen]) ** 2, axis=0)
     assert 0.7 < squares[:3].mean() < 1.4
     assert 0.7 < squares[3:].mean() < 1.4
 
@@ -116,27 +116,27 @@ def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:
     world, fit = trusted(seed)
     rng = np.random.default_rng(50 + seed)
     q = rng.uniform(-1.5, 1.5, (70, 6))
-    watch = watch_of(fit)
-    assert after(watch, readings(world, q[:40], world.tool_in_tracker(q[:40]), rng)) is None
+    detector = watch_of(fit)
+    assert after(detector, readings(world, q[:40], world.tool_in_tracker(q[:40]), rng)) is None
     late = readings(world, q[40:], changed(what, world, q[40:]), rng)
     late = replace(late, stamps=late.stamps + 1000.0)
-    alarms = [(i + 1, since) for i, row in enumerate(rows(late)) if (since := watch.add(row)) is not None]
+    alarms = [(i + 1, since) for i, row in enumerate(rows(late)) if (since := detector.add(row)) is not None]
     needed, since = alarms[0]
     assert needed <= 20
     first = float(late.stamps[0])
     # samples are two seconds apart; a payload shows in some postures only
     assert abs(since - first) <= (20.0 if what == "payload" else 6.0)
-    suspicion = suspect(watch, first)
+    hypothesis = find_change(detector, first)
     if what == "payload":
-        assert suspicion.driver.startswith("load:")
+        assert hypothesis.driver.startswith("load:")
     else:
-        assert suspicion.place == EXPECTED[what]
-        assert suspicion.driver == "time (at once)"
+        assert hypothesis.place == EXPECTED[what]
+        assert hypothesis.driver == "time (at once)"
     if what == "tool":
-        assert suspicion.size == pytest.approx(np.linalg.norm([4e-4, -3e-4, 2e-4]), rel=0.25)
+        assert hypothesis.size == pytest.approx(np.linalg.norm([4e-4, -3e-4, 2e-4]), rel=0.25)
     if what == "link":
-        assert suspicion.direction == "length"
-    assert suspicion.gain > 0.8 * suspicion.total
+        assert hypothesis.direction == "length"
+    assert hypothesis.gain > 0.8 * hypothesis.total
 
 
 @pytest.mark.parametrize("kind", ["pose", "point"])
@@ -144,10 +144,10 @@ def test_where_nothing_happens_nothing_is_said(kind: str) -> None:
     rng = np.random.default_rng(9)
     for seed in (1, 2):
         world, fit = trusted(seed, kind)
-        watch = watch_of(fit)
+        detector = watch_of(fit)
         q = rng.uniform(-1.5, 1.5, (600, 6))
-        assert after(watch, readings(world, q, world.tool_in_tracker(q), rng, kind)) is None
-        assert watch.largest < 45.0
+        assert after(detector, readings(world, q, world.tool_in_tracker(q), rng, kind)) is None
+        assert detector.largest < 45.0
 
 
 def test_a_glint_is_no_change() -> None:

@@ -29,11 +29,11 @@ def test_information_is_that_of_the_normal_equations(reading: str) -> None:
     q = there.q[:25]
     model, parameters = there.model, there.parameters
     samples = samples_of(ur10(), q, model.predict(q), reading)
-    distance = np.linalg.norm(samples.position, axis=1)
-    position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.rows.spread[0])
+    distance = np.linalg.norm(samples.reading, axis=1)
+    position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.rows.joint_variance[0])
     weight = np.tile(position, 3)
     if reading == "pose":
-        weight = np.r_[weight, np.full(75, 1.0 / (noise.rotation**2 + there.rows.spread[3]))]
+        weight = np.r_[weight, np.full(75, 1.0 / (noise.rotation**2 + there.rows.joint_variance[3]))]
     H, _ = normal_equations(model, parameters, np.zeros(len(parameters)), samples, weight)
     ours = there.rows.information(np.arange(25)) / np.outer(there.rows.scale, there.rows.scale)
     assert np.allclose(ours, H, rtol=1e-9, atol=1e-9 * np.abs(H).max())

@@ -14,7 +14,7 @@ from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
 from modcal_core.loop import calibrate
 from modcal_core.planning.criteria import criterion
 from modcal_core.planning.exchange import exchange
-from modcal_core.planning.plan import Wish, least_stations, plan
+from modcal_core.planning.plan import PlanRequest, min_stations, plan
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, visible
 
@@ -26,7 +26,7 @@ _ARMS = 12
 def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> None:
     """RMS over 12 arms, which scatters by some 7 %: within 25 % of the promise for both, and less for the chosen ones."""
     there = ground(reading)
-    count = least_stations(len(there.parameters), reading) + 2
+    count = min_stations(len(there.parameters), reading) + 2
     good = criterion("accuracy", there.workspace.gamma)
     chosen = exchange(there.rows, count, good, np.random.default_rng(1), starts=1, passes=4).chosen
     planned, drawn, promised = [], [], []
@@ -52,7 +52,7 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
     counts, wished = [], 0.85e-4
     for size in (2e-5, 3e-5):
         site = site_from_data({**HALL, "noise": {**HALL["noise"], "position_m": size}}, "hall")
-        found = plan(ur10(), site, Wish(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))
+        found = plan(ur10(), site, PlanRequest(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))
         assert found.accuracy.p95 <= wished
         assert (clearance(found.ground.spheres, site, found.q) >= 0.0).all()
         assert visible(found.ground.spheres, site, found.q).all()
@@ -63,7 +63,9 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
 
 @pytest.mark.slow
 def test_refining_never_loses() -> None:
-    found = plan(ur10(), hall(), Wish(stations=24, candidates=100, starts=2, criterion="d"), np.random.default_rng(4))
+    found = plan(
+        ur10(), hall(), PlanRequest(stations=24, candidates=100, starts=2, criterion="d"), np.random.default_rng(4)
+    )
     assert len(found.values) == 3
     assert found.values[2] > max(found.values[:2])
     assert found.indices.rank == 27
@@ -74,8 +76,8 @@ def test_what_is_measured_already_counts() -> None:
     site = hall()
     first = ground().q[:30].copy()
     first[:, 3:] = [0.2, 0.4, -0.3]
-    wish = Wish(stations=6, candidates=100, starts=1, besides=first)
-    found = plan(ur10(), site, wish, np.random.default_rng(9))
+    request = PlanRequest(stations=6, candidates=100, starts=1, besides=first)
+    found = plan(ur10(), site, request, np.random.default_rng(9))
     alone = found.ground.workspace
     assert found.ground.known is not None
     before = alone.accuracy(found.ground.known.covariance(np.arange(30)))
@@ -83,13 +85,13 @@ def test_what_is_measured_already_counts() -> None:
     assert found.accuracy.model < np.median([a.model for a in found.random])
     assert found.indices.rank == 27
     with pytest.raises(NotPlannable, match="5 stations: only 4 of the postures tried"):
-        plan(ur10(), site, replace(wish, stations=5, candidates=4), np.random.default_rng(9))
+        plan(ur10(), site, replace(request, stations=5, candidates=4), np.random.default_rng(9))
 
 
 @pytest.mark.parametrize("reading", ["point", "pose"])
 def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
     there = ground(reading)
-    least = least_stations(len(there.parameters), reading)
+    least = min_stations(len(there.parameters), reading)
     q = there.q[:least]
     samples = samples_of(ur10(), q, there.model.predict(q), reading)
     calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
@@ -98,8 +100,8 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
 
 
 def test_fixed_parameters_are_not_planned_for() -> None:
-    wish = Wish(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
-    names = [p.name for p in plan(ur10(), hall(), wish, np.random.default_rng(5)).ground.parameters]
+    request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
+    names = [p.name for p in plan(ur10(), hall(), request, np.random.default_rng(5)).ground.parameters]
     assert names
     assert not [name for name in names if name.startswith(("tool/", "wrist_"))]
 
@@ -107,14 +109,14 @@ def test_fixed_parameters_are_not_planned_for() -> None:
 @pytest.mark.parametrize(
     ("wish", "kind", "words"),
     [
-        (Wish(), BadTable, "neither a number of stations nor an accuracy"),
-        (Wish(stations=10), NotPlannable, "modcal calibrate needs at least 23"),
-        (Wish(stations=70), NotPlannable, "only 60 of the postures tried"),
-        (Wish(accuracy=3e-5), NotPlannable, "what the joints do not repeat alone makes"),
-        (Wish(accuracy=6.5e-5), NotPlannable, "stations leave"),
-        (Wish(stations=30, fixed=("no_such_joint",)), BadTable, "names no parameter"),
+        (PlanRequest(), BadTable, "neither a number of stations nor an accuracy"),
+        (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 23"),
+        (PlanRequest(stations=70), NotPlannable, "only 60 of the postures tried"),
+        (PlanRequest(accuracy=3e-5), NotPlannable, "what the joints do not repeat alone makes"),
+        (PlanRequest(accuracy=6.5e-5), NotPlannable, "stations leave"),
+        (PlanRequest(stations=30, fixed=("no_such_joint",)), BadTable, "names no parameter"),
     ],
 )
-def test_wishes_that_cannot_be_met(wish: Wish, kind: type[Exception], words: str) -> None:
+def test_wishes_that_cannot_be_met(request: PlanRequest, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words):
-        plan(ur10(), hall(), replace(wish, candidates=60, starts=1), np.random.default_rng(6))
+        plan(ur10(), hall(), replace(request, candidates=60, starts=1), np.random.default_rng(6))

@@ -34,7 +34,7 @@ def warm_cell() -> Report:
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((COUNT, 3)))
     T[list(WRONG), :3, 3] += 5e-3
     signals = (SignalTrack("temperature:cell", samples.stamps, heat[:, None], "/temperature"),)
-    spoiled = replace(samples, position=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
+    spoiled = replace(samples, reading=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
     return replace(calibrate(spoiled, ur10(), np.random.default_rng(0)).report, title="warm <cell> & more")
 
 

@@ -51,7 +51,7 @@ def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_nam
 def test_readings_of_an_instrument_are_not_doubted() -> None:
     made = record(3, 100)
     assert said(made.samples) == ""
-    rounded = replace(made.samples, position=np.round(made.samples.position, 4))
+    rounded = replace(made.samples, reading=np.round(made.samples.reading, 4))
     assert said(rounded) == ""
     fine = record(3, 100, noise_m=5e-6, noise_rad=5e-6)
     assert said(fine.samples) == ""
@@ -71,9 +71,9 @@ def test_a_target_that_turned_is_named_in_evaluate_too() -> None:
 @pytest.mark.slow
 def test_topics_that_repeat_themselves_are_named() -> None:
     made = record(5, 100)
-    position, R, q = made.samples.position.copy(), made.samples.R.copy(), made.samples.q.copy()
+    position, R, q = made.samples.reading.copy(), made.samples.R.copy(), made.samples.q.copy()
     position[40:45], R[40:45] = position[40], R[40]
-    assert "readings stand still over 5 stations" in said(replace(made.samples, position=position, R=R))
+    assert "readings stand still over 5 stations" in said(replace(made.samples, reading=position, R=R))
     q[40:44] = q[40]
     assert "joint positions stand still over 4 stations" in said(replace(made.samples, q=q))
 
@@ -90,7 +90,7 @@ def test_readings_computed_before_the_joints_were_rounded() -> None:
 @pytest.mark.slow
 def test_positions_rounded_to_the_size_of_the_error() -> None:
     made = record(6, 100)
-    assert "Positions are rounded to 1 mm" in said(replace(made.samples, position=np.round(made.samples.position, 3)))
+    assert "Positions are rounded to 1 mm" in said(replace(made.samples, reading=np.round(made.samples.reading, 3)))
 
 
 @pytest.mark.slow
@@ -107,10 +107,10 @@ def test_joints_rounded_to_the_size_of_the_error() -> None:
 
 def test_the_zeros_of_a_socket_are_not_rounded() -> None:
     samples = record(6, 40, "point").samples
-    zero = replace(samples, position=np.zeros((40, 3)), sockets=("tracker",))
+    zero = replace(samples, reading=np.zeros((40, 3)), sockets=("tracker",))
     left = Errors(np.full((40, 3), 1e-4), np.empty((0, 3)))
     assert coarse(left, zero) == ()
-    rounded = replace(samples, position=np.round(samples.position, 3))
+    rounded = replace(samples, reading=np.round(samples.reading, 3))
     assert coarse(Errors(np.full((40, 3), 3e-4), np.empty((0, 3))), rounded) != ()
     assert coarse(Errors(np.full((40, 3), 3e-3), np.empty((0, 3))), rounded) == ()
 
@@ -119,23 +119,23 @@ def test_the_zeros_of_a_socket_are_not_rounded() -> None:
 def test_readings_in_a_plane() -> None:
     made = record(7, 60)
     with pytest.raises(BadRecording, match="coordinate z of the readings"):
-        said(replace(made.samples, position=made.samples.position * [1.0, 1.0, 0.0]))
+        said(replace(made.samples, reading=made.samples.reading * [1.0, 1.0, 0.0]))
 
 
 def test_a_coordinate_that_is_cut_off() -> None:
     """As a depth camera writes its greatest distance for all that is farther; noise alone repeats nothing."""
     samples = record(5, 80).samples
     assert cut_off(samples) == ()
-    position = samples.position.copy()
+    position = samples.reading.copy()
     position[:, 2] = np.minimum(position[:, 2], np.quantile(position[:, 2], 0.8))
-    (sentence,) = cut_off(replace(samples, position=position))
+    (sentence,) = cut_off(replace(samples, reading=position))
     assert "coordinate z of the readings is exactly" in sentence
     assert "at 16 of 80 stations, its largest value" in sentence
-    position = samples.position.copy()
+    position = samples.reading.copy()
     position[::10] = 0.0
-    (sentence,) = cut_off(replace(samples, position=position))
+    (sentence,) = cut_off(replace(samples, reading=position))
     assert "positions are exactly (0, 0, 0) m at 8 of 80 stations" in sentence
-    assert cut_off(replace(samples, position=np.round(samples.position, 2))) == ()  # rounded columns repeat themselves
+    assert cut_off(replace(samples, reading=np.round(samples.reading, 2))) == ()  # rounded columns repeat themselves
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,8 @@ def test_a_coordinate_that_is_cut_off() -> None:
 )
 def test_digits_that_are_no_decimals(write: Callable[[Array], Array], said: str) -> None:
     samples = record(6, 60).samples
-    written = replace(samples, position=write(samples.position))
-    missed = written.position - samples.position
+    written = replace(samples, reading=write(samples.reading))
+    missed = written.reading - samples.reading
     left = Errors(missed, np.zeros((60, 3)))
     (sentence,) = coarse(left, written)
     assert said in sentence

@@ -57,7 +57,7 @@ def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
     rows = report.sets.held_out
     out = int(report.wrong[rows].sum())
     assert out == 1
-    both, kept = report.missed[rows], report.missed[rows][~report.wrong[rows]]
+    both, kept = report.residuals[rows], report.residuals[rows][~report.wrong[rows]]
     rms = [1e3 * float(np.sqrt(np.mean(m**2))) for m in (both, kept)]
     angle = report.size_deg("final")
     assert angle is not None

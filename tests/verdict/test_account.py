@@ -29,7 +29,7 @@ def geared(seed: int = 5, stations: int = 120) -> Samples:
     T = made.world.tool_in_tracker(sent)
     T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((len(q), 3)))
-    return replace(visited(seed, stations, 8), position=T[:, :3, 3], R=T[:, :3, :3])
+    return replace(visited(seed, stations, 8), reading=T[:, :3, 3], R=T[:, :3, :3])
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_estimation_is_what_the_parameters_cost() -> None:
         T = made.world.tool_in_tracker(q)
         T[:, :3, 3] += 5e-5 * rng.standard_normal((60, 3))
         T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((60, 3)))
-        samples = replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3])
+        samples = replace(made.samples, reading=T[:, :3, 3], R=T[:, :3, :3])
         result = calibrate(samples, ur10(), rng, look_for_effects=False)
         gap = result.scored.model.predict(probe)[:, :3, 3] - exact
         squares.append(1e6 * np.mean(np.sum(gap**2, axis=1)))

@@ -64,8 +64,8 @@ def test_the_interval_holds_what_was_planted() -> None:
     for _ in range(200):
         white = noise(samples, rng)
         line = replace(white, position=white.position * [1.0, 0.0, 0.0])
-        for name, missed, true in (("white", white, 3e-4), ("line", line, 1e-4)):
-            floor = floors(missed, samples, np.zeros(len(samples), bool), None).position
+        for name, residuals, true in (("white", white, 3e-4), ("line", line, 1e-4)):
+            floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
             assert floor is not None
             held[name] += floor.interval[0] <= true <= floor.interval[1]
     assert held["white"] >= 0.9 * 200
@@ -75,10 +75,10 @@ def test_the_interval_holds_what_was_planted() -> None:
 def test_one_wrong_reading_does_not_set_the_floor() -> None:
     samples = visited(3, 40, 12)
     rng = np.random.default_rng(5)
-    missed = noise(samples, rng)
+    residuals = noise(samples, rng)
     row = returns_of(samples)[4][1]
-    missed.position[row] += 3e-3
-    floor = floors(missed, samples, np.zeros(len(samples), bool), None).position
+    residuals.position[row] += 3e-3
+    floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
     assert floor is not None
     assert floor.rms == pytest.approx(np.sqrt(3.0) * 1e-2, rel=0.5)
 
@@ -105,10 +105,10 @@ def test_repeatability_of_an_arm_in_mujoco() -> None:
 
 def test_a_stated_floor_needs_both_numbers() -> None:
     samples = visited(1, 40, 0)
-    missed, good = noise(samples, np.random.default_rng(0)), np.zeros(len(samples), bool)
-    assert floors(missed, samples, good, Stated(repeatability_mm=0.03)).position is None
-    assert floors(missed, samples, good, Stated(instrument_mm=0.03)).position is None
-    both = floors(missed, samples, good, Stated(repeatability_mm=0.03, instrument_mm=0.04)).position
+    residuals, good = noise(samples, np.random.default_rng(0)), np.zeros(len(samples), bool)
+    assert floors(residuals, samples, good, Stated(repeatability_mm=0.03)).position is None
+    assert floors(residuals, samples, good, Stated(instrument_mm=0.03)).position is None
+    both = floors(residuals, samples, good, Stated(repeatability_mm=0.03, instrument_mm=0.04)).position
     assert both is not None
     assert both.rms == pytest.approx(0.05)
     assert both.repeatability.source == "stated"
@@ -136,11 +136,11 @@ def test_scatter_within_a_dwell_is_no_floor() -> None:
 def test_returns_that_jump_are_no_repeatability() -> None:
     samples = visited(3, 40, 8)
     good = np.zeros(len(samples), bool)
-    missed = noise(samples, np.random.default_rng(5))
-    assert floors(missed, samples, good, None).contradictions == ()
+    residuals = noise(samples, np.random.default_rng(5))
+    assert floors(residuals, samples, good, None).contradictions == ()
     for rows in returns_of(samples)[::2]:
-        missed.position[rows[1]] += [0.0, 5e-3, 0.0]
-    (said,) = floors(missed, samples, good, None).contradictions
+        residuals.position[rows[1]] += [0.0, 5e-3, 0.0]
+    (said,) = floors(residuals, samples, good, None).contradictions
     assert "4 agree" in said
     assert "jump" in said
 
@@ -150,15 +150,15 @@ def test_noise_along_a_line_does_not_jump() -> None:
     rng = np.random.default_rng(6)
     count = 0
     for _ in range(300):
-        missed = noise(samples, rng)
-        line = replace(missed, position=missed.position * [1.0, 0.0, 0.0])
+        residuals = noise(samples, rng)
+        line = replace(residuals, position=residuals.position * [1.0, 0.0, 0.0])
         count += bool(floors(line, samples, np.zeros(len(samples), bool), None).contradictions)
     assert count <= 3
 
 
 def test_returns_that_differ_by_more_than_was_stated() -> None:
     samples = visited(3, 40, 8)
-    missed, good = noise(samples, np.random.default_rng(5)), np.zeros(len(samples), bool)
-    assert floors(missed, samples, good, Stated(repeatability_mm=0.02, instrument_mm=0.01)).contradictions == ()
-    (said,) = floors(missed, samples, good, Stated(repeatability_mm=0.004, instrument_mm=0.001)).contradictions
+    residuals, good = noise(samples, np.random.default_rng(5)), np.zeros(len(samples), bool)
+    assert floors(residuals, samples, good, Stated(repeatability_mm=0.02, instrument_mm=0.01)).contradictions == ()
+    (said,) = floors(residuals, samples, good, Stated(repeatability_mm=0.004, instrument_mm=0.001)).contradictions
     assert "0.00412 mm was stated" in said

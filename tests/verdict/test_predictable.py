@@ -42,7 +42,7 @@ def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
     T[:, :3, 3] += 2e-5 * size[:, None] * rng.standard_normal((N, 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * size[:, None] * rng.standard_normal((N, 3)))
     R = T[:, :3, :3] if case.samples.is_pose.all() else case.samples.R
-    return replace(case, samples=replace(case.samples, position=T[:, :3, 3], R=R))
+    return replace(case, samples=replace(case.samples, reading=T[:, :3, 3], R=R))
 
 
 @pytest.mark.slow
@@ -69,8 +69,8 @@ def test_what_changes_half_way_is_predictable(changed: str) -> None:
         T = replace(case.model, chain=replace(case.model.chain, origins=origins)).predict_samples(case.samples)
         more = T[:, :3, 3] - case.model.predict_samples(case.samples)[:, :3, 3]
     else:
-        more = 4e-4 * case.samples.position
-    samples = replace(case.samples, position=case.samples.position + late[:, None] * more)
+        more = 4e-4 * case.samples.reading
+    samples = replace(case.samples, reading=case.samples.reading + late[:, None] * more)
     found = predictable(replace(case, samples=samples))
     assert found.both is not None
     assert found.both.lower99 > MOST_PREDICTABLE
@@ -118,7 +118,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
         T[:, :3, 3] = base + (turn @ (T[:, :3, 3] - base)[..., None])[..., 0]
     T[:, :3, 3] += 2e-5 / np.sqrt(3.0) * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((len(q), 3)))
-    return replace(made.samples, position=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
+    return replace(made.samples, reading=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_a_frozen_model_is_not_open_for_its_own_error() -> None:
         q=q,
         stamps=1.7e9 + 2.0 * np.arange(300),
         station=np.arange(300),
-        position=T[:, :3, 3],
+        reading=T[:, :3, 3],
         R=T[:, :3, :3],
     )
     good = evaluate(calibration, again, np.random.default_rng(0)).judged

@@ -32,9 +32,9 @@ def bent(made: Recorded, q: Array, tool: Array | None = None) -> Samples:
     """What is read of an arm that stands at q and reports other positions, its tool moved by twists (N, 6)."""
     T = made.world.tool_in_tracker(q)
     T = T if tool is None else T @ se3.exp(tool)
-    noise = made.samples.position - made.exact.position
+    noise = made.samples.reading - made.exact.reading
     seen = samples_of(CHAIN, made.samples.q, T)
-    return replace(seen, position=seen.position + noise)
+    return replace(seen, reading=seen.reading + noise)
 
 
 @pytest.mark.slow
@@ -51,8 +51,8 @@ def test_a_bit_that_an_encoder_lost(made: Recorded) -> None:
 @pytest.mark.slow
 def test_a_tracker_that_looks_with_either_face(made: Recorded) -> None:
     face = np.random.default_rng(1).choice([-1.0, 1.0], 120)[:, None]
-    shifted = made.samples.position + 3e-4 * face * [0.6, -0.8, 0.0]
-    text = said(replace(made.samples, position=shifted))
+    shifted = made.samples.reading + 3e-4 * face * [0.6, -0.8, 0.0]
+    text = said(replace(made.samples, reading=shifted))
     assert "the tracker, in its positions, had two positions" in text
     apart = re.search(r"([0-9.]+) mm apart", text)
     assert apart is not None

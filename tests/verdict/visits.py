@@ -46,4 +46,4 @@ def visited(
 
 def moved_by(samples: Samples, shift: np.ndarray) -> Samples:
     """The same with readings shifted (N, 3) [m]."""
-    return replace(samples, position=samples.position + shift)
+    return replace(samples, reading=samples.reading + shift)

@@ -60,42 +60,42 @@ def evaluate(
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
-    wrong[sets.held_out] = outlying(models["final"], calibration.spread, calibration.with_scatter(held_out))
+    wrong[sets.held_out] = outlying(models["final"], calibration.noise, calibration.with_scatter(held_out))
     single = wrong[sets.held_out].mean() <= MOST_SINGLE
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
     scored = samples.select(rows)
-    missed = {stage: errors(model, scored) for stage, model in models.items()}
+    residuals = {stage: errors(model, scored) for stage, model in models.items()}
     grounds = Grounds(
         converged=converged,
         not_applied=applied.not_applied,
-        contradictions=doubtful(missed, scored, samples, calibration.nominal.chain),
+        contradictions=doubtful(residuals, scored, samples, calibration.nominal.chain),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
     )
-    case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, missed, refit_base, refit_tool)
+    case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
     return Report(
         samples=samples,
         sets=sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
-        errors=missed,
+        errors=residuals,
         parameters=calibration.parameters,
         notes=(
-            *moved_note(missed["final"], calibration, refit_base, refit_tool),
+            *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
             *applied.notes,
         ),
         steps=(
-            Step("geometry", missed["geometric"]),
-            *([Step("all effects", missed["final"])] if calibration.calibrated.effects else []),
+            Step("geometry", residuals["geometric"]),
+            *([Step("all effects", residuals["final"])] if calibration.calibrated.effects else []),
         ),
         model=models["final"],
-        missed=errors(models["final"], samples).position_norm,
+        residuals=errors(models["final"], samples).position_norm,
         wrong=wrong,
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
-        left=located(frozen(models["final"], calibration.spread), samples) if judged.status == "open" else None,
+        left=located(frozen(models["final"], calibration.noise), samples) if judged.status == "open" else None,
     )

@@ -108,7 +108,7 @@ def calibrate(
     require_plausible(nominal, final, train, samples)
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
-    wrong = outlying(final.model, final.spread, samples)
+    wrong = outlying(final.model, final.noise, samples)
     scored = held_out.select(~wrong[sets.held_out])
     shipped = ship(samples, chain, choice, cell, inertias, final, wrong, regimes)
     distances = distances_of(final, train, cell.distances)
@@ -156,7 +156,7 @@ def calibrate(
         steps=steps,
         evidence=diagnosis.maps,
         model=final.model,
-        missed=errors(final.model, samples).position_norm,
+        residuals=errors(final.model, samples).position_norm,
         wrong=wrong,
         searched=look_for_effects,
         rejection=rejection(errors(final.model, held_out), wrong, samples, sets.held_out),

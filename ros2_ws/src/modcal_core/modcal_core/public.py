@@ -23,7 +23,7 @@ from modcal_core.measurements.arrays import as_recording
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropped import BETWEEN
 from modcal_core.measurements.samples import Samples
-from modcal_core.planning.plan import Plan, Wish
+from modcal_core.planning.plan import Plan, PlanRequest
 from modcal_core.planning.plan import plan as plan_stations
 from modcal_core.planning.site import Site
 from modcal_core.report.report import Report
@@ -138,8 +138,8 @@ def plan(
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
     seed: of candidates and starts. Raises NotPlannable where no set of stations will do, BadRobot for a Delta.
     """
-    wish = Wish(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
-    return sealed(plan_stations(robot.chain, site or Site(), wish, np.random.default_rng(seed)))
+    request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
+    return sealed(plan_stations(robot.chain, site or Site(), request, np.random.default_rng(seed)))
 
 
 def tolerance_asked(mm: float | None, of: str) -> Asked | None:

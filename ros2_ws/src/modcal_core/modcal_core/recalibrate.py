@@ -31,7 +31,7 @@ _WORTH = 0.9  # of the error before; a gain of less than a tenth is not worth a 
 
 
 @dataclass(frozen=True)
-class Remembered:
+class SampleMemory:
     """What a node remembers: whole recordings, oldest first, and the samples of those it keeps no more.
 
     dropped: what was left out of the latter, by reason.
@@ -73,7 +73,7 @@ class Job:
     whether to look for effects beyond the geometry.
     """
 
-    heard: Remembered
+    collected: SampleMemory
     chain: Chain
     inertias: Inertias | None
     cell: Cell = field(default_factory=Cell)
@@ -85,7 +85,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Resolved:
+class Recalibration:
     """A calibration, its report, and how it compares with the one before."""
 
     result: Solution
@@ -93,9 +93,9 @@ class Resolved:
     comparison: Comparison
 
 
-def resolve(job: Job) -> Resolved:
+def recalibrate(job: Job) -> Recalibration:
     """Calibrate anew and compare. Raises ModcalError for data that cannot carry a fit."""
-    samples, notes, lost = job.heard.prepared(job.chain, job.clock_limit)
+    samples, notes, lost = job.collected.prepared(job.chain, job.clock_limit)
     rng = np.random.default_rng(job.seed)
     result = calibrate(
         samples,
@@ -108,7 +108,7 @@ def resolve(job: Job) -> Resolved:
     )
     trace = Trace(date=iso_date(float(samples.stamps.min())))
     report = replace(result.report, title="live", notes=(*result.report.notes, *notes), trace=trace, dropped=lost)
-    return Resolved(result, report, _compare(job, result))
+    return Recalibration(result, report, _compare(job, result))
 
 
 def _compare(job: Job, result: Solution) -> Comparison:

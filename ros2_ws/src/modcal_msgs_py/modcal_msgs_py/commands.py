@@ -51,7 +51,7 @@ def require_new(message: Any, now: float, stale: float) -> None:
         )
 
 
-class JointsHeard:
+class JointInput:
     """The newest position, velocity and effort of every joint of an arm, from messages in any order and any parts."""
 
     def __init__(self, names: Sequence[str], lower: Array, upper: Array) -> None:
@@ -63,7 +63,7 @@ class JointsHeard:
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.full(n, math.nan)
         self.stamps = np.full(n, -math.inf)
 
-    def hear(self, message: Any, now: float, stale: float) -> None:
+    def receive(self, message: Any, now: float, stale: float) -> None:
         """Take a JointState received at ``now`` [s]. Raises BadCommand for one that is wrong or older than ``stale``.
 
         Joints of other arms are passed over; a message without a stamp counts as sent when it was received.

@@ -54,7 +54,7 @@ def fill_point(message: Any, setpoint: ArmSetpoint, after: float, with_speed: bo
     return message
 
 
-class ObjectHeard:
+class ObjectInput:
     """What is believed of the object: ``model``, ``trusted``, ``event``, from the messages that tell of it.
 
     A description alone is not trusted: its status must say so, and be no older than ``stale`` [s].
@@ -98,7 +98,7 @@ class ObjectHeard:
                 event = told.get("event", "")
                 self.event = event if event.lower() not in ("", "none", "null") else None
 
-    def at(self, now: float) -> ObjectHeard:
+    def at(self, now: float) -> ObjectInput:
         """Itself, as believed at a time [s]."""
         self._now = now
         return self

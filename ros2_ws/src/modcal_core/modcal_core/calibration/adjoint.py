@@ -128,7 +128,7 @@ def _frames(G: Array, q: Array, revolute: np.ndarray) -> tuple[list[Array], list
 
 
 def _residual(T: Array, samples: Samples, pose: bool, length: float) -> Array:
-    gap = samples.position - T[:, :3, 3]
+    gap = samples.reading - T[:, :3, 3]
     if not pose:
         return gap.ravel()
     turn = so3.log(samples.R @ np.swapaxes(T[:, :3, :3], 1, 2))

@@ -58,9 +58,9 @@ class _Placed:
     x: Array
     t: Array
 
-    def missed(self, A: Array, samples: Samples) -> tuple[Array, Array]:
+    def residual(self, A: Array, samples: Samples) -> tuple[Array, Array]:
         """Angles [rad] and distances [m], (N,)."""
-        gap = samples.position - (se3.apply(A, self.x) @ self.Y.T + self.t)
+        gap = samples.reading - (se3.apply(A, self.x) @ self.Y.T + self.t)
         turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
         return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
 
@@ -118,7 +118,7 @@ class _Search:
         return self._joint_throughout(float(agree.mean()))
 
     def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
-        angle, gap = placed.missed(A, samples)
+        angle, gap = placed.residual(A, samples)
         return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
     def _placed(self, A: Array, samples: Samples) -> _Placed:
@@ -126,8 +126,8 @@ class _Search:
         if self.poses:
             Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
         else:
-            Y, X = base_by_positions(A[None], samples.position[None])[0], np.eye(3)
-        _, x, t = tool_and_place(Y, A, samples.position)
+            Y, X = base_by_positions(A[None], samples.reading[None])[0], np.eye(3)
+        _, x, t = tool_and_place(Y, A, samples.reading)
         return _Placed(Y, X, x, t)
 
     def _largest(self, rows: np.ndarray) -> tuple[_Placed | None, np.ndarray]:

@@ -141,7 +141,7 @@ class _Channels:
         here = np.arange(max(0, -shift), N - max(0, shift))
         there = here + shift
         design = self.design[here]
-        out = [self._linear(design, self.samples.position[there, k])[1] < self.limit for k in range(3)]
+        out = [self._linear(design, self.samples.reading[there, k])[1] < self.limit for k in range(3)]
         if self.poses:
             a, R = self.A[here, :3, :3], self.samples.R[there]
             Y, X = base_and_tool_turns(a, R)
@@ -165,7 +165,7 @@ class _Channels:
 
     def frames(self) -> Disagreement | None:
         """Positions and orientations that each agree with the arm, and not with each other; coordinates too long."""
-        each = [self._linear(self.design, self.samples.position[:, k]) for k in range(3)]
+        each = [self._linear(self.design, self.samples.reading[:, k]) for k in range(3)]
         beyond = (
             self.design[:, 9:12]
             - self.design[:, :9] @ np.linalg.lstsq(self.design[:, :9], self.design[:, 9:12], rcond=1e-9)[0]
@@ -186,7 +186,7 @@ class _Channels:
         if np.linalg.det(M) < 0.0 or abs(common - 1.0) > _LONGER:
             return None  # the mistakes have these
         gap = float(
-            np.median(np.linalg.norm(tool_and_place(Y[None], self.A[None], self.samples.position[None])[0][0], axis=1))
+            np.median(np.linalg.norm(tool_and_place(Y[None], self.A[None], self.samples.reading[None])[0][0], axis=1))
         )
         if gap > self.limit:
             return self._not_one_point(Y)
@@ -211,7 +211,7 @@ class _Channels:
             columns = np.concatenate(
                 [Y @ self.A[:, :3, :3], np.broadcast_to(np.eye(3), (N, 3, 3)), np.swapaxes(R, 1, 2)], axis=2
             )
-            h = self.samples.position - self.A[:, :3, 3] @ Y.T
+            h = self.samples.reading - self.A[:, :3, 3] @ Y.T
             solution = np.linalg.lstsq(columns.reshape(-1, 9), h.ravel(), rcond=1e-9)[0]
             gap = h - columns @ solution
             if float(np.median(np.linalg.norm(gap, axis=1))) < self.limit:
@@ -226,7 +226,7 @@ class _Channels:
         """Positions that agree with the arm where orientations do not."""
         if not self.poses or self.turns_agree:
             return None
-        each = [self._linear(self.design, self.samples.position[:, k])[1] for k in range(3)]
+        each = [self._linear(self.design, self.samples.reading[:, k])[1] for k in range(3)]
         if max(each) > self.limit:
             return None
         return self._said(
@@ -250,7 +250,7 @@ class _Channels:
     def offset(self) -> Disagreement | None:
         """One joint's origin that stands elsewhere, orientations being as the description has them; or several."""
         Y, n = self.turned[0], self.chain.n
-        h = self.samples.position - self.A[:, :3, 3] @ Y.T
+        h = self.samples.reading - self.A[:, :3, 3] @ Y.T
         known = [np.broadcast_to(np.eye(3), self.before[0].shape), Y @ self.A[:, :3, :3]]
         if self._placed(known, h)[0] < self.limit:
             return None
@@ -313,7 +313,7 @@ class _Channels:
             seen = np.swapaxes(L, -1, -2) @ np.swapaxes(Y, -1, -2)[:, None] @ R @ np.swapaxes(X, -1, -2)[:, None]
             S = so3.nearest_rotation(np.sum(seen @ np.swapaxes(T, -1, -2), axis=1))
             if r == 3:  # go on with the best of them
-                keep = np.argsort(self._missed(L @ S[:, None] @ T, R))[:12]
+                keep = np.argsort(self._residual(L @ S[:, None] @ T, R))[:12]
                 which, S, L, T = [which[i] for i in keep], S[keep], L[keep], T[keep]
         k, missed = self._best(L @ S[:, None] @ T, R)
         if missed > ANGLE:
@@ -325,13 +325,13 @@ class _Channels:
             f"see <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
         )
 
-    def _missed(self, a: Array, R: Array) -> Array:
+    def _residual(self, a: Array, R: Array) -> Array:
         R = np.broadcast_to(R, a.shape)
         Y, X = base_and_tool_turns(a, R)
         return np.asarray(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=-1), axis=-1))
 
     def _best(self, a: Array, R: Array) -> tuple[int, float]:
-        missed = self._missed(a, R)
+        missed = self._residual(a, R)
         k = int(np.argmin(missed))
         return k, float(missed[k])
 

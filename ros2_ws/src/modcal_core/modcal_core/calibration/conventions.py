@@ -60,7 +60,7 @@ _NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gau
 @dataclass(frozen=True)
 class Match:
     """How well readings fit the nominal arm. score: log-likelihood less what parameters cost. angle [rad], position
-    [m]: what is left, RMS over space. perfect: nothing could fit better. usual: median of the distances left [m].
+    [m]: what is left, RMS over space. perfect: nothing could fit better. typical: median of the distances left [m].
     parts: that the recording was cut into.
     """
 
@@ -68,8 +68,8 @@ class Match:
     angle: float
     position: float
     perfect: bool
-    usual: float
-    usual_angle: float
+    typical: float
+    typical_angle: float
     parts: int
 
 
@@ -105,9 +105,9 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
 
 def _inverted(samples: Samples, rows: np.ndarray) -> Samples:
     part = inverse_pose().undone(samples.select(rows))
-    position, R = samples.position.copy(), samples.R.copy()
-    position[rows], R[rows] = part.position, part.R
-    return replace(samples, position=position, R=R)
+    position, R = samples.reading.copy(), samples.R.copy()
+    position[rows], R[rows] = part.reading, part.R
+    return replace(samples, reading=position, R=R)
 
 
 def _degrees(angle: float) -> str:
@@ -133,7 +133,7 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     found = [(score, i, mistakes[i]) for score, i in sorted(plausible, key=lambda c: (-c[0], c[1]))]
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
     judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
-    judged = [c for c in judged if c[0].usual <= _AN_ARM * chain.reach() and _explains(c[0], before)]
+    judged = [c for c in judged if c[0].typical <= _AN_ARM * chain.reach() and _explains(c[0], before)]
     top = max((after.score for after, _, _ in judged), default=-np.inf)
     if top - before.score <= BEYOND_DOUBT:
         return None
@@ -150,9 +150,9 @@ def _explains(after: Match, before: Match) -> bool:
     """Whether what was left of orientations or positions is mostly gone: to be a little better is no explanation."""
     pairs = (
         (after.angle, before.angle),
-        (after.usual_angle, before.usual_angle),
+        (after.typical_angle, before.typical_angle),
         (after.position, before.position),
-        (after.usual, before.usual),
+        (after.typical, before.typical),
     )
     return any(now <= _MOST_LEFT * then for now, then in pairs)
 
@@ -194,7 +194,7 @@ class _Scale:
 def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
     """Log-likelihood of these readings as they are, and with each mistake undone, without the last refinement."""
     each = [samples, *(mistake.undone(samples) for mistake in mistakes)]
-    position, R = (np.stack(x) for x in zip(*((s.position, s.R) for s in each), strict=True))
+    position, R = (np.stack(x) for x in zip(*((s.reading, s.R) for s in each), strict=True))
     A = np.broadcast_to(forward(chain, samples.q), (len(each), len(samples), 4, 4)).copy()
     moved = [i for i, mistake in enumerate(mistakes, 1) if mistake.touches == "joints"]
     if moved:
@@ -218,21 +218,21 @@ def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> lis
 def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
     """How well these readings fit, cut into as many of these numbers of parts as pay."""
     A, size = forward(chain, samples.q), len(samples)
-    scale = _Scale.of(chain, samples.position)
+    scale = _Scale.of(chain, samples.reading)
     best: Match | None = None
     for count in parts:
         if count > 1 and size < count * _LEAST_PART:
             continue
         left = [
-            _together(A[rows], samples.R[rows], samples.position[rows], scale)
+            _together(A[rows], samples.R[rows], samples.reading[rows], scale)
             for rows in np.array_split(np.arange(size), count)
         ]
         total = sum(scale.log_likelihood(turns, gaps) for turns, gaps in left) + size * log_volume
         score = total * min(1.0, _INDEPENDENT / size) - 6.0 * count * np.log(size)  # BIC: half of twelve values a part
         turns, gaps = (np.concatenate(parts) for parts in zip(*left, strict=True))
         if best is None or score > best.score:
-            usual, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))
-            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), usual, turned, count)
+            typical, turned = (float(np.median(np.linalg.norm(x, axis=1))) for x in (gaps, turns))
+            best = Match(float(score), _rms(turns), _rms(gaps), _perfect(turns, gaps, scale), typical, turned, count)
         if best.perfect:
             break
     assert best is not None
@@ -286,8 +286,9 @@ def _refined(Y: Array, X: Array, A: Array, R: Array, position: Array, scale: _Sc
         G[1, :, :, 9:] = np.eye(3)
         r = np.stack([turns, gaps])
         square = np.sum(r**2, axis=2)
-        usual = np.maximum(np.median(square, axis=1) / 2.366, np.array([scale.rotation, scale.position]) ** 2)[:, None]
-        weight = 1.0 / (usual + square)  # Cauchy
+        least = np.array([scale.rotation, scale.position]) ** 2
+        typical = np.maximum(np.median(square, axis=1) / 2.366, least)[:, None]
+        weight = 1.0 / (typical + square)  # Cauchy
         flat, weighted = G.reshape(-1, 12), (weight[..., None, None] * G).reshape(-1, 12)
         H, g = flat.T @ weighted, weighted.T @ r.ravel()
         unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))

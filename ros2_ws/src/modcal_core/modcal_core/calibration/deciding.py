@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
@@ -76,7 +76,7 @@ def propose(
             f"{count} stations", f"only {found} postures are allowed", "ask for fewer, or widen the site"
         )
     recorded = len(calibration.postures)
-    difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.spread)
+    difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.noise)
     chosen = list(range(recorded))
     for _ in range(count):
         miss = _miss(difference, J, prior, chosen)
@@ -112,7 +112,7 @@ def _candidates(
     T = model.predict(q, 0)
     return replace(
         repeated, q=q, approach=approach, velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
-        acceleration=np.zeros_like(q), station=np.arange(N), position=T[:, :3, 3], R=T[:, :3, :3],
+        acceleration=np.zeros_like(q), station=np.arange(N), reading=T[:, :3, 3], R=T[:, :3, :3],
     )  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def _rows(
     truth: Effect,
     parameters: Sequence[Parameter],
     samples: Samples,
-    spread: Spread,
+    noise: NoiseModel,
 ) -> tuple[Array, Array, Array]:
     """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
     at = Drivers(samples, model.arm or model.drivers(samples).arm)
@@ -137,8 +137,8 @@ def _rows(
     )
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
     N = len(samples)
-    weight = np.full(len(moved), 1.0 / np.maximum(spread.of(samples), FINEST).max())
-    weight[3 * N :] = 1.0 / max(spread.rotation, FINEST)
+    weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
+    weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
     return _by_station(moved * weight, N).T, _by_station(J * weight, N).transpose(2, 1, 0), prior
 
 

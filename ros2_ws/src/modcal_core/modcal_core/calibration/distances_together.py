@@ -56,7 +56,7 @@ def common_factor(free: Fit, known: Uncertainty, distances: Sequence[AnyDistance
     rows = distance_rows(free.model, known.parameters, values, distances)
     stated: Array = np.array([d.distance for d in distances])
     modelled = rows.J.T @ known.covariance @ rows.J
-    total = modelled + np.diag([d.std**2 + 2.0 * free.spread.position**2 for d in distances])
+    total = modelled + np.diag([d.std**2 + 2.0 * free.noise.position**2 for d in distances])
     weighed = np.linalg.solve(total, stated)
     precision = float(stated @ weighed)
     return float(weighed @ rows.residual) / precision, precision**-0.5

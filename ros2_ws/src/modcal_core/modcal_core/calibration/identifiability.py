@@ -24,7 +24,7 @@ _MOST_WEAK = 5  # named in one report
 class Identifiability:
     """parameters: how many were fitted. rank: how many combinations the data shows. condition: ratio of the largest to
     the smallest singular value of the observed part, columns scaled to unit length. unobservable: the rest, by name.
-    spread: of every combination its deviation by the data alone, in deviations of the prior, the best known first.
+    deviations: of every combination its deviation by the data alone, in deviations of the prior, the best known first.
     weak: those that are observed, but hardly: their names and spreads, the weakest first.
     """
 
@@ -32,7 +32,7 @@ class Identifiability:
     rank: int
     condition: float
     unobservable: tuple[str, ...]
-    spread: tuple[float, ...] = ()
+    deviations: tuple[float, ...] = ()
     weak: tuple[tuple[str, float], ...] = ()
 
 
@@ -43,13 +43,13 @@ def identifiability(fit: Fit) -> Identifiability:
     seen = value >= 1.0
     rank = int(seen.sum())
     names = [_name(v, fit) for v in vector[:, ~seen].T]
-    spread = 1.0 / np.sqrt(np.maximum(value, 1e-300))
-    hardly = [k for k in np.flatnonzero(seen) if spread[k] > _WEAK][:_MOST_WEAK]
-    weak = tuple((_name(vector[:, k], fit), float(spread[k])) for k in hardly)
+    deviations = 1.0 / np.sqrt(np.maximum(value, 1e-300))
+    hardly = [k for k in np.flatnonzero(seen) if deviations[k] > _WEAK][:_MOST_WEAK]
+    weak = tuple((_name(vector[:, k], fit), float(deviations[k])) for k in hardly)
     size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
     scaled = np.linalg.eigvalsh(fit.information / np.outer(size, size))[len(prior) - rank :]
     condition = float(np.sqrt(scaled[-1] / max(scaled[0], 1e-300))) if rank else float("inf")
-    known = tuple(float(x) for x in spread[::-1])
+    known = tuple(float(x) for x in deviations[::-1])
     return Identifiability(len(prior), rank, condition, tuple(dict.fromkeys(names)), known, weak)
 
 

@@ -22,9 +22,9 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
     REJECT_Z,
     Groups,
-    Spread,
-    excess_spread,
-    robust_spread,
+    NoiseModel,
+    excess_sigma,
+    robust_noise,
     robust_weights,
     standard_score,
 )
@@ -58,7 +58,7 @@ class Fit:
     """A fitted model and what is known of it.
 
     model: with the parameters put in. start: the model the parameters are relative to. parameters, values (P,),
-    covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. spread: what the model does not
+    covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. noise: what the model does not
     explain, per axis. weights: (N,) in [0, 1], of the samples it was fitted to; 0 is rejected. information: JᵀWJ of the
     data alone, (P, P). iterations: steps taken. converged: whether they ended because the next would have been too
     short to matter, not because there were too many.
@@ -69,7 +69,7 @@ class Fit:
     parameters: tuple[Parameter, ...]
     values: Array
     covariance: Array
-    spread: Spread
+    noise: NoiseModel
     weights: Array
     information: Array
     iterations: int
@@ -135,7 +135,7 @@ def identify(
         tuple(parameters),
         at.values[:P],
         covariance[:P, :P],
-        at.spread,
+        at.noise,
         at.weights,
         at.H_data[:P, :P],
         at.iterations,
@@ -151,7 +151,7 @@ class _Minimum:
     H: Array
     H_data: Array
     weights: Array
-    spread: Spread
+    noise: NoiseModel
     iterations: int
     converged: bool
 
@@ -183,8 +183,8 @@ def _minimum(
     damping, length, near = 0.0, np.inf, False  # length: of the last step, in standard deviations
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
-        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
-        row_weight = _of_rows(weights, spread.of(samples), spread.rotation, known_p, known_r, pose)
+        weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
+        row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         if near:
             H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
         else:
@@ -228,9 +228,9 @@ def _minimum(
         near = near and damping == 0.0 and length <= _SHRINKING * last
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
-        weights, spread = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
+        weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
     # robust weights may go to and fro for ever, by which no value moves that anything depends on
-    return _Minimum(values, H, H_data, weights, spread, iteration, ended or begun or length <= FITTED)
+    return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or length <= FITTED)
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Drivers) -> tuple[Array, Array]:
@@ -278,12 +278,12 @@ def _weigh(
     groups: Groups,
     parameters: int,
     limit: float | None,
-) -> tuple[Array, Spread]:
+) -> tuple[Array, NoiseModel]:
     """Robust weights of the samples and the spread left, at these residuals."""
     square_p, square_r = at.square_position, at.square_rotation
     weights = np.ones(len(square_p))
     if limit is not None:
-        rough = robust_spread(at.position, at.rotation, groups)
+        rough = robust_noise(at.position, at.rotation, groups)
         total = square_p / (rough.position**2 + known_p**2)
         for kind, of_kind in groups.others.items():
             total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
@@ -294,27 +294,27 @@ def _weigh(
 
     def left(rows: np.ndarray | slice, directions: int) -> float:
         seen = square_p[rows]
-        return excess_spread(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
+        return excess_sigma(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
 
-    spread = Spread(
+    noise = NoiseModel(
         left(groups.positions, 3),
-        excess_spread(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
+        excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
         {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
     )
-    return weights, spread
+    return weights, noise
 
 
-def row_weights(weights: Array, spread: Spread, samples: Samples) -> Array:
+def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:
     """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
     pose = samples.is_pose
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[pose])
-    return _of_rows(weights, spread.of(samples), spread.rotation, known_p, known_r, pose)
+    return _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
 
 
 def _of_rows(
-    weights: Array, spread: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
+    weights: Array, noise: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
 ) -> Array:
-    w_p = weights / (spread**2 + known_p**2)
+    w_p = weights / (noise**2 + known_p**2)
     w_r = weights[pose] / (turning**2 + known_r**2)
     return np.concatenate([w_p, w_p, w_p, w_r, w_r, w_r])
 

@@ -90,13 +90,13 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
         rows = spread_rows(np.flatnonzero(samples.frame == f))
         A = T_base_tip[rows]
         if samples.is_pose[rows].all():
-            base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.position[rows]))
+            base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.reading[rows]))
             tool = found if tool is None else tool
         elif tool is None or samples.is_same_point(f):
-            base, point = _point_tool(A, samples.position[rows])
+            base, point = _point_tool(A, samples.reading[rows])
             tool = se3.transform(p=point) if tool is None else tool
         else:
-            base = procrustes((A @ tool)[:, :3, 3], samples.position[rows])
+            base = procrustes((A @ tool)[:, :3, 3], samples.reading[rows])
         T_frame_base[f] = base
     assert tool is not None
     return replace(model, T_frame_base=T_frame_base, T_tip_tool=tool)
@@ -115,12 +115,12 @@ def locate_base(model: Model, samples: Samples, known: Sequence[Known] = (), own
         _require_readings(model.frames[f], len(rows))
         T = forward(model.chain, samples.q[rows]) @ model.T_tip_tool
         if samples.is_same_point(f):
-            T_frame_base[f] = se3.transform(p=samples.position[rows[0]] - T[:, :3, 3].mean(axis=0))
+            T_frame_base[f] = se3.transform(p=samples.reading[rows[0]] - T[:, :3, 3].mean(axis=0))
         elif samples.is_pose[rows].all():
             R = so3.mean(samples.R[rows] @ np.swapaxes(T[:, :3, :3], 1, 2))
-            T_frame_base[f] = se3.transform(R, (samples.position[rows] - T[:, :3, 3] @ R.T).mean(axis=0))
+            T_frame_base[f] = se3.transform(R, (samples.reading[rows] - T[:, :3, 3] @ R.T).mean(axis=0))
         else:
-            T_frame_base[f] = procrustes(T[:, :3, 3], samples.position[rows])
+            T_frame_base[f] = procrustes(T[:, :3, 3], samples.reading[rows])
     T = forward(model.chain, samples.q) @ model.T_tip_tool
     placed, T_frame_base = place_instruments(instruments, samples, T, T_frame_base, shown, known)
     located = replace(model, T_frame_base=T_frame_base, instruments=placed)
@@ -214,6 +214,6 @@ def _fixed_points(
     x = np.linalg.lstsq(G.reshape(-1, 3 + 3 * F), -T_base_tip[:, :3, 3].reshape(-1), rcond=1e-9)[0]
     T_frame_base = T_frame_base.copy()
     for i, f in enumerate(order):
-        reading = samples.position[np.flatnonzero(samples.frame == f)[0]]
+        reading = samples.reading[np.flatnonzero(samples.frame == f)[0]]
         T_frame_base[f, :3, 3] = reading - x[3 + 3 * i : 6 + 3 * i]
     return se3.transform(p=x[:3]), T_frame_base

@@ -67,7 +67,7 @@ def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistanc
     out = []
     for distance, r, v in zip(distances, rows.residual.tolist(), of_found.tolist(), strict=True):
         free = max(1.0 - v / distance.std**2, _ROUNDING)
-        std = float(np.sqrt(max(v, 0.0) / free + 2.0 * fit.spread.position**2))
+        std = float(np.sqrt(max(v, 0.0) / free + 2.0 * fit.noise.position**2))
         found = distance.distance - r / free
         out.append(KnownDistance(_name(distance), distance.distance, distance.std, r, found, std))
     return tuple(out)

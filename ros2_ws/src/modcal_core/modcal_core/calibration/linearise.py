@@ -194,7 +194,7 @@ class RowView:
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
         # readings from the root, (3, N)
         T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
-        true = samples.position / scale[:, None] if now.effects else samples.position
+        true = samples.reading / scale[:, None] if now.effects else samples.reading
         if len(now.frames) == 1:
             reading = T_root_frame[0, :3, :3] @ true.T
             y = reading + T_root_frame[0, :3, 3:]

@@ -104,7 +104,7 @@ def place_instruments(
             placed.add(f)
         rows = spread_rows(instrument.rows(samples))
         poses[f], values = instrument.of_kind.place(
-            instrument.at_target(T_base_tool[rows]), samples.position[rows], poses[f] if f in placed else None
+            instrument.at_target(T_base_tool[rows]), samples.reading[rows], poses[f] if f in placed else None
         )
         placed.add(f)
         out[i] = replace(instrument, values=values)
@@ -123,13 +123,13 @@ def require_readings(instruments: Sequence[Instrument], samples: Samples) -> Non
             )
 
 
-def misses(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Array, T_frame_base: Array) -> Array:
+def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Array, T_frame_base: Array) -> Array:
     """What placed instruments miss by [m at the tool], all rows of all of them, three components each."""
     out = []
     for instrument in instruments:
         rows = spread_rows(instrument.rows(samples))
         scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
-        sight = instrument.of_kind.see(scene, instrument.values, samples.position[rows])
+        sight = instrument.of_kind.see(scene, instrument.values, samples.reading[rows])
         out.append((sight.residual * sight.lever).ravel())
     return np.concatenate(out)
 
@@ -154,7 +154,7 @@ def find_tool(
     def miss(t: Array) -> Array:
         tool = T_base_tip @ se3.transform(p=t)
         placed, poses = place_instruments(watching, samples, tool, T_frame_base, (), links)
-        return misses(placed, samples, tool, poses)
+        return residuals(placed, samples, tool, poses)
 
     best: tuple[float, Array] = (np.inf, np.zeros(3))
     for start in (np.zeros(3), *(0.15 * reach * np.r_[np.eye(3), -np.eye(3)])):

@@ -1,7 +1,7 @@
 """Mistakes that people make with a recording, each with how to undo it: joints, units, direction, conventions.
 
 A mistake says how the samples would look had it not been made. Whether that fits better is for others to judge:
-:mod:`conventions` by likelihood, :mod:`doubts` where a model misses by far.
+:mod:`conventions` by likelihood, :mod:`plausibility` where a model misses by far.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def inverse_pose() -> Mistake:
 
     def undone(samples: Samples) -> Samples:
         R = np.swapaxes(samples.R, 1, 2)
-        return replace(samples, R=R, position=-(R @ samples.position[..., None])[..., 0])
+        return replace(samples, R=R, reading=-(R @ samples.reading[..., None])[..., 0])
 
     return Mistake(
         "readings look like inverse poses (tracker in tool)",
@@ -134,7 +134,7 @@ def of_units() -> Iterator[Mistake]:
         yield Mistake(
             said,
             remedy,
-            lambda s, scale=scale: replace(s, position=scale * s.position),  # type: ignore[misc]
+            lambda s, scale=scale: replace(s, reading=scale * s.reading),  # type: ignore[misc]
             "reading",
             3.0 * float(np.log(scale)),
         )
@@ -148,7 +148,7 @@ def of_axes() -> Iterator[Mistake]:
         yield Mistake(
             f"positions look mirrored (sign of {axis}, a left-handed frame)",
             f"correct the sign of {axis}",
-            lambda s, sign=sign: replace(s, position=s.position * sign),  # type: ignore[misc]
+            lambda s, sign=sign: replace(s, reading=s.reading * sign),  # type: ignore[misc]
             "reading",
         )
     for i, j in ((0, 1), (0, 2), (1, 2)):
@@ -157,7 +157,7 @@ def of_axes() -> Iterator[Mistake]:
         yield Mistake(
             f"positions look as if columns {'xyz'[i]} and {'xyz'[j]} were swapped (a left-handed frame)",
             "correct the order of the columns",
-            lambda s, order=order: replace(s, position=s.position[:, order]),  # type: ignore[misc]
+            lambda s, order=order: replace(s, reading=s.reading[:, order]),  # type: ignore[misc]
             "reading",
         )
 
@@ -167,7 +167,7 @@ def left_handed() -> Mistake:
     return Mistake(
         "positions look mirrored (a left-handed frame: two columns swapped, or one of the other sign)",
         "correct the order or the signs of the columns",
-        lambda s: replace(s, position=s.position * [1.0, 1.0, -1.0]),
+        lambda s: replace(s, reading=s.reading * [1.0, 1.0, -1.0]),
         "reading",
     )
 
@@ -179,7 +179,7 @@ def mirror_image() -> Mistake:
         "the arm looks like the mirror image of its URDF (a left arm's description for a right one, or a left-handed "
         "frame)",
         "give the URDF of this arm",
-        lambda s: replace(s, position=s.position @ mirror, R=mirror @ s.R @ mirror),
+        lambda s: replace(s, reading=s.reading @ mirror, R=mirror @ s.R @ mirror),
         "reading",
     )
 
@@ -271,4 +271,4 @@ def _axes(sequence: str) -> str:
 
 
 def _reading_of(samples: Samples) -> dict[str, Any]:
-    return {"position": samples.position, "R": samples.R, "frame": samples.frame, "kind": samples.kind}
+    return {"reading": samples.reading, "R": samples.R, "frame": samples.frame, "kind": samples.kind}

@@ -25,7 +25,7 @@ _FLOOR = 1e-9  # m or rad; exact data must not divide by zero
 
 
 @dataclass(frozen=True)
-class Spread:
+class NoiseModel:
     """Standard deviations that no reading explains, per axis: position [m], rotation [rad], and of readings that are
     no positions, by kind and in its unit.
     """
@@ -72,7 +72,7 @@ class Groups:
         return float(self.dimensions.sum())
 
 
-def robust_spread(position: Array, rotation: Array, groups: Groups | None = None) -> Spread:
+def robust_noise(position: Array, rotation: Array, groups: Groups | None = None) -> NoiseModel:
     """The spread of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
 
     def one(r: Array, dimensions: int = 3) -> float:
@@ -80,12 +80,12 @@ def robust_spread(position: Array, rotation: Array, groups: Groups | None = None
         return max(float(np.median(np.sqrt(np.einsum("ij,ij->j", r, r)))) / usual, _FLOOR) if r.size else _FLOOR
 
     if groups is None or not groups.others:
-        return Spread(one(position), one(rotation))
+        return NoiseModel(one(position), one(rotation))
     others = {name: one(position[:, rows], kinds()[name].dimensions) for name, rows in groups.others.items()}
-    return Spread(one(position[:, groups.positions]), one(rotation), others)
+    return NoiseModel(one(position[:, groups.positions]), one(rotation), others)
 
 
-def excess_spread(square: Array, known: Array, weight: Array, lost: float, dimensions: int = 3) -> float:
+def excess_sigma(square: Array, known: Array, weight: Array, lost: float, dimensions: int = 3) -> float:
     """s for squares (N,) of residuals with known deviations (N,) and robust weights (N,), ``lost`` degrees of freedom
     spent.
     """

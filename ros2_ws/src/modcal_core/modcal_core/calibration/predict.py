@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.usual import outside_drivers
+from modcal_core.calibration.typical import outside_drivers
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
@@ -51,7 +51,7 @@ def _standing(calibration: Calibration, q: ArrayLike) -> Samples:
         station=np.arange(N),
         frame=np.zeros(N, int),
         kind=np.full(N, POSE, dtype=KIND_NAMES),
-        position=np.zeros((N, 3)),
+        reading=np.zeros((N, 3)),
         R=np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=unknown,
         sigma_rotation=unknown,

@@ -66,7 +66,7 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
     choice = choose_parameters(start.model, views_of(samples))
     fit = identify(start.model, samples, choice.parameters)
     require_plausible(start, fit, samples)
-    gap = samples.position - fit.model.predict_samples(samples)[:, :3, 3]
+    gap = samples.reading - fit.model.predict_samples(samples)[:, :3, 3]
     inner = slice(1, chain.n)
     deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.serial.origins[inner])
     _require_as_described(assembly, deviation)
@@ -113,6 +113,6 @@ def _row_weights(fit: Fit, samples: Samples) -> Array:
     """Weight of each row of a linearisation, (3 N + 3 M,), as the fit had them."""
     pose = samples.is_pose
     known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation[pose])
-    position = fit.weights / (fit.spread.position**2 + known_p**2)
-    rotation = fit.weights[pose] / (fit.spread.rotation**2 + known_r**2)
+    position = fit.weights / (fit.noise.position**2 + known_p**2)
+    rotation = fit.weights[pose] / (fit.noise.rotation**2 + known_r**2)
     return np.concatenate([np.tile(position, 3), np.tile(rotation, 3)])

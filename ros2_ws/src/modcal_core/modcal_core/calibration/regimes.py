@@ -24,10 +24,10 @@ from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import Move as Move
 from modcal_core.calibration.moves import What, identify_moved
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
-from modcal_core.calibration.score import errors, outlying, squared_misses
+from modcal_core.calibration.score import errors, outlying, squared_residuals
 from modcal_core.calibration.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
@@ -112,10 +112,10 @@ def _suspicious(fit: Fit, samples: Samples) -> bool:
     Where fewer stations than half have moved far, the fit rejects them, in runs. Otherwise they are in its spread, at
     half of what they moved by at the least.
     """
-    spread = fit.spread
-    if spread.position > _ROOM * EXPECTED_LENGTH or spread.rotation > _ROOM * EXPECTED_ANGLE:
+    noise = fit.noise
+    if noise.position > _ROOM * EXPECTED_LENGTH or noise.rotation > _ROOM * EXPECTED_ANGLE:
         return True
-    return bool(runs_of(samples, outlying(fit.model, spread, samples)))
+    return bool(runs_of(samples, outlying(fit.model, noise, samples)))
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class _Score:
 
     def __post_init__(self) -> None:
         fit = self.search.fit(self.search.start(self.moves), self.search.samples)
-        self.spread: Spread = fit.spread
+        self.noise: NoiseModel = fit.noise
         self.unit = independent_unit(self.search.samples)
         samples = self.search.samples
         self.half = in_order_of_time(samples.station, samples.stamps) % 2
@@ -256,7 +256,7 @@ class _Score:
             model = self.search.fit(start(part), part, tolerance).model
         except (ModcalError, np.linalg.LinAlgError, ValueError):
             return None
-        return np.minimum(squared_misses(errors(model, rest), rest, self.spread), _CAP)
+        return np.minimum(squared_residuals(errors(model, rest), rest, self.noise), _CAP)
 
     def simplify(self, move: Move) -> None:
         """Let only the tool, or only the base, have moved where that does as well."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import REJECT_Z, Groups, Spread, standard_score
+from modcal_core.calibration.noise import REJECT_Z, Groups, NoiseModel, standard_score
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -75,7 +75,7 @@ def errors(model: Model, samples: Samples) -> Errors:
     T = model.predict_samples(samples)
     pose = samples.is_pose
     rotation = so3.log(samples.R[pose] @ np.swapaxes(T[pose, :3, :3], -1, -2))
-    gap, lever = samples.position - T[:, :3, 3], None
+    gap, lever = samples.reading - T[:, :3, 3], None
     if model.instruments:
         sights = RowView.of(model, samples, model.drivers(samples)).sights
         if sights is not None:
@@ -84,30 +84,30 @@ def errors(model: Model, samples: Samples) -> Errors:
     return Errors(gap, rotation, lever)
 
 
-def outlying(model: Model, spread: Spread, samples: Samples) -> np.ndarray:
+def outlying(model: Model, noise: NoiseModel, samples: Samples) -> np.ndarray:
     """True for samples so far outside this spread that a fit would have rejected them, (N,)."""
-    return _scores(errors(model, samples), samples, spread, bool(model.instruments)) > REJECT_Z
+    return _scores(errors(model, samples), samples, noise, bool(model.instruments)) > REJECT_Z
 
 
-def usual_scatter(samples: Samples) -> tuple[float, float]:
+def typical_scatter(samples: Samples) -> tuple[float, float]:
     """Median deviation of the readings' positions [m, or the kind's unit] and orientations [rad]; 0 where unknown."""
     known = (samples.sigma_position, samples.sigma_rotation[samples.is_pose])
     position, rotation = (float(np.median(s[np.isfinite(s)])) if np.isfinite(s).any() else 0.0 for s in known)
     return position, rotation
 
 
-def squared_misses(e: Errors, samples: Samples, spread: Spread, finest: float = 0.0) -> Array:
+def squared_residuals(e: Errors, samples: Samples, noise: NoiseModel, finest: float = 0.0) -> Array:
     """Squares of each sample's error, (N,), in variances: of this spread, no less than the finest, and of the reading's
     own scatter.
     """
     known_p = np.nan_to_num(samples.sigma_position)
-    total = e.reading_norm**2 / (np.maximum(spread.of(samples), finest) ** 2 + known_p**2)
+    total = e.reading_norm**2 / (np.maximum(noise.of(samples), finest) ** 2 + known_p**2)
     pose = samples.is_pose
     if pose.any():
         known_r = np.nan_to_num(samples.sigma_rotation[pose])
-        total[pose] += e.rotation_norm**2 / (max(spread.rotation, finest) ** 2 + known_r**2)
+        total[pose] += e.rotation_norm**2 / (max(noise.rotation, finest) ** 2 + known_r**2)
     return total
 
 
-def _scores(e: Errors, samples: Samples, spread: Spread, mixed: bool) -> Array:
-    return standard_score(squared_misses(e, samples, spread, FINEST), Groups.of(samples, mixed).dimensions)
+def _scores(e: Errors, samples: Samples, noise: NoiseModel, mixed: bool) -> Array:
+    return standard_score(squared_residuals(e, samples, noise, FINEST), Groups.of(samples, mixed).dimensions)

@@ -28,7 +28,7 @@ def most_likely(samples: Samples, chain: Chain, mistakes: Sequence[Mistake], cou
         some = mistakes[first : first + _AT_ONCE]
         q = np.concatenate([mistake.undone(samples).q for mistake in some])
         A = forward(chain, q).reshape(len(some), len(samples), 4, 4)
-        position = np.broadcast_to(samples.position, (len(some), len(samples), 3))
+        position = np.broadcast_to(samples.reading, (len(some), len(samples), 3))
         if samples.is_pose.all():
             base, _ = base_and_tool_turns(A[..., :3, :3], np.broadcast_to(samples.R, A[..., :3, :3].shape))
         else:

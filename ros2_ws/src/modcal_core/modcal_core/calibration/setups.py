@@ -63,7 +63,7 @@ class SetupReadings:
         order = np.argsort(samples.stamps, kind="stable")
         A = se3.inverse(model.chain.T_base_root) @ forward(model.chain, samples.q[order])
         T_root_frame = se3.inverse(model.T_frame_base @ model.chain.T_base_root)
-        reading = se3.transform(samples.R[order], samples.position[order])
+        reading = se3.transform(samples.R[order], samples.reading[order])
         lever = float(np.linalg.norm(A[:, :3, 3], axis=1).mean())
         return cls(
             *(A, T_root_frame[samples.frame[order]] @ reading, bool(samples.is_pose.all()), lever),
@@ -73,7 +73,7 @@ class SetupReadings:
     def __len__(self) -> int:
         return len(self.A)
 
-    def missed(self, setup: Setup) -> Array:
+    def residual(self, setup: Setup) -> Array:
         """How far a setup misses each reading [m], (N,), angles by the lever."""
         T = setup.D @ self.A @ setup.X
         square = np.sum((self.B[:, :3, 3] - T[:, :3, 3]) ** 2, axis=1)
@@ -119,11 +119,11 @@ def stretches(sights: SetupReadings) -> Stretches:
     step = max(window // 2, (N - window) // _MOST_WINDOWS)
     parts = [np.arange(a, a + window) for a in range(0, N - window + 1, step)]
     setups = [setup for rows in parts for setup in _setups(sights, rows)]
-    own = [min(_rms(sights.missed(s)[rows]) for s in _setups(sights, rows)) for rows in parts]
+    own = [min(_rms(sights.residual(s)[rows]) for s in _setups(sights, rows)) for rows in parts]
     usual = max(float(np.median(own)), 1e-6)
     found: Stretches = [(0, N)]
     for _ in range(_ROUNDS):
-        cost = np.stack([np.minimum(sights.missed(s) / usual, _FAR) ** 2 for s in setups])
+        cost = np.stack([np.minimum(sights.residual(s) / usual, _FAR) ** 2 for s in setups])
         before, found = found, _cheapest(cost)
         if len(found) > MOST_STRETCHES:
             return []
@@ -134,7 +134,7 @@ def stretches(sights: SetupReadings) -> Stretches:
         reference = sights.both(rows, sights.setup)
         again = [s for a, b in found for s in _setups(sights, np.arange(a, b), reference)]
         setups = [reference, *again]
-        usual = max(_rms(sights.missed(reference)[rows]), 1e-6)
+        usual = max(_rms(sights.residual(reference)[rows]), 1e-6)
     return found
 
 

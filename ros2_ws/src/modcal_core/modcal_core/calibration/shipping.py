@@ -12,11 +12,11 @@ from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
-from modcal_core.calibration.score import usual_scatter
+from modcal_core.calibration.score import typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
+from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.calibration.usual import driver_ranges, usual_sizes
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
@@ -64,10 +64,10 @@ def ship(
     few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
-        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.spread, covariance, watched),
-        scatter=usual_scatter(samples),
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
+        scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
         ranges=driver_ranges(tidy, samples),
-        usual=usual_sizes(tidy, samples),
+        typical=typical_sizes(tidy, samples),
     )

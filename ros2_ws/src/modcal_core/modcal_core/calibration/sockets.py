@@ -45,7 +45,7 @@ def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
     if samples.is_pose.all():
         mean = so3.mean(samples.R)
         turned = float(np.sqrt(np.mean(np.sum(so3.log(mean.T @ samples.R) ** 2, axis=1))))
-    seen = _scatter(samples.position)
+    seen = _scatter(samples.reading)
     if seen < _STANDS * moved and turned < _STANDS:
         topic = f"/tracker/{samples.kind[0]} ({frame})"
         raise BadRecording(

@@ -30,11 +30,13 @@ class Split:
     unit: str
 
 
-def split(samples: Samples, rng: np.random.Generator, block: int | None = None, moments: Sequence[float] = ()) -> Split:
+def split(
+    samples: Samples, rng: np.random.Generator, block: int | None = None, change_points: Sequence[float] = ()
+) -> Split:
     """The three sets of these samples.
 
-    block: stations in a block; 1 splits by station, None decides by how dense the recording is. moments: rising times
-    [s] at which something changed: each stretch between them has a share in each set.
+    block: stations in a block; 1 splits by station, None decides by how dense the recording is. change_points: rising
+    times [s] at which something changed: each stretch between them has a share in each set.
     """
     first = np.unique(samples.station, return_index=True)[1]
     first = first[np.argsort(samples.stamps[first], kind="stable")]
@@ -42,7 +44,7 @@ def split(samples: Samples, rng: np.random.Generator, block: int | None = None, 
         block = block_length(samples)
     role_of_station: dict[int, int] = {}
     # Frame by frame and stretch by stretch, so that none is left without a share in each set
-    part = np.searchsorted(moments, samples.stamps[first], side="right")
+    part = np.searchsorted(change_points, samples.stamps[first], side="right")
     for f, stretch in sorted(set(zip(samples.frame[first].tolist(), part.tolist(), strict=True))):
         stations = samples.station[first[(samples.frame[first] == f) & (part == stretch)]]
         blocks = np.arange(len(stations)) // block

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.store_schema import SCHEMA
+from modcal_core.calibration.typical import TypicalDriver
 from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.calibration.usual import Usual
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
@@ -49,11 +49,11 @@ class Calibration:
     geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
     made from, (2, n); outside them it extrapolates.
     parameters: (name, value, standard deviation, unit) of the fit, for people. rivals: for each effect others that
-    explain it as well. kind, postures, spread: of the readings, what was recorded (k, n), thinned, and how the readings
+    explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
-    depend on. usual: for each effect what it was on average, where a recording may lack its driver.
+    depend on. typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the spread; 0
     where none was stated. converged: whether every fit reached its minimum.
     """
@@ -66,14 +66,14 @@ class Calibration:
     rivals: tuple[tuple[Effect, ...], ...] = ()
     kind: str = "pose"
     postures: Array = field(default_factory=lambda: np.empty((0, 0)))
-    spread: Spread = field(default_factory=lambda: Spread(_ASSUMED, _ASSUMED))
+    noise: NoiseModel = field(default_factory=lambda: NoiseModel(_ASSUMED, _ASSUMED))
     uncertainty: Uncertainty | None = None
     watched: tuple[float, float] | None = None
     scatter: tuple[float, float] = (0.0, 0.0)
     converged: bool = True
     clock: bool = True
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    usual: tuple[Usual | None, ...] = ()
+    typical: tuple[TypicalDriver | None, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -118,8 +118,8 @@ class Calibration:
     def with_scatter(self, samples: Samples) -> Samples:
         """The samples, those that state no deviation of their own with the one that was usual here."""
         position, rotation = (
-            np.where(np.isfinite(own), own, usual)
-            for own, usual in zip((samples.sigma_position, samples.sigma_rotation), self.scatter, strict=True)
+            np.where(np.isfinite(own), own, typical)
+            for own, typical in zip((samples.sigma_position, samples.sigma_rotation), self.scatter, strict=True)
         )
         return replace(samples, sigma_position=position, sigma_rotation=rotation)
 
@@ -133,9 +133,9 @@ class Calibration:
         """Where the drivers of its effects stop."""
         return DriverLimits(self.watched, self.clock, self.ranges)
 
-    def usual_of(self, effect: int) -> Usual | None:
+    def typical_of(self, effect: int) -> TypicalDriver | None:
         """What the effect with this number was on average, where that was kept."""
-        return self.usual[effect] if effect < len(self.usual) else None
+        return self.typical[effect] if effect < len(self.typical) else None
 
     def rivals_of(self, effect: int) -> tuple[Effect, ...]:
         """Others that explain as much as the effect with this number."""
@@ -191,16 +191,16 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             {
                 **_effect_to_data(effect),
                 "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)],
-                **_usual_to_data(calibration.usual_of(i)),
+                **_typical_to_data(calibration.typical_of(i)),
             }
             for i, effect in enumerate(calibration.calibrated.effects)
         ],
         "recorded": {
             "kind": calibration.kind,
-            "spread": [calibration.spread.position, calibration.spread.rotation],
+            "spread": [calibration.noise.position, calibration.noise.rotation],
             "scatter": _floats(np.array(calibration.scatter)),
             "converged": calibration.converged,
-            **({"spread_of": dict(calibration.spread.others)} if calibration.spread.others else {}),
+            **({"spread_of": dict(calibration.noise.others)} if calibration.noise.others else {}),
             "postures": [_floats(q) for q in calibration.postures],
             **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
@@ -229,7 +229,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         rivals = tuple(tuple(_effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
         postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
         others = {str(kind): float(x) for kind, x in recorded.get("spread_of", {}).items()}
-        spread = Spread(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
+        noise = NoiseModel(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
@@ -238,7 +238,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
         clock = bool(recorded.get("clock", True))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
-        usual = tuple(_usual_from_data(e.get("usual")) for e in data["effects"])
+        typical = tuple(_typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
         kind = str(recorded["kind"])
         _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
@@ -248,8 +248,8 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
-        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, spread, known),
-        *(watched, alone, converged, clock, ranges, usual),
+        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
+        *(watched, alone, converged, clock, ranges, typical),
     )
 
 
@@ -314,12 +314,12 @@ def _vector(values: Any) -> Array:
     return out
 
 
-def _usual_to_data(usual: Usual | None) -> dict[str, Any]:
-    return {} if usual is None else {"usual": {"mean": _floats(usual.mean), "cost_m2": float(usual.cost)}}
+def _typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
+    return {} if typical is None else {"usual": {"mean": _floats(typical.mean), "cost_m2": float(typical.cost)}}
 
 
-def _usual_from_data(data: Any) -> Usual | None:
-    return None if data is None else Usual(_vector(data["mean"]), float(data["cost_m2"]))
+def _typical_from_data(data: Any) -> TypicalDriver | None:
+    return None if data is None else TypicalDriver(_vector(data["mean"]), float(data["cost_m2"]))
 
 
 def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:

@@ -103,7 +103,7 @@ def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray)
         station=np.arange(N),
         frame=frames,
         kind=kinds,
-        position=position,
+        reading=position,
         R=np.where((kinds == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
         sigma_position=np.full(N, np.nan),
         sigma_rotation=np.full(N, np.nan),

@@ -53,7 +53,7 @@ def uncertainty(
     values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
     around = model.drivers(samples)
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
-    H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.spread, samples))
+    H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.noise, samples))
     if distances:
         rows = distance_rows(model, parameters, values, distances)
         H += (rows.J / rows.std**2) @ rows.J.T

@@ -70,7 +70,7 @@ class Conditions:
             station=np.zeros(N, int),
             frame=np.zeros(N, int),
             kind=np.array([POSE] * N),
-            position=np.zeros((N, 3)),
+            reading=np.zeros((N, 3)),
             R=np.broadcast_to(np.eye(3), (N, 3, 3)),
             sigma_position=np.full(N, np.nan),
             sigma_rotation=np.full(N, np.nan),

@@ -114,8 +114,8 @@ class Correction:
         The calibration's, through the Jacobian, and on top of it how the arm scattered about the model when it was
         calibrated; the latter alone where the calibration does not say how well it is known.
         """
-        spread = self.calibration.spread
-        out = np.diag([spread.position**2] * 3 + [spread.rotation**2] * 3)
+        noise = self.calibration.noise
+        out = np.diag([noise.position**2] * 3 + [noise.rotation**2] * 3)
         if self._covariance is None:
             return out
         around = self._around(q[None], at)

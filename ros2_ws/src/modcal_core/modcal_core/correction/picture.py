@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.correction.commander import finite
 from modcal_core.correction.conditions import Conditions
@@ -28,14 +28,14 @@ DEVIATIONS = 3.0  # of the ellipsoids
 
 
 @dataclass(frozen=True)
-class Misses:
+class Residuals:
     """Where a model expects the tool, and by how much it was seen elsewhere, both (N, 3) in the base link [m].
 
     rejected: whether a fit would leave the reading out, (N,).
     """
 
     expected: Array
-    miss: Array
+    residual: Array
     rejected: np.ndarray
 
     def __len__(self) -> int:
@@ -44,7 +44,7 @@ class Misses:
     @property
     def size(self) -> Array:
         """How long the misses are, (N,) [m]."""
-        return np.asarray(np.linalg.norm(self.miss, axis=1))
+        return np.asarray(np.linalg.norm(self.residual, axis=1))
 
 
 def known_to(model: Model, samples: Samples) -> Samples:
@@ -55,18 +55,18 @@ def known_to(model: Model, samples: Samples) -> Samples:
     return replace(kept, frames=model.frames, frame=numbers[numbers >= 0])
 
 
-def misses(model: Model, samples: Samples, spread: Spread) -> Misses:
+def residuals(model: Model, samples: Samples, noise: NoiseModel) -> Residuals:
     """How far readings lie from where a model, with its effects, expects them.
 
-    samples: poses and points in the model's frames. spread: how readings scatter about the calibrated model. Rows that
+    samples: poses and points in the model's frames. noise: how readings scatter about the calibrated model. Rows that
     do not come out finite are left out.
     """
     e = errors(model, samples)
     T_base_frame = se3.inverse(model.T_frame_base)[samples.frame]
-    expected = se3.apply(T_base_frame, samples.position - e.position)
+    expected = se3.apply(T_base_frame, samples.reading - e.position)
     miss = (T_base_frame[:, :3, :3] @ e.position[..., None])[..., 0]
     finite = np.isfinite(expected).all(axis=1) & np.isfinite(miss).all(axis=1)
-    return Misses(expected[finite], miss[finite], outlying(model, spread, samples)[finite])
+    return Residuals(expected[finite], miss[finite], outlying(model, noise, samples)[finite])
 
 
 def conditions_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> Conditions:

@@ -338,7 +338,7 @@ class _Builder:
         scales = np.stack([np.ones_like(r), *one])
         changed = (steps[:, None] * scales[None]).reshape(-1, self.N)
         yield _Pair(who, "the order of the stations: their scale or their frame changed", _along(changed, along))
-        seen = self.samples.position.T
+        seen = self.samples.reading.T
         angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
         waves = [f(k * a) * r / unit for a in angles for k in range(1, 5) for f in (np.sin, np.cos)]
         yield _Pair(who, "the direction in which the tracker looks", _along(np.stack(waves), along))

@@ -324,8 +324,8 @@ class _Space:
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
     """Inverse standard deviations of the readings, (6, N)."""
-    position = np.sqrt(fit.spread.of(samples) ** 2 + np.nan_to_num(samples.sigma_position) ** 2)
-    rotation = np.sqrt(fit.spread.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
+    position = np.sqrt(fit.noise.of(samples) ** 2 + np.nan_to_num(samples.sigma_position) ** 2)
+    rotation = np.sqrt(fit.noise.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
     return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.effects.families import unknown
@@ -47,10 +47,10 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     return None if choice is None or choice.share < _WORTH_NAMING else choice
 
 
-def frozen(model: Model, spread: Spread) -> Fit:
+def frozen(model: Model, noise: NoiseModel) -> Fit:
     """A model as a fit that nothing was fitted in, its effects as they are."""
     none, square = np.empty(0), np.empty((0, 0))
-    return Fit(model, model, (), none, square, spread, none, square, 0)
+    return Fit(model, model, (), none, square, noise, none, square, 0)
 
 
 def _only(evidence: Evidence, rows: list[int]) -> Evidence:

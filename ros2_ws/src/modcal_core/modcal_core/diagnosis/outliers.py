@@ -17,7 +17,7 @@ _NEIGHBOURS = 2  # on either side
 
 def isolated_outliers(fit: Fit, samples: Samples) -> np.ndarray:
     """True for samples far outside the spread of the fit whose neighbours in time are not, (N,)."""
-    far = outlying(fit.model, fit.spread, samples)
+    far = outlying(fit.model, fit.noise, samples)
     order = np.lexsort((samples.stamps, samples.frame))
     of_order = far[order].astype(float)
     window = np.ones(2 * _NEIGHBOURS + 1)

@@ -14,9 +14,9 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.distributions import as_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.removal import without
-from modcal_core.calibration.score import errors, squared_misses
+from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
@@ -28,20 +28,20 @@ DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, s
 
 
 def needless(
-    fit: Fit, train: Samples, explain: Samples, spread: Spread, distances: Sequence[AnyDistance] = (), keep: int = 0
+    fit: Fit, train: Samples, explain: Samples, noise: NoiseModel, distances: Sequence[AnyDistance] = (), keep: int = 0
 ) -> tuple[Fit, tuple[int, ...]]:
     """The fit to *train* without the effects it does not need, and the numbers of those that were taken out.
 
-    spread: by which misses are measured. keep: so many effects at the beginning stay, whatever they are worth.
+    noise: by which misses are measured. keep: so many effects at the beginning stay, whatever they are worth.
     """
     gone: list[int] = []
     left = list(range(len(fit.model.effects)))
     while len(left) > keep:
         known = uncertainty(fit.model, train, fit.parameters, fit, distances)
-        limit, have = _limited(fit.model, explain, spread)
+        limit, have = _limited(fit.model, explain, noise)
         costs = []
         for i in range(keep, len(left)):
-            lost = _missed(without(fit.model, known, [i]), explain, spread, limit) / have - 1.0
+            lost = _mean_square(without(fit.model, known, [i]), explain, noise, limit) / have - 1.0
             costs.append(-np.inf if is_nothing(fit.model.effects, i, known) else lost)
         weakest = int(np.argmin(costs))
         if costs[weakest] >= LEAST_GAIN:
@@ -79,16 +79,16 @@ def joint_size(effects: Sequence[Effect], number: int, known: Uncertainty) -> fl
     return as_normal(float(unit @ np.linalg.lstsq(C / np.outer(std, std), unit, rcond=1e-9)[0]), len(own))
 
 
-def _limited(model: Model, samples: Samples, spread: Spread) -> tuple[float, float]:
+def _limited(model: Model, samples: Samples, noise: NoiseModel) -> tuple[float, float]:
     """The limit that squares are brought in to, and their mean."""
-    square = _squares(model, samples, spread)
+    square = _squares(model, samples, noise)
     limit = DRAWN_IN * float(np.median(square)) + 1e-300
     return limit, float(np.mean(np.minimum(square, limit))) + 1e-300
 
 
-def _missed(model: Model, samples: Samples, spread: Spread, limit: float) -> float:
-    return float(np.mean(np.minimum(_squares(model, samples, spread), limit)))
+def _mean_square(model: Model, samples: Samples, noise: NoiseModel, limit: float) -> float:
+    return float(np.mean(np.minimum(_squares(model, samples, noise), limit)))
 
 
-def _squares(model: Model, samples: Samples, spread: Spread) -> Array:
-    return squared_misses(errors(model, samples), samples, spread)
+def _squares(model: Model, samples: Samples, noise: NoiseModel) -> Array:
+    return squared_residuals(errors(model, samples), samples, noise)

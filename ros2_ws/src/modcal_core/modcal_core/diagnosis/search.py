@@ -16,7 +16,7 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.removal import without
-from modcal_core.calibration.score import errors, squared_misses
+from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
@@ -197,15 +197,15 @@ class _Search:
     def add(self, choice: EffectChoice) -> bool:
         """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
         before, causes = self.fit, list(self.causes)
-        missed = self._missed(before)
+        missed = self._mean_square(before)
         self.fit = self._with(self.fit, choice.effect)
         self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
-        better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
+        better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
         if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MOST_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
-            better = self._missed(self.fit) < (1.0 - LEAST_GAIN) * missed
+            better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
         if not better:
             self.fit, self.causes = before, causes
         return better
@@ -237,7 +237,7 @@ class _Search:
                 continue
             started = better.effect.started(self.scanner.amplitudes(without, better.effect))
             new = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
-            if self._missed(new) < self._missed(self.fit):
+            if self._mean_square(new) < self._mean_square(self.fit):
                 self.fit = new
                 self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, better.rivals, new)
                 self._stale = True
@@ -295,7 +295,7 @@ class _Search:
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
         stay = len(self.known)
-        pruned, gone = needless(final, train, self.explain, self._geometric.spread, self.distances, stay)
+        pruned, gone = needless(final, train, self.explain, self._geometric.noise, self.distances, stay)
         if gone:
             known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
@@ -304,10 +304,10 @@ class _Search:
             self.causes = [*kept[:stay], *later]
         return pruned
 
-    def _missed(self, fit: Fit) -> float:
+    def _mean_square(self, fit: Fit) -> float:
         """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
-        square = squared_misses(errors(fit.model, self.explain), self.explain, self._geometric.spread)
+        square = squared_residuals(errors(fit.model, self.explain), self.explain, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
 
 

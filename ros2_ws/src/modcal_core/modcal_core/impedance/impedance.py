@@ -107,7 +107,7 @@ class Impedance:
         """Stand still where it is."""
         self.v = np.zeros(6)
 
-    def settle(self) -> None:
+    def reset(self) -> None:
         """Back to rest where it is expected."""
         self.x, self.v = np.zeros(6), np.zeros(6)
 

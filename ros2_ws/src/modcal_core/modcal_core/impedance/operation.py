@@ -20,7 +20,7 @@ from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Impedance
 from modcal_core.impedance.path_check import PathCheck, Reach
-from modcal_core.impedance.path_model import PathModel, Pull
+from modcal_core.impedance.path_model import Exploration, PathModel
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Late, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.impedance.speed_governor import ForcePrediction, SpeedGovernor
@@ -51,13 +51,13 @@ class Operation:
         self.guard = SafetyMonitor(chain, limits)
         self.follower = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
-        self.pace = SpeedGovernor(task.patience)
+        self.pace = SpeedGovernor(task.governor)
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
         self._delay = 0.0  # s from a touch until the arm begins to brake
         self.expected = np.eye(4)
-        self._pull: Pull | None = None
+        self._pull: Exploration | None = None
         self._tare = Tare(task.tare_s)
         self._walk: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
@@ -85,7 +85,7 @@ class Operation:
         self._stop = self._stop or Stop(False, why, self._opened())
         return self._stop
 
-    def let_go(self, why: str, now: float) -> None:
+    def release(self, why: str, now: float) -> None:
         """Begin to let go of it at time ``now`` [s]; some more ticks do so, and then say Stop."""
         if self.phase == "tare":  # nothing was sent yet
             self.stop(why)
@@ -122,11 +122,11 @@ class Operation:
         needed = [("joint_states", joints.stamp), ("wrench", sensor.stamp)]
         for what, stamp in needed[:1] if self.phase == "release" else needed:
             if not self._fresh(stamp, now):
-                return f"{what}: nothing of the last {self.limits.stale:g} s: see that its publisher is alive"
+                return f"{what}: nothing of the last {self.limits.timeout:g} s: see that its publisher is alive"
         return ""
 
     def _fresh(self, stamp: float, now: float) -> bool:
-        return abs(now - stamp) <= self.limits.stale
+        return abs(now - stamp) <= self.limits.timeout
 
     def _wait(self, why: str, now: float) -> Wait | Stop:
         """Stand until it comes, but not for ever."""
@@ -135,7 +135,7 @@ class Operation:
         return self.stop(why) if self._waited_long(now) else Wait(why)
 
     def _waited_long(self, now: float) -> bool:
-        patience = self.task.patience_s if self.phase != "tare" else _TARE_PATIENCE
+        patience = self.task.input_timeout_s if self.phase != "tare" else _TARE_PATIENCE
         return not math.isnan(self._late) and not 0.0 <= now - self._late <= patience
 
     def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions) -> Wait | Stop:
@@ -149,11 +149,11 @@ class Operation:
             if now - self._since > _TARE_PATIENCE:
                 return self.stop("tare: the arm does not stand still: hold it still before it pulls")
             return Wait("the wrench is tared: the arm stands still for a moment")
-        sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.down)
+        sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.gravity)
         sensor.forget_past()
         self.follower.begin(joints.q, T)
         self.guard.open(T, joints.q, now)
-        self._pull = Pull(T, self.task.direction, self.task.exploring)
+        self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
         self.expected = T
         self._enter("explore", now)
         return Wait("the wrench is tared")
@@ -173,7 +173,7 @@ class Operation:
             h = self.limits.period
         age = max(now - joints.stamp, now - sensor.stamp)
         self._heed(age, h)
-        self.force = sensor.on_tool(T, self.task.down)
+        self.force = sensor.on_tool(T, self.task.gravity)
         self._delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + self.task.servo_lag
         self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.pace.braking)
         refused = self.guard.too_much(self.force)
@@ -199,14 +199,14 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploring, h)
+        ds = self._go(self.task.exploration_speed, h)
         self.expected = pull.advance(ds, T, h)
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
             self._enter("check", now)
         elif self.pace.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
-        elif pull.way > self.task.explore:
+        elif pull.way > self.task.max_exploration:
             said = state.event or "no model predicts it"
             self._let_go(f"not understood after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
@@ -240,7 +240,7 @@ class Operation:
             self._at = course.configuration(T)
         at = self._at
         left = course.left(at)
-        wanted = self.task.speed if state.trusted else self.task.exploring
+        wanted = self.task.speed if state.trusted else self.task.exploration_speed
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
@@ -287,7 +287,7 @@ class Operation:
 
     def _let_go(self, why: str, now: float) -> None:
         self._why = why
-        self.guard.let_go(now)
+        self.guard.allow_release(now)
         self._enter("release", now)
 
     def _believe(self, model: JointModel, T: Array) -> None:

@@ -27,7 +27,7 @@ _STEP_M, _STEP_RAD = 0.015, 0.05  # between poses of a path
 _SLIDES_BEYOND = 1.5
 
 
-class Pull:
+class Exploration:
     """The expected pose while the way is unknown: along the believed direction at first, then where the tool is led.
 
     What leads the tool aside or turns it is followed, so that a hinge need not fight the arm: a door that turns the

@@ -6,9 +6,9 @@ late) the next good setpoint may follow from where the last one was; after any o
 opened anew.
 
 A force or a moment beyond its limit shuts the guard as well, which leaves the last setpoint standing, and with it the
-spring that a servo has wound up between the tool and there. Whoever wants that let go says so (:meth:`Guard.let_go`):
-for a second forces are then no reason to stand still, nor is a wrench that is late or missing, and only what goes back
-towards the tool passes.
+spring that a servo has wound up between the tool and there. Whoever wants that let go says so
+(:meth:`SafetyMonitor.allow_release`): for a second forces are then no reason to stand still, nor is a wrench
+that is late or missing, and only what goes back towards the tool passes.
 
 Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
 stop, after which no more than one period's step is allowed.
@@ -38,25 +38,26 @@ _AT_TOOL = 1e-3, 2e-3  # m, rad between setpoint and tool, within which neither 
 @dataclass(frozen=True)
 class Limits:
     """speed, acceleration: of the tool [m/s, m/s²]; turning, turning_acceleration [rad/s, rad/s²]. force, moment: on
-    the tool [N, N m]. displacement, turn: of the setpoint from where the tool is measured [m, rad]. joint_speed,
-    joint_acceleration: (n,) per second. stale: oldest input [s]. period: of setpoints [s]. gain: least singular value
-    of the Jacobian [m or rad a rad]. apart: how far the pose may be from where the joints put it [m; 5 times rad].
+    the tool [N, N m]. displacement, rotation: of the setpoint from where the tool is measured [m, rad]. joint_speed,
+    joint_acceleration: (n,) per second. timeout: oldest input [s]. period: of setpoints [s]. gain: least singular value
+    of the Jacobian [m or rad a rad]. consistency: how far the pose may be from where the joints put it
+    [m; 5 times rad].
     """
 
     joint_speed: Array
     joint_acceleration: Array
     speed: float = 0.25
     acceleration: float = 2.5
-    turning: float = 1.5
-    turning_acceleration: float = 15.0
+    angular_speed: float = 1.5
+    angular_acceleration: float = 15.0
     force: float = 50.0
     moment: float = 20.0
     displacement: float = 0.1
-    turn: float = 0.5
-    stale: float = 0.1
+    rotation: float = 0.5
+    timeout: float = 0.1
     period: float = 0.004
     gain: float = 0.02
-    apart: float = 0.02
+    consistency: float = 0.02
     stiffness: tuple[float, float] = (5000.0, 500.0)
     wrench: tuple[float, float] = (50.0, 20.0)
 
@@ -108,13 +109,13 @@ class _Last:
 
 
 class SafetyMonitor:
-    """Lets setpoints through, or raises BadCommand. ``shut`` says why it lets nothing through any more, if so."""
+    """Lets setpoints through, or raises BadCommand. ``tripped`` says why it lets nothing through any more, if so."""
 
     def __init__(self, chain: Chain, limits: Limits, tool_frame: str = "") -> None:
         """Shut, until it is opened."""
         self.chain, self.limits = chain, limits
         self.tool_frame = tool_frame or chain.tip
-        self.shut = "it was not opened yet"
+        self.tripped = "it was not opened yet"
         self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
         self._now = -math.inf
@@ -126,32 +127,32 @@ class SafetyMonitor:
         if not finite or np.shape(pose) != (4, 4) or np.shape(q) != (self.chain.n,):
             raise BadCommand("place to begin from", "is not finite", "wait for joint states")
         self._last = _Last(now, np.array(pose, float), np.array(q, float), self.limits.period, self._rest())
-        self._now, self.shut, self._let_go = now, "", math.nan
+        self._now, self.tripped, self._let_go = now, "", math.nan
 
-    def let_go(self, now: float) -> None:
+    def allow_release(self, now: float) -> None:
         """For a second from ``now`` [s] on pass, whatever is felt, what goes back to the tool, and nothing else."""
         self._let_go = now
 
     def close(self, why: str) -> None:
         """Let nothing through from now on."""
-        self.shut = self.shut or why
+        self.tripped = self.tripped or why
 
-    def check(self, wish: ArmSetpoint, heard: SensorReadings, now: float) -> ArmSetpoint:
+    def check(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float) -> ArmSetpoint:
         """The setpoint, if it may go out at time ``now`` [s]. Raises Late for a late input, BadCommand else."""
-        if self.shut or self._last is None:
-            raise BadCommand("setpoint", f"the guard is shut ({self.shut})", "see to that and begin anew")
+        if self.tripped or self._last is None:
+            raise BadCommand("setpoint", f"the guard is shut ({self.tripped})", "see to that and begin anew")
         try:
             with np.errstate(all="ignore"):  # numbers that overflow fail every comparison below
                 self._check_time(now)
-                self._check_heard(heard, now)
-                self._check_form(wish)
-                self._last = self._check_motion(wish, heard, now, self._last)
+                self._check_sensors(sensors, now)
+                self._check_form(setpoint)
+                self._last = self._check_motion(setpoint, sensors, now, self._last)
         except Late:
             raise
         except BadCommand as error:
-            self.shut = str(error)
+            self.tripped = str(error)
             raise
-        return wish
+        return setpoint
 
     def _rest(self) -> tuple[Array, Array, Array]:
         return np.zeros(3), np.zeros(3), np.zeros(self.chain.n)
@@ -161,27 +162,27 @@ class SafetyMonitor:
             raise BadCommand("clock", "went back", "begin anew at the new time")
         self._now = now
 
-    def _check_heard(self, heard: SensorReadings, now: float) -> None:
+    def _check_sensors(self, sensors: SensorReadings, now: float) -> None:
         limits = self.limits
-        needed = [("joint_states", heard.joints_stamp), ("wrench", heard.wrench_stamp)]
+        needed = [("joint_states", sensors.joints_stamp), ("wrench", sensors.wrench_stamp)]
         letting_go = 0.0 <= now - self._let_go <= _LETTING_GO
         for what, stamp in needed[:1] if letting_go else needed:
             if not math.isfinite(stamp):
                 raise BadCommand(what, "its stamp is not finite", "see to its publisher")
-            if not abs(now - stamp) <= limits.stale:
-                age, limit = abs(now - stamp), limits.stale
+            if not abs(now - stamp) <= limits.timeout:
+                age, limit = abs(now - stamp), limits.timeout
                 raise Late(what, f"is {age:.3g} s off, {limit:g} s is the limit", "see that its publisher is alive")
         for name in self.chain.names:
-            if not math.isfinite(heard.joints.get(name, math.nan)):
+            if not math.isfinite(sensors.joints.get(name, math.nan)):
                 raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")
-        _require_rotation("measured tool", heard.T_base_tool)
+        _require_rotation("measured tool", sensors.T_base_tool)
         if letting_go:
             return
-        if heard.wrench_frame != self.tool_frame:
-            said = f"is in frame '{heard.wrench_frame}', not '{self.tool_frame}'"
+        if sensors.wrench_frame != self.tool_frame:
+            said = f"is in frame '{sensors.wrench_frame}', not '{self.tool_frame}'"
             raise BadCommand("wrench", said, "bring it there first")
-        _require_finite("wrench", heard.wrench, (6,))
-        if (refused := self.too_much(heard.wrench)) is not None:
+        _require_finite("wrench", sensors.wrench, (6,))
+        if (refused := self.too_much(sensors.wrench)) is not None:
             raise refused
 
     def too_much(self, wrench: Array) -> BadCommand | None:
@@ -195,35 +196,37 @@ class SafetyMonitor:
             return BadCommand("moment", said, "see what holds the object")
         return None
 
-    def _check_form(self, wish: ArmSetpoint) -> None:
+    def _check_form(self, setpoint: ArmSetpoint) -> None:
         chain, limits = self.chain, self.limits
-        if wish.frame != chain.base:
-            raise BadCommand("setpoint", f"is in frame '{wish.frame}', not '{chain.base}'", "give it in the base link")
-        if wish.names != chain.names:
+        if setpoint.frame != chain.base:
+            raise BadCommand(
+                "setpoint", f"is in frame '{setpoint.frame}', not '{chain.base}'", "give it in the base link"
+            )
+        if setpoint.names != chain.names:
             raise BadCommand("setpoint", "names other joints than the arm has", "name the chain's, in its order")
         n = chain.n
         for what, array, shape in (
-            ("pose", wish.pose, (4, 4)),
-            ("joints", wish.q, (n,)),
-            ("joint speeds", wish.velocity, (n,)),
-            ("wrench", wish.wrench, (6,)),
-            ("stiffness", wish.stiffness, (6,)),
+            ("pose", setpoint.pose, (4, 4)),
+            ("joints", setpoint.q, (n,)),
+            ("joint speeds", setpoint.velocity, (n,)),
+            ("wrench", setpoint.wrench, (6,)),
+            ("stiffness", setpoint.stiffness, (6,)),
         ):
             _require_finite(f"setpoint's {what}", array, shape)
-        _require_rotation("setpoint's pose", wish.pose)
+        _require_rotation("setpoint's pose", setpoint.pose)
         for what, array, (way, turn) in (
-            ("wrench", np.abs(wish.wrench), limits.wrench),
-            ("stiffness", wish.stiffness, limits.stiffness),
+            ("wrench", np.abs(setpoint.wrench), limits.wrench),
+            ("stiffness", setpoint.stiffness, limits.stiffness),
         ):
             if not (array.min() >= 0.0 and array[:3].max() <= way and array[3:].max() <= turn):
                 raise BadCommand(f"setpoint's {what}", f"is not within 0 and {way:g}, {turn:g}", "ask for less")
 
-    def _check_motion(self, wish: ArmSetpoint, heard: SensorReadings, now: float, last: _Last) -> _Last:
+    def _check_motion(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float, last: _Last) -> _Last:
         limits, chain = self.limits, self.chain
-        out = (wish.q < chain.lower) | (wish.q > chain.upper)
+        out = (setpoint.q < chain.lower) | (setpoint.q > chain.upper)
         if out.any():
             j = int(np.argmax(out))
-            said = f"{wish.q[j]:.4f} is outside {chain.lower[j]:.4f} to {chain.upper[j]:.4f}"
+            said = f"{setpoint.q[j]:.4f} is outside {chain.lower[j]:.4f} to {chain.upper[j]:.4f}"
             raise BadCommand(f"setpoint of joint {chain.names[j]}", said, "see to the arc")
         dt = now - last.now
         rates, before = last.rates, last.dt
@@ -232,40 +235,40 @@ class SafetyMonitor:
         if not dt > 0.0:
             raise BadCommand("setpoint", "is the second at one time", "wait for the clock")
         new = (
-            (wish.pose[:3, 3] - last.pose[:3, 3]) / dt,
-            _turn(last.pose, wish.pose) / dt,
-            (wish.q - last.q) / dt,
+            (setpoint.pose[:3, 3] - last.pose[:3, 3]) / dt,
+            _turn(last.pose, setpoint.pose) / dt,
+            (setpoint.q - last.q) / dt,
         )
         # neither over this step nor over the middle of two
         span = min(dt, 0.5 * (dt + before))
         for what, now_, then, speed, change in (
             ("tool", new[0], rates[0], limits.speed, limits.acceleration),
-            ("turning tool", new[1], rates[1], limits.turning, limits.turning_acceleration),
+            ("turning tool", new[1], rates[1], limits.angular_speed, limits.angular_acceleration),
         ):
             _require_most(f"speed of the {what}", _norm(now_), speed)
             _require_most(f"acceleration of the {what}", _norm(now_ - then) / span, change)
         if not math.isnan(self._let_go):
-            T, way, turning = heard.T_base_tool, limits.acceleration, limits.turning_acceleration
+            T, way, turning = sensors.T_base_tool, limits.acceleration, limits.angular_acceleration
             lead, brake = last.pose[:3, 3] - T[:3, 3], _BRAKES * span
             _require_back("setpoint", lead, new[0], rates[0], _AT_TOOL[0], brake * way)
             _require_back("turn of the setpoint", _turn(T, last.pose), new[1], rates[1], _AT_TOOL[1], brake * turning)
         for what, values, most in (
             ("speed", np.abs(new[2]), limits.joint_speed),
-            ("named speed", np.abs(wish.velocity), limits.joint_speed),
+            ("named speed", np.abs(setpoint.velocity), limits.joint_speed),
             ("acceleration", np.abs(new[2] - rates[2]) / span, limits.joint_acceleration),
         ):
             j = int(np.argmax(values / most))
             _require_most(f"{what} of joint {chain.names[j]}", float(values[j]), float(most[j]))
-        way, turn = speeds(heard.T_base_tool, wish.pose)
+        way, turn = speeds(sensors.T_base_tool, setpoint.pose)
         _require_most("distance of the setpoint from the tool", way, limits.displacement)
-        _require_most("turn of the setpoint from the tool", turn, limits.turn)
-        T, J = pose_and_jacobian(chain, wish.q)
-        way, turn = speeds(T, wish.pose)
-        _require_most("distance of the pose from where the joints put it", way, limits.apart)
-        _require_most("turn of the pose from where the joints put it", turn, 5.0 * limits.apart)
+        _require_most("turn of the setpoint from the tool", turn, limits.rotation)
+        T, J = pose_and_jacobian(chain, setpoint.q)
+        way, turn = speeds(T, setpoint.pose)
+        _require_most("distance of the pose from where the joints put it", way, limits.consistency)
+        _require_most("turn of the pose from where the joints put it", turn, 5.0 * limits.consistency)
         if chain.n >= 6:
             self._check_gain(J)
-        return _Last(now, np.array(wish.pose), np.array(wish.q), dt, new)
+        return _Last(now, np.array(setpoint.pose), np.array(setpoint.q), dt, new)
 
     def _check_gain(self, J: Array) -> None:
         A = J @ J.T

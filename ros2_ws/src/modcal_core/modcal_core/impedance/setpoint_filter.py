@@ -67,8 +67,8 @@ class SetpointFilter:
         turn = _approach(
             R @ rotation_vector(R.T @ goal[:3, :3]),
             self._rates[3:],
-            _SHARE * limits.turning,
-            _SHARE * limits.turning_acceleration,
+            _SHARE * limits.angular_speed,
+            _SHARE * limits.angular_acceleration,
             h,
             span,
         )

@@ -1,6 +1,6 @@
 """How fast to go on along a path, and whether anything moves at all.
 
-A force that rises slows the pace down before it becomes too much: full speed up to ``slow``, none from ``most`` on.
+A force that rises slows the pace down before it becomes too much: full speed up to ``slowdown``, none from ``stop`` on.
 With the damping B of the impedance law, something that does not give way is then pushed with the force at which B times
 the pace is that force, whatever the arm's stiffness.
 
@@ -28,29 +28,29 @@ _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 
 
 @dataclass(frozen=True)
-class Patience:
-    """slow, most: force [N] and moment [N m] at which the pace begins to fall, and at which it is zero.
+class GovernorSettings:
+    """slowdown, stop: force [N] and moment [N m] at which the pace begins to fall, and at which it is zero.
 
-    last: force that a hard stop may come to [N], against the stiffness ``hand`` of hand, arm and object together [N/m].
+    max_force: force that a hard stop may come to [N]. contact_stiffness: of hand, arm and object together [N/m].
     still_m: way [m] that counts as having moved. still_s: how long nothing may move under nearly the most force, or
-    with the expected pose ``lead`` [m] ahead [s]. give_up_s: or under any force.
+    with the expected pose ``max_lead`` [m] ahead [s]. give_up_s: or under any force.
     """
 
-    slow: tuple[float, float] = (15.0, 6.0)
-    most: tuple[float, float] = (35.0, 14.0)
-    last: float = 50.0
-    hand: float = 15e3
+    slowdown: tuple[float, float] = (15.0, 6.0)
+    stop: tuple[float, float] = (35.0, 14.0)
+    max_force: float = 50.0
+    contact_stiffness: float = 15e3
     still_m: float = 0.002
     still_s: float = 1.0
     give_up_s: float = 8.0
-    lead: float = 0.08
+    max_lead: float = 0.08
 
     def share(self, F: Array) -> float:
         """Share of the full speed, 0 … 1, at a force and moment F (6,)."""
         force, moment = math.sqrt(F[:3] @ F[:3]), math.sqrt(F[3:] @ F[3:])
         left = [
             (most - value) / (most - slow)
-            for value, slow, most in zip((force, moment), self.slow, self.most, strict=True)
+            for value, slow, most in zip((force, moment), self.slowdown, self.stop, strict=True)
         ]
         return min(max(min(left), 0.0), 1.0)
 
@@ -76,15 +76,15 @@ class ForcePrediction:
 class SpeedGovernor:
     """The speed along the path [m/s], which gathers gently and brakes hard."""
 
-    def __init__(self, patience: Patience, gather: float = 0.15, brake: float = 2.0) -> None:
+    def __init__(self, settings: GovernorSettings, gather: float = 0.15, brake: float = 2.0) -> None:
         """Standing. gather, brake: [m/s²]."""
-        self.patience, self._gather, self._brake = patience, gather, brake
+        self.settings, self._gather, self._brake = settings, gather, brake
         self.speed = 0.0
         self._mark = (math.nan, 0.0)
 
     def step(self, wanted: float, F: Array, h: float) -> float:
         """The way [m] to go on in h seconds, where a speed is wanted [m/s] and a force F (6,) is met."""
-        aim = wanted * self.patience.share(F)
+        aim = wanted * self.settings.share(F)
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
 
@@ -93,7 +93,7 @@ class SpeedGovernor:
 
         delay: how long it goes on as it does before it brakes [s]. Solves F + K (v T + v²/2a) = F_last.
         """
-        way = max(self.patience.last - force, 0.0) / self.patience.hand
+        way = max(self.settings.max_force - force, 0.0) / self.settings.contact_stiffness
         slow = self._brake * delay
         return math.sqrt(slow * slow + 2.0 * self._brake * way) - slow
 
@@ -110,8 +110,8 @@ class SpeedGovernor:
     def stuck(self, way: float, lead: float, F: Array, now: float) -> bool:
         """Whether nothing has moved for too long: way, measured along the path, and lead of the expected pose [m]."""
         since, mark = self._mark
-        if not math.isfinite(since) or abs(way - mark) > self.patience.still_m:
+        if not math.isfinite(since) or abs(way - mark) > self.settings.still_m:
             self._mark = now, way
             return False
-        pushed = self.patience.share(F) < 0.25 or lead > self.patience.lead
-        return now - since > (self.patience.still_s if pushed else self.patience.give_up_s)
+        pushed = self.settings.share(F) < 0.25 or lead > self.settings.max_lead
+        return now - since > (self.settings.still_s if pushed else self.settings.give_up_s)

@@ -12,7 +12,7 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Gains
-from modcal_core.impedance.speed_governor import Patience
+from modcal_core.impedance.speed_governor import GovernorSettings
 from modcal_core.impedance.wrench import DOWN
 
 Mode = Literal["expected", "admittance"]
@@ -64,20 +64,21 @@ class ImpedanceTask:
 
     direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
     be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
-    never both. exploring, speed: of the tool while the way is unknown, and once it is known [m/s]. explore: longest way
-    that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the pull, across it, and turning.
+    never both. exploration_speed, speed: of the tool while the way is unknown, and once it is known [m/s].
+    max_exploration: longest way that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the
+    pull, across it, and turning.
     stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
     servo_lag: how far ahead of the arm a setpoint is that moves steadily [s], and so how late the arm stops.
-    down (3,): gravity in the base [m/s²]. patience_s: longest silence of an input before it is the end [s].
+    gravity (3,): gravity in the base [m/s²]. input_timeout_s: longest silence of an input before it is the end [s].
     """
 
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     goal_rad: float = math.radians(60.0)
     goal_m: float = 0.3
     mode: Mode = "admittance"
-    exploring: float = 0.03
+    exploration_speed: float = 0.03
     speed: float = 0.06
-    explore: float = 0.25
+    max_exploration: float = 0.25
     mass: tuple[float, float, float] = (10.0, 10.0, 1.0)
     damping: tuple[float, float, float] = (1000.0, 1000.0, 80.0)
     stiffness: tuple[float, float, float] = (1000.0, 300.0, 20.0)
@@ -85,9 +86,9 @@ class ImpedanceTask:
     blend: float = 0.5
     tare_s: float = 0.5
     servo_lag: float = 0.03
-    down: Array = field(default_factory=lambda: DOWN.copy())
-    patience: Patience = field(default_factory=Patience)
-    patience_s: float = 1.0
+    gravity: Array = field(default_factory=lambda: DOWN.copy())
+    governor: GovernorSettings = field(default_factory=GovernorSettings)
+    input_timeout_s: float = 1.0
 
     def gains(self, along: Array) -> Gains:
         """The impedance's gains with their first axis along a direction (3,), seen from the tool."""

@@ -148,7 +148,7 @@ class WrenchSensor:
         self._raw = np.zeros(6)
         self.force = np.zeros(6)
 
-    def hear(self, frame: str, wrench: ArrayLike, stamp: float, now: float, stale: float) -> None:
+    def receive(self, frame: str, wrench: ArrayLike, stamp: float, now: float, stale: float) -> None:
         """Take a reading (6,) in a frame, made at ``stamp`` and heard ``now`` [s]. Raises BadCommand for a bad one."""
         w = np.array(wrench, dtype=float)
         if frame not in self._adjoints:

@@ -88,8 +88,8 @@ def as_recording(samples: Samples, names: tuple[str, ...]) -> Recording:
     for f, frame in enumerate(samples.frames):
         for kind in samples.kinds:
             rows = (samples.frame == f) & (samples.kind == kind)
-            T = se3.transform(samples.R[rows], samples.position[rows])
-            values = se3.to_pose(T) if kind == POSE else samples.position[rows]
+            T = se3.transform(samples.R[rows], samples.reading[rows])
+            values = se3.to_pose(T) if kind == POSE else samples.reading[rows]
             readings.append(ReadingTrack(kind, frame, samples.stamps[rows], values, unknown[rows], "readings"))
     return Recording((joints,), tuple(readings), samples.signals, source="arrays")
 

@@ -34,7 +34,7 @@ class Samples:
     q: joint positions [rad, m], (N, n), columns in the order of ``names``.
     stamps: [s], (N,). station: number of the dwell or moment; readings of one station share it, and splits keep them
     together. frame: index into ``frames``. kind: "pose", "point" or another (see measurements/kinds).
-    position: reading in its frame [m], (N, 3); of other kinds their one to three numbers, zeros behind them.
+    reading: in its frame [m], (N, 3); of other kinds their one to three numbers, zeros behind them.
     R: orientation reading, (N, 3, 3), identity where there is none.
     sigma_position [m, or the kind's unit], sigma_rotation [rad]: standard deviation of the reading per axis, (N,), NaN
     where unknown.
@@ -55,7 +55,7 @@ class Samples:
     station: np.ndarray
     frame: np.ndarray
     kind: np.ndarray
-    position: Array
+    reading: Array
     R: Array
     sigma_position: Array
     sigma_rotation: Array
@@ -205,7 +205,7 @@ class Samples:
         rows = self.frame == frame
         if (self.kind[rows] != POINT).any() or rows.sum() < 2:
             return False
-        return bool(np.ptp(self.position[rows], axis=0).max() == 0.0)
+        return bool(np.ptp(self.reading[rows], axis=0).max() == 0.0)
 
 
 _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)

@@ -38,7 +38,7 @@ class TrackSamples:
 
     q: Array
     stamps: Array
-    position: Array
+    reading: Array
     R: Array
     sigma_position: Array
     sigma_rotation: Array
@@ -82,7 +82,7 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
         station=_number(stamps),
         frame=np.repeat([frames.index(track.frame) for track in tracks], [len(p.q) for p in pieces]),
         kind=np.repeat(np.array([track.kind for track in tracks], dtype=KIND_NAMES), [len(p.q) for p in pieces]),
-        position=np.concatenate([p.position for p in pieces]),
+        reading=np.concatenate([p.reading for p in pieces]),
         R=np.concatenate([p.R for p in pieces]),
         sigma_position=np.concatenate([p.sigma_position for p in pieces]),
         sigma_rotation=np.concatenate([p.sigma_rotation for p in pieces]),

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import INSTRUMENT, Parameter
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -51,8 +51,8 @@ class Seen:
 class ChangeDetector:
     """Watches the residuals of a model that is trusted."""
 
-    def __init__(self, model: Model, parameters: Sequence[Parameter], covariance: Array, spread: Spread) -> None:
-        """covariance: of the parameters, (P, P); what effects add to it is left out. spread: of the fit."""
+    def __init__(self, model: Model, parameters: Sequence[Parameter], covariance: Array, noise: NoiseModel) -> None:
+        """covariance: of the parameters, (P, P); what effects add to it is left out. noise: of the fit."""
         self.model = model
         self.directions = all_directions(model)
         names = {(p.place, p.direction, p.frame): i for i, p in enumerate(self.directions)}
@@ -62,7 +62,7 @@ class ChangeDetector:
             [names[p.place, p.direction, p.frame] for p in (parameters[i] for i in moving)], dtype=int
         )
         self._covariance = covariance[np.ix_(moving, moving)]
-        self._spread = spread
+        self._noise_model = noise
         self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
         self.seen: list[Seen] = []
         self.largest = 0.0
@@ -85,8 +85,8 @@ class ChangeDetector:
     def _whitened(self, sample: Samples) -> Seen:
         r, J = self._frozen(sample)
         known_p, known_r = sample.sigma_position[0], sample.sigma_rotation[0]
-        variance = np.full(len(r), self._spread.position**2 + (known_p**2 if np.isfinite(known_p) else 0.0))
-        variance[3:] = self._spread.rotation**2 + (known_r**2 if np.isfinite(known_r) else 0.0)
+        variance = np.full(len(r), self._noise_model.position**2 + (known_p**2 if np.isfinite(known_p) else 0.0))
+        variance[3:] = self._noise_model.rotation**2 + (known_r**2 if np.isfinite(known_r) else 0.0)
         part = J[:, self._known]
         L = np.linalg.cholesky(part @ self._covariance @ part.T + np.diag(variance))
         residual, motions = np.linalg.solve(L, r), np.linalg.solve(L, J)

@@ -59,13 +59,13 @@ class _Hypothesis:
         return f"{self.place} {self.direction} by {self.driver}"
 
 
-def suspect(watch: ChangeDetector, since: float) -> ChangeHypothesis:
+def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
     """The hypothesis that explains best what the watch has seen since this stamp [s]."""
-    seen = [s for s in watch.seen if s.stamp >= since]
+    seen = [s for s in detector.seen if s.stamp >= since]
     residual = np.stack([s.residual for s in seen])
     total = float(np.sum(residual**2))
     judged = []
-    for hypothesis in _hypotheses(watch, seen):
+    for hypothesis in _hypotheses(detector, seen):
         A = hypothesis.columns.transpose(0, 2, 1).reshape(-1, hypothesis.columns.shape[1])
         values = np.linalg.lstsq(A, residual.ravel(), rcond=1e-8)[0]
         gain = total - float(np.sum((residual.ravel() - A @ values) ** 2))
@@ -79,12 +79,12 @@ def suspect(watch: ChangeDetector, since: float) -> ChangeHypothesis:
     return ChangeHypothesis(best.place, best.direction, best.driver, since, size, gain, total, rivals)
 
 
-def _hypotheses(watch: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
-    chain = watch.model.serial
-    n, F = chain.n, len(watch.model.frames)
+def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
+    chain = detector.model.serial
+    n, F = chain.n, len(detector.model.frames)
     motions = np.stack([s.motions for s in seen])  # (m, 6, C)
     lengths = np.stack([s.unwhitened[:3] for s in seen])  # (m, 3, C)
-    columns = {(p.place, p.direction, p.frame): i for i, p in enumerate(watch.directions)}
+    columns = {(p.place, p.direction, p.frame): i for i, p in enumerate(detector.directions)}
     t = np.array([s.stamp for s in seen])
     growing = (t - t[0]) / max(float(np.ptp(t)), 1e-9)
 
@@ -112,7 +112,7 @@ def _hypotheses(watch: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypoth
             if k > 0:
                 yield _Hypothesis(name, "axis", driver, *of(k, axis, scale))
         if F > 1:
-            for f, name in enumerate(watch.model.frames):
+            for f, name in enumerate(detector.model.frames):
                 only = np.array([int(s.sample.frame[0]) == f for s in seen], dtype=float)
                 yield _Hypothesis(name, "all", driver, *of(0, every, only if scale is None else only * scale, f))
     load = payload_wrench(chain, np.concatenate([s.sample.q for s in seen]))

@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.calibration.identify import priors
 from modcal_core.calibration.linearise import RowView, linearise, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import HUBER_Z, Spread, robust_weights, score_of_one
+from modcal_core.calibration.noise import HUBER_Z, NoiseModel, robust_weights, score_of_one
 from modcal_core.calibration.parameters import Parameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.effects.effect import place_index
@@ -55,7 +55,7 @@ class RandomWalk:
     metres: float
     radians: float
 
-    def ways(
+    def directions(
         self, model: Model, parameters: Sequence[Parameter], count: int, views: Sequence[View]
     ) -> tuple[Array, Array]:
         """How the values (count,) change with each motion of the places, (count, 6 m), and how fast, (6 m,).
@@ -69,9 +69,9 @@ class RandomWalk:
         J = linearise(bare, parameters, np.zeros(len(parameters)), samples).J
         seen = RowView.of(bare, samples, bare.drivers(samples))
         moved = [seen.unit_column(place_index(place, model.chain), d) for place in self.places for d in range(6)]
-        ways = np.zeros((count, len(moved)))
-        ways[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
-        return ways, np.tile([self.metres] * 3 + [self.radians] * 3, len(self.places))
+        directions = np.zeros((count, len(moved)))
+        directions[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
+        return directions, np.tile([self.metres] * 3 + [self.radians] * 3, len(self.places))
 
 
 class Estimator:
@@ -85,24 +85,24 @@ class Estimator:
         self,
         model: Model,
         parameters: Sequence[Parameter],
-        spread: Spread,
+        noise: NoiseModel,
         covariance: Array | None = None,
-        wander: RandomWalk | None = None,
+        random_walk: RandomWalk | None = None,
         kind: str = POSE,
         robust: bool = True,
         kept: int = KEPT,
     ) -> None:
         """Begin at a model.
 
-        spread: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
-        known; None: the priors of a batch fit. wander: what may change with time. kind: of the readings. robust:
+        noise: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
+        known; None: the priors of a batch fit. random_walk: what may change with time. kind: of the readings. robust:
         mistrust samples that do not fit. kept: samples that are linearised again when the estimate moves; none with
-        ``wander``, which has an order.
+        ``random_walk``, which has an order.
         """
-        self.start, self.parameters, self.spread = model, tuple(parameters), spread
+        self.start, self.parameters, self.noise = model, tuple(parameters), noise
         self.names = (*(p.name for p in parameters), *_effect_names(model))
         self._robust = robust
-        self._kept_most = 0 if wander else kept
+        self._kept_most = 0 if random_walk else kept
         effects = np.concatenate([np.zeros(0), *(e.values for e in model.effects)])
         begin = np.concatenate([np.zeros(len(parameters)), effects])
         if covariance is None:
@@ -118,7 +118,7 @@ class Estimator:
         self._weights: list[float] = []
         self._rows: list[Rows] = []  # of each that is kept, linearised at the point
         views = [View(kind, f) for f in range(len(model.frames))]
-        self._ways = wander.ways(model, self.parameters, len(begin), views) if wander else None
+        self._directions = random_walk.directions(model, self.parameters, len(begin), views) if random_walk else None
         self._stamp = -np.inf
         self.taken, self.rejected = 0, 0
 
@@ -141,7 +141,7 @@ class Estimator:
         """Take in one sample (a row), and say how well it fitted."""
         if self._unprimed:
             self._take_priors(sample)
-        self._let_wander(float(sample.stamps[0]))
+        self._grow_covariance(float(sample.stamps[0]))
         if self._frozen is None:
             self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
@@ -159,7 +159,7 @@ class Estimator:
             self._keep(sample, weight, rows)
         return Update(score, weight)
 
-    def settle(self) -> int:
+    def relinearise(self) -> int:
         """Linearise the kept samples again until the estimate stands; returns how often that was needed."""
         for done in range(_ROUNDS):
             if not self._kept or self._apart(self.values - self._point) < 1e-3 * _MOVED:
@@ -173,17 +173,17 @@ class Estimator:
         self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
         self._unprimed = False
 
-    def _let_wander(self, stamp: float) -> None:
+    def _grow_covariance(self, stamp: float) -> None:
         passed = stamp - self._stamp
         self._stamp = max(stamp, self._stamp)
-        if self._ways is not None and np.isfinite(passed) and passed > 0.0:
-            ways, rates = self._ways
-            self._now = self._now.grown(ways, rates**2 * passed)
+        if self._directions is not None and np.isfinite(passed) and passed > 0.0:
+            directions, rates = self._directions
+            self._now = self._now.grown(directions, rates**2 * passed)
 
     def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
-        position = hypot(self.spread.position, _known(sample.sigma_position[0]))
-        rotation = hypot(self.spread.rotation, _known(sample.sigma_rotation[0]))
+        position = hypot(self.noise.position, _known(sample.sigma_position[0]))
+        rotation = hypot(self.noise.rotation, _known(sample.sigma_rotation[0]))
         return np.array([position] * 3 + [rotation] * (rows - 3))
 
     def _judged(self, square: float, rows: int) -> tuple[float, float]:
@@ -224,8 +224,8 @@ class Estimator:
         together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose
-        deviation_p = np.hypot(self.spread.position, np.nan_to_num(together.sigma_position))
-        deviation_r = np.hypot(self.spread.rotation, np.nan_to_num(together.sigma_rotation[pose]))
+        deviation_p = np.hypot(self.noise.position, np.nan_to_num(together.sigma_position))
+        deviation_r = np.hypot(self.noise.rotation, np.nan_to_num(together.sigma_rotation[pose]))
         w = np.asarray(self._weights)
         scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
         assert len(scale) == 3 * N + 3 * int(pose.sum())

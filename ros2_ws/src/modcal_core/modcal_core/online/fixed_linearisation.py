@@ -57,7 +57,7 @@ class FixedLinearisation:
         twists, scale = motion(self._model.effects, at)
         f = frames(self._chain, sample.q, twists)
         T_root_place = np.concatenate([f.transform(k) for k in range(len(f.p))])
-        residual, J, reading = self._seen(sample, sample.position[0] / scale[0], _carried(T_root_place)[..., :6])
+        residual, J, reading = self._seen(sample, sample.reading[0] / scale[0], _carried(T_root_place)[..., :6])
         if self._effects:
             position, rotation = residual[:3, None], residual[3:, None].reshape(3, -1)
             view = RowView(sample, np.flatnonzero(sample.is_pose), f, position, rotation, reading[:, None])
@@ -78,7 +78,7 @@ class FixedLinearisation:
         outer = carried[1]
         for step, inner in zip(steps[1:], carried[2:], strict=True):
             outer = np.dot(step, outer, out=inner)
-        residual, J, _ = self._seen(sample, sample.position[0], carried)
+        residual, J, _ = self._seen(sample, sample.reading[0], carried)
         return residual, J
 
     def _seen(self, sample: Samples, position: Array, carried: Array) -> tuple[Array, Array, Array]:

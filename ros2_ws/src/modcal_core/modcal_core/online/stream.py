@@ -222,7 +222,7 @@ class SampleStream:
                 continue
             made = True
             mean = effort[(t >= start) & (t <= end)].mean(axis=0)
-            row = (piece.position[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
+            row = (piece.reading[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
             self._emit(kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=mean, approach=ended.approach)
         if made:
             self._station += 1
@@ -301,7 +301,7 @@ class SampleStream:
                 station=np.array([self._station]),
                 frame=np.array([self.frames.index(frame)]),
                 kind=np.array([kind], dtype=KIND_NAMES),
-                position=np.array(position)[None],
+                reading=np.array(position)[None],
                 R=np.array(R)[None],
                 sigma_position=np.array([sigma_position]),
                 sigma_rotation=np.array([sigma_rotation]),

@@ -34,9 +34,9 @@ class Policy:
 class Supervisor:
     """Holds the trusted calibration and the candidate, and says when to solve."""
 
-    def __init__(self, policy: Policy, wander: RandomWalk | None = None) -> None:
+    def __init__(self, policy: Policy, random_walk: RandomWalk | None = None) -> None:
         self.policy = policy
-        self._wander = wander
+        self._random_walk = random_walk
         self.live: Live | None = None
         self.candidate: Calibration | None = None
         self.stations = 0
@@ -62,12 +62,12 @@ class Supervisor:
         """learning, trusted or suspected."""
         if self.live is None:
             return LEARNING
-        return SUSPECTED if self.suspicion else TRUSTED
+        return SUSPECTED if self.hypothesis else TRUSTED
 
     @property
-    def suspicion(self) -> ChangeHypothesis | None:
+    def hypothesis(self) -> ChangeHypothesis | None:
         """What seems to have changed since the model was trusted."""
-        return self.live.suspicion if self.live else None
+        return self.live.hypothesis if self.live else None
 
     @property
     def changed(self) -> float | None:
@@ -86,7 +86,7 @@ class Supervisor:
         """Whether it is time to calibrate again."""
         if self.live is None:
             return 0 < self._wait <= self.stations and self.candidate is None
-        return self.suspicion is not None and 0 < self._wait <= self.live.since
+        return self.hypothesis is not None and 0 < self._wait <= self.live.since
 
     def solved(self, calibration: Calibration, better: bool) -> bool:
         """Take a result; returns whether it is trusted from now on."""
@@ -112,7 +112,7 @@ class Supervisor:
 
     def trust(self, calibration: Calibration) -> None:
         """Trust this calibration, and watch it from now on."""
-        self.live = Live(calibration, self._wander)
+        self.live = Live(calibration, self._random_walk)
         self.candidate = None
         self._wait = self.policy.after_change
 

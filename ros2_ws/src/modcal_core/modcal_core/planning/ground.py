@@ -114,7 +114,7 @@ def survey(
     workspace = Workspace(*position_rows(model, parameters, inside, site.noise))
     known = None
     if besides is not None:
-        known = station_rows(model, parameters, besides, reading, site.noise, rows.spread)
+        known = station_rows(model, parameters, besides, reading, site.noise, rows.joint_variance)
     return Ground(
         model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares, known
     )

@@ -34,7 +34,7 @@ _MOST = 400  # stations
 
 
 @dataclass(frozen=True)
-class Wish:
+class PlanRequest:
     """What is asked of a plan.
 
     stations: how many; None: as many as the accuracy needs. accuracy: [m], of what measure says: ``rms`` or ``p95``.
@@ -65,7 +65,7 @@ class Plan:
     sets that were tried while looking for the number. values: of the criterion, one a start, then when refined.
     """
 
-    wish: Wish
+    request: PlanRequest
     ground: Ground
     q: Array
     route: Route
@@ -81,34 +81,34 @@ class Plan:
         return len(self.q) - len(self.route.returns)
 
 
-def plan(chain: Chain, site: Site, wish: Wish, rng: np.random.Generator) -> Plan:
+def plan(chain: Chain, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
-    if wish.stations is None and wish.accuracy is None:
+    if request.stations is None and request.accuracy is None:
         raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")
-    ground = survey(chain, site, rng, wish.reading, wish.fixed, wish.candidates, wish.besides)
-    good = criterion(wish.criterion, ground.workspace.gamma)
+    ground = survey(chain, site, rng, request.reading, request.fixed, request.candidates, request.besides)
+    good = criterion(request.criterion, ground.workspace.gamma)
     measured = 0 if ground.known is None else len(ground.known)
-    least = max(least_stations(len(ground.parameters), wish.reading) - measured, 1)
+    least = max(min_stations(len(ground.parameters), request.reading) - measured, 1)
     curve: tuple[tuple[int, Accuracy], ...] = ()
-    if wish.stations is None:
-        count, curve = _how_many(ground, wish, good, least, rng)
+    if request.stations is None:
+        count, curve = _how_many(ground, request, good, least, rng)
     else:
-        count = wish.stations
+        count = request.stations
         _require(count, least, len(ground.q))
-    best = chosen_stations(ground, count, good, wish.starts, rng)
-    if wish.stations is None:  # the quick search that said how many does not refine
+    best = chosen_stations(ground, count, good, request.starts, rng)
+    if request.stations is None:  # the quick search that said how many does not refine
         for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
             other = chosen_stations(ground, fewer, good, 1, rng)
-            if _measure(other.accuracy, wish) > _wished(wish):
+            if _measure(other.accuracy, request) > _requested(request):
                 break
             best = other
-        while _measure(best.accuracy, wish) > _wished(wish) and len(best.q) < len(ground.q):
+        while _measure(best.accuracy, request) > _requested(request) and len(best.q) < len(ground.q):
             best = chosen_stations(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
     count = len(best.q)
-    way = through(ground, best.q, wish.returns)
+    way = through(ground, best.q, request.returns)
     information = best.rows.information(np.arange(count)) + (0.0 if ground.given is None else ground.given)
     return Plan(
-        wish,
+        request,
         ground,
         best.q[way.order],
         way,
@@ -153,13 +153,15 @@ def refined(
         moved = np.clip(moved + size * rng.standard_normal(moved.shape), chain.lower, chain.upper)
         moved = moved[clearance(ground.spheres, site, moved) >= 0.0]
         moved = np.concatenate([q, moved[visible(ground.spheres, site, moved)]])
-        more = station_rows(ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.spread)
+        more = station_rows(
+            ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.joint_variance
+        )
         better = exchange(more, count, good, rng, begin=np.arange(count), given=ground.given)
         q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
     return q, rows, value
 
 
-def least_stations(parameters: int, reading: str) -> int:
+def min_stations(parameters: int, reading: str) -> int:
     """The fewest stations from which ``modcal calibrate`` fits so many parameters: it fits to a share of them first."""
     equations = SHARES[0] * (6.0 if reading == "pose" else 3.0)
     return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
@@ -185,26 +187,26 @@ def _require(count: int, least: int, there: int) -> None:
         )
 
 
-def _wished(wish: Wish) -> float:
-    assert wish.accuracy is not None
-    return wish.accuracy
+def _requested(request: PlanRequest) -> float:
+    assert request.accuracy is not None
+    return request.accuracy
 
 
-def _measure(accuracy: Accuracy, wish: Wish) -> float:
-    return accuracy.rms if wish.measure == "rms" else accuracy.p95
+def _measure(accuracy: Accuracy, request: PlanRequest) -> float:
+    return accuracy.rms if request.measure == "rms" else accuracy.p95
 
 
 def _how_many(
-    ground: Ground, wish: Wish, good: Criterion, least: int, rng: np.random.Generator
+    ground: Ground, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
 ) -> tuple[int, tuple[tuple[int, Accuracy], ...]]:
     """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
     most = min(_MOST, len(ground.q))
     _require(least, least, len(ground.q))
     floor = ground.workspace.accuracy(np.zeros((len(ground.parameters),) * 2))
-    if _measure(floor, wish) >= _wished(wish):
+    if _measure(floor, request) >= _requested(request):
         raise NotPlannable(
-            f"{wish.measure} of {1e3 * _wished(wish):.3g} mm",
-            f"what the joints do not repeat alone makes {1e3 * _measure(floor, wish):.3g} mm",
+            f"{request.measure} of {1e3 * _requested(request):.3g} mm",
+            f"what the joints do not repeat alone makes {1e3 * _measure(floor, request):.3g} mm",
             "ask for less, or correct the noise of the site",
         )
     tried: dict[int, Accuracy] = {}
@@ -213,14 +215,14 @@ def _how_many(
         if count not in tried:
             chosen = exchange(ground.rows, count, good, rng, *_QUICK, given=ground.given).chosen
             tried[count] = ground.accuracy(ground.rows.of(chosen))
-        return _measure(tried[count], wish) <= _wished(wish)
+        return _measure(tried[count], request) <= _requested(request)
 
     low, high = least, least
     while not enough(high):
         if high >= most:
             raise NotPlannable(
-                f"{wish.measure} of {1e3 * _wished(wish):.3g} mm",
-                f"{high} stations leave {1e3 * _measure(tried[high], wish):.3g} mm",
+                f"{request.measure} of {1e3 * _requested(request):.3g} mm",
+                f"{high} stations leave {1e3 * _measure(tried[high], request):.3g} mm",
                 "ask for less, take a better tracker, or read poses",
             )
         low, high = high, min(2 * high, most)

@@ -31,15 +31,15 @@ class StationRows:
 
     J: derivatives times the prior's standard deviations, over the readings' that the fit supposes, (N, c, P). noise:
     the true covariance of the readings in the same units, (N, c, c). scale: the prior's standard deviations, (P,)
-    [m, rad]. unrepeated: mean square of the distance [m²] by which the joints do not repeat, (N,). spread: variance
-    that the fit adds to each reading's own for it, (c,) [m², rad²].
+    [m, rad]. unrepeated: mean square of the distance [m²] by which the joints do not repeat, (N,). joint_variance: what
+    variance the fit adds to each reading's own for it, (c,) [m², rad²].
     """
 
     J: Array
     noise: Array
     scale: Array
     unrepeated: Array
-    spread: Array
+    joint_variance: Array
 
     def of(self, chosen: np.ndarray) -> StationRows:
         """These stations alone."""
@@ -72,11 +72,16 @@ class StationRows:
 
 
 def station_rows(
-    model: Model, parameters: Sequence[Parameter], q: Array, kind: str, noise: Noise, spread: Array | None = None
+    model: Model,
+    parameters: Sequence[Parameter],
+    q: Array,
+    kind: str,
+    noise: Noise,
+    joint_variance: Array | None = None,
 ) -> StationRows:
     """The rows of stations at postures q (N, n) [rad, m], read as points or poses through the model's one frame.
 
-    spread: that of other stations of the same fit; that of these where it is not given.
+    joint_variance: that of other stations of the same fit; that of these where it is not given.
     """
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
@@ -87,16 +92,18 @@ def station_rows(
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
     Jq = _by_station(np.stack([view.unit_column(k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
     unrepeated = np.sum(Jq[:, :3] ** 2, axis=(1, 2))
-    distance = np.linalg.norm(samples.position, axis=1)
+    distance = np.linalg.norm(samples.reading, axis=1)
     read = np.full((N, J.shape[1]), noise.rotation)
     read[:, :3] = (noise.position + noise.per_metre * distance)[:, None]
     # as a fit finds it: one number for all stations
-    if spread is None:
-        spread = np.repeat(np.mean(np.sum(Jq**2, axis=2).reshape(N, -1, 3), axis=(0, 2)), 3)
-    weight = 1.0 / np.sqrt(read**2 + spread)
+    if joint_variance is None:
+        joint_variance = np.repeat(np.mean(np.sum(Jq**2, axis=2).reshape(N, -1, 3), axis=(0, 2)), 3)
+    weight = 1.0 / np.sqrt(read**2 + joint_variance)
     R = Jq @ Jq.transpose(0, 2, 1)
     R[:, np.arange(J.shape[1]), np.arange(J.shape[1])] += read**2
-    return StationRows(J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, spread)
+    return StationRows(
+        J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, joint_variance
+    )
 
 
 def position_rows(model: Model, parameters: Sequence[Parameter], q: Array, noise: Noise) -> tuple[Array, Array]:

@@ -74,7 +74,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
             {
                 "station": int(report.samples.station[row]),
                 "stamp": float(report.samples.stamps[row]),
-                "miss_mm": 1e3 * float(report.missed[row]),
+                "miss_mm": 1e3 * float(report.residuals[row]),
             }
             for row in report.rejected_rows()
         ],

@@ -104,14 +104,14 @@ def error_histogram(report: Report) -> Chart | None:
 def spread_chart(report: Report) -> Chart | None:
     """How well each combination of parameters is known by the data alone."""
     seen = report.identifiability
-    if seen is None or not seen.spread:
+    if seen is None or not seen.deviations:
         return None
     figure, axes = small(4.6, 2.0)
-    spread = np.clip(np.array(seen.spread), 1e-9, 1e3)
-    count = np.arange(1, len(spread) + 1)
-    known = np.arange(len(spread)) < seen.rank
-    axes.semilogy(count[known], spread[known], "o", ms=3.0, color=LIGHT["after"])
-    axes.semilogy(count[~known], spread[~known], "x", ms=5.0, color=LIGHT["bad"])
+    deviations = np.clip(np.array(seen.deviations), 1e-9, 1e3)
+    count = np.arange(1, len(deviations) + 1)
+    known = np.arange(len(deviations)) < seen.rank
+    axes.semilogy(count[known], deviations[known], "o", ms=3.0, color=LIGHT["after"])
+    axes.semilogy(count[~known], deviations[~known], "x", ms=5.0, color=LIGHT["bad"])
     axes.minorticks_off()
     in_decades(axes.yaxis)
     axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")
@@ -127,11 +127,11 @@ def spread_chart(report: Report) -> Chart | None:
 def timeline(report: Report) -> Chart | None:
     """The stations in the order of their time, what each was used for, and those that were left out."""
     samples = report.samples
-    if not len(report.missed) or not len(samples):
+    if not len(report.residuals) or not len(samples):
         return None
     figure, axes = small(7.4, 2.3)
     wrong = report.wrong if len(report.wrong) == len(samples) else np.zeros(len(samples), bool)
-    miss, time = 1e3 * np.maximum(report.missed, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
+    miss, time = 1e3 * np.maximum(report.residuals, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
     sizes = report.set_sizes()
     for name, marker, colour in _SETS:
         rows = getattr(report.sets, name)

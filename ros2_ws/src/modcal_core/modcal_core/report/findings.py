@@ -134,7 +134,7 @@ def findings(
                 sampled=min(c.sampled for c in causes),
             )
         )
-    wrong = wrong & outlying(shipped, diagnosis.fit.spread, samples) & _certain(shipped, samples)
+    wrong = wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
@@ -184,5 +184,5 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     )
 
 
-def _rms(missed: Errors) -> float:
-    return float(np.sqrt(np.mean(missed.position_norm**2))) if len(missed.position) else float("nan")
+def _rms(residuals: Errors) -> float:
+    return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")

@@ -154,14 +154,14 @@ def _rejected(report: Report) -> dict[str, Any] | None:
     rows = report.rejected_rows()
     if not len(rows):
         return None
-    usual = 1e3 * float(np.median(report.missed[~report.wrong])) if (~report.wrong).any() else 0.0
+    usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
     start = float(report.samples.stamps.min())
     listed = [
         (
             int(report.samples.station[row]),
             float(report.samples.stamps[row]) - start,
-            1e3 * float(report.missed[row]),
-            1e3 * float(report.missed[row]) / max(usual, 1e-9),
+            1e3 * float(report.residuals[row]),
+            1e3 * float(report.residuals[row]) / max(usual, 1e-9),
         )
         for row in rows[:_MOST_LISTED]
     ]

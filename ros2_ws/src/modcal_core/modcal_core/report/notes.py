@@ -13,16 +13,16 @@ from modcal_core.measurements.samples import Samples
 def instrument_notes(fit: Fit) -> tuple[str, ...]:
     """For each kind of reading that is no position what it cannot see, and how it scatters about the model."""
     out = []
-    for name, size in fit.spread.others.items():
+    for name, size in fit.noise.others.items():
         kind = kinds()[name]
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
     return tuple(out)
 
 
-def moved_note(missed: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
+def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
     """A sentence for the person whose robot, tracker or tool stands elsewhere than when it was calibrated."""
-    size = missed.size_mm()
+    size = residuals.size_mm()
     limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
     if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
         return ()

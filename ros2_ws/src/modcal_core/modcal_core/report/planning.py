@@ -33,8 +33,8 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
     return {
         "modcal_plan": 1,
         "joints": list(plan.ground.model.chain.names),
-        "reading": plan.wish.reading,
-        "criterion": plan.wish.criterion,
+        "reading": plan.request.reading,
+        "criterion": plan.request.criterion,
         "parameters": [p.name for p in plan.ground.parameters],
         "expected_mm": _sizes(plan.accuracy),
         "random_expected_mm": _sizes(random),
@@ -69,9 +69,9 @@ def _middle(sets: Sequence[Accuracy]) -> Accuracy:
 
 def sentences(plan: Plan) -> list[str]:
     """What a person should know."""
-    wish, a, k = plan.wish, plan.accuracy, plan.distinct
-    more = "" if wish.besides is None else f" besides the {len(wish.besides)} that are measured"
-    asked = "" if wish.accuracy is None else f" are needed for {1e3 * wish.accuracy:.3g} mm ({wish.measure})"
+    request, a, k = plan.request, plan.accuracy, plan.distinct
+    more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
+    asked = "" if request.accuracy is None else f" are needed for {1e3 * request.accuracy:.3g} mm ({request.measure})"
     out = [
         f"{k} stations{more}{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
         f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."

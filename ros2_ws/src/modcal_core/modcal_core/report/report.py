@@ -53,8 +53,8 @@ class Report:
     parameters that say the same as others. notes: a sentence each, for a person.
 
     steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
-    for effects saw and what the last one did; empty where nothing was looked for. model: the final one. missed: how far
-    each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
+    for effects saw and what the last one did; empty where nothing was looked for. model: the final one. residuals: how
+    far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
     many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
     verdict has to know. judged: the verdict; None until it was made.
     """
@@ -74,7 +74,7 @@ class Report:
     steps: tuple[Step, ...] = ()
     evidence: tuple[EvidenceMap, ...] = ()
     model: Model | None = None
-    missed: Array = field(default_factory=lambda: np.empty(0))
+    residuals: Array = field(default_factory=lambda: np.empty(0))
     wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
     rejection: Rejected | None = None
     distances: tuple[KnownDistance, ...] = ()
@@ -136,7 +136,7 @@ class Report:
     def rejected_rows(self) -> np.ndarray:
         """Rows of the samples that were left out, the farthest first."""
         rows = np.flatnonzero(self.wrong)
-        return rows[np.argsort(-self.missed[rows], kind="stable")]
+        return rows[np.argsort(-self.residuals[rows], kind="stable")]
 
     def rejected_stations(self) -> int:
         """How many stations have a sample that was rejected."""

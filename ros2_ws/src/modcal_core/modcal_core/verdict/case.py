@@ -11,7 +11,7 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import Spread
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.split import Split
@@ -31,9 +31,9 @@ class Case:
 
     samples: all of them. wrong: those rejected (N,). held_out: rows that are scored, without those rejected. unit: what
     the split kept together, "station" or "block". model: the final one. known: covariance of its parameters and of the
-    values of its effects. spread: of its residuals when it was fitted.
-    errors: of the scored rows by stage. missed: of the final model at all samples. fitted: whether the parameters were
-    found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
+    values of its effects. noise: of its residuals when it was fitted.
+    errors: of the scored rows by stage. residuals: of the final model at all samples. fitted: whether the parameters
+    were found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
     """
 
     samples: Samples
@@ -42,9 +42,9 @@ class Case:
     unit: str
     model: Model
     known: Uncertainty
-    spread: Spread
+    noise: NoiseModel
     errors: dict[str, Errors]
-    missed: Errors
+    residuals: Errors
     fitted: bool
 
     @property
@@ -66,8 +66,8 @@ def fitted_case(
     part = replace(fit, weights=fit.weights[rows] * (len(sets.train) / max(len(rows), 1)))
     known = uncertainty(fit.model, samples.select(sets.train[rows]), fit.parameters, part, distances)
     held_out = sets.held_out[~wrong[sets.held_out]]
-    missed = errors(fit.model, samples)
-    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.spread, left, missed, fitted=True)
+    residuals = errors(fit.model, samples)
+    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.noise, left, residuals, fitted=True)
 
 
 def frozen_case(
@@ -91,9 +91,9 @@ def frozen_case(
         train[rows] = False
         part = np.flatnonzero(train)
         part = part[np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST_REFITTED)).astype(int))]
-        known = _refitted(known, model, samples.select(part), calibration.spread, refit_base, refit_tool)
-    missed = errors(model, samples)
-    return Case(samples, wrong, rows, unit, model, known, calibration.spread, left, missed, fitted=False)
+        known = _refitted(known, model, samples.select(part), calibration.noise, refit_base, refit_tool)
+    residuals = errors(model, samples)
+    return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, fitted=False)
 
 
 def _carried(calibration: Calibration, model: Model) -> Uncertainty:
@@ -114,7 +114,7 @@ def _carried(calibration: Calibration, model: Model) -> Uncertainty:
 
 
 def _refitted(
-    known: Uncertainty, model: Model, samples: Samples, spread: Spread, refit_base: bool, refit_tool: bool
+    known: Uncertainty, model: Model, samples: Samples, noise: NoiseModel, refit_base: bool, refit_tool: bool
 ) -> Uncertainty:
     """The same where base or tool were found again from some samples, with the arm as it was calibrated.
 
@@ -129,7 +129,7 @@ def _refitted(
     rows = np.r_[np.flatnonzero(~np.array(again, bool)), len(again) : len(known.covariance)].astype(int)
     arm = tuple(p for p, a in zip(known.parameters, again, strict=True) if not a)
     _, J = derivatives(model, (*free, *arm), samples)
-    J = (J * weights(spread, samples)).reshape(len(J), -1)
+    J = (J * weights(noise, samples)).reshape(len(J), -1)
     F = len(free)
     inverse = np.linalg.inv(J[:F] @ J[:F].T + np.eye(F) / _WIDE**2)
     B = inverse @ (J[:F] @ J[F:].T)
@@ -137,11 +137,11 @@ def _refitted(
     return Uncertainty((*free, *arm), np.block([[B @ C @ B.T + inverse, -B @ C], [-C @ B.T, C]]))
 
 
-def weights(spread: Spread, samples: Samples) -> Array:
+def weights(noise: NoiseModel, samples: Samples) -> Array:
     """Inverse deviations of the readings, (6, N); zero where there is no orientation."""
     known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation)
-    position = 1.0 / np.sqrt(spread.of(samples) ** 2 + known_p**2)
-    rotation = np.where(samples.is_pose, 1.0 / np.sqrt(spread.rotation**2 + known_r**2), 0.0)
+    position = 1.0 / np.sqrt(noise.of(samples) ** 2 + known_p**2)
+    rotation = np.where(samples.is_pose, 1.0 / np.sqrt(noise.rotation**2 + known_r**2), 0.0)
     return np.concatenate([np.tile(position, (3, 1)), np.tile(rotation, (3, 1))])
 
 

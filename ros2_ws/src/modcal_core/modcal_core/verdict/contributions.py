@@ -69,6 +69,6 @@ def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
     return float(square.mean()), (float(np.percentile(means, 2.5)), float(np.percentile(means, 97.5)))
 
 
-def mean_square(missed: Errors, angle: bool) -> Array:
+def mean_square(residuals: Errors, angle: bool) -> Array:
     """Squared errors, (N,) [mm²] or (M,) [deg²]."""
-    return np.degrees(missed.rotation_norm) ** 2 if angle else 1e6 * missed.position_norm**2
+    return np.degrees(residuals.rotation_norm) ** 2 if angle else 1e6 * residuals.position_norm**2

@@ -61,21 +61,21 @@ class Floors:
     contradictions: tuple[str, ...] = ()
 
 
-def floors(missed: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None) -> Floors:
+def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None) -> Floors:
     """The floors of these samples, from returns where there are enough, else as stated.
 
-    missed: errors of the final model at all samples. wrong: samples (N,) that were rejected, and show no floor.
+    residuals: errors of the final model at all samples. wrong: samples (N,) that were rejected, and show no floor.
     """
     stated = stated or Stated()
     visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
-    residual = 1e3 * missed.position
+    residual = 1e3 * residuals.position
     position = _of_returns(residual, visits, stated.instrument_mm)
     told = _stated(stated.rms_mm, stated.instrument_mm)
     against = (*_jumps(residual, visits, "mm"), *_beyond(position, told, "mm"))
     rotation = turned = None
     if samples.is_pose.any():
         angles = np.full((len(samples), 3), np.nan)
-        angles[samples.is_pose] = np.degrees(missed.rotation)
+        angles[samples.is_pose] = np.degrees(residuals.rotation)
         posed = tuple(rows[samples.is_pose[rows]] for rows in visits)
         posed = tuple(rows for rows in posed if len(rows) > 1)
         rotation = _of_returns(angles, posed, stated.instrument_deg)

@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.usual import averaged, outside_drivers
+from modcal_core.calibration.typical import averaged, outside_drivers
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.measurements.samples import Samples
@@ -43,10 +43,10 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
             effects.append(_by_gravity(effect))
             stood_in.append(effect.label)
         else:
-            usual = calibration.usual_of(i)
-            if usual is not None:
-                effects.append(averaged(effect, usual.mean))
-            cost = _all_together(calibration, samples) if usual is None else usual.cost
+            typical = calibration.typical_of(i)
+            if typical is not None:
+                effects.append(averaged(effect, typical.mean))
+            cost = _all_together(calibration, samples) if typical is None else typical.cost
             left.append(NotApplied(effect.label, why, 1e6 * cost))
     model = model.with_effects(tuple(effects))
     return Applied(model, tuple(left), (*_notes(left, stood_in), *_limits_note(model, calibration, samples)))

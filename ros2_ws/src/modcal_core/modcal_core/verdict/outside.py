@@ -27,7 +27,7 @@ def worse_outside(case: Case, known: Floors, outside: tuple[str, ...]) -> Iterat
     """
     if case.fitted or not outside:
         return
-    own = 1e6 * 3.0 * case.spread.position**2
+    own = 1e6 * 3.0 * case.noise.position**2
     square, (low, _) = resampled(mean_square(case.errors["final"], angle=False), case.samples.station[case.held_out])
     here = max(own, known.position.square if known.position else 0.0)
     if low > MOST_ABOVE_OWN * here + estimation(case)[0]:

@@ -68,7 +68,7 @@ def predictable(case: Case) -> Predictable:
     samples, unit = samples.select(order), unit[order]
     ends = np.searchsorted(fold[order], np.arange(FOLDS + 1))
 
-    weight = weights(case.spread, samples)
+    weight = weights(case.noise, samples)
     residual, J = derivatives(case.model, case.known.parameters, samples)
     layout = Layout.of(ends, weight > 0.0)
     r = layout.flat(_drawn_in(residual * weight))

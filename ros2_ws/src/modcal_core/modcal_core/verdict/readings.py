@@ -57,7 +57,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
     """
     if len(samples) < _LEAST or not is_direct(samples.kinds) or all(f in samples.sockets for f in samples.frames):
         return ()
-    step = _step(samples.position)
+    step = _step(samples.reading)
     for stage, model, limit in (
         ("nominal", "nominal model", max(FINEST, step)),
         ("final", "fitted model", FINEST),
@@ -104,7 +104,7 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     free = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]  # a socket reads zero
     if free.sum() < _LEAST or not is_direct(samples.kinds):
         return ()
-    position = samples.position[free]
+    position = samples.reading[free]
     step = max(_step(position), min(_lattice(column) for column in position.T))
     made, of = step / 2.0, _rms(left.position_norm[free])
     how = f"{1e3 * step:.3g} mm"
@@ -194,7 +194,7 @@ def repeated(samples: Samples) -> tuple[str, ...]:
         if frame in samples.sockets or len(rows) < _REPEATED:
             continue
         rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
-        q, p = samples.q[rows], samples.position[rows]
+        q, p = samples.q[rows], samples.reading[rows]
         moved = np.abs(np.diff(q, axis=0)).max(axis=1)
         seen = np.linalg.norm(np.diff(p, axis=0), axis=1)
         stale, frozen = (seen == 0.0) & (moved > _MOVED), (moved == 0.0) & (seen > _SEEN)
@@ -215,7 +215,7 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")))
         if frame in samples.sockets or len(rows) < _LEAST:
             continue
-        lost = _same_everywhere(samples.position[rows])
+        lost = _same_everywhere(samples.reading[rows])
         if lost is not None:
             where, count = lost
             out.append(
@@ -223,7 +223,7 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
                 f"{len(rows)} stations: that is no reading (a lost beam, a default). Leave these stations out."
             )
             continue
-        for axis, column in zip("xyz", samples.position[rows].T, strict=True):
+        for axis, column in zip("xyz", samples.reading[rows].T, strict=True):
             values, counts = np.unique(column, return_counts=True)
             most = int(np.argmax(counts))
             if counts[most] < max(_PILED, _PILED_SHARE * len(rows)) or (np.delete(counts, most) > 1).mean() > _ROUNDED:

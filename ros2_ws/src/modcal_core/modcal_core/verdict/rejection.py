@@ -30,17 +30,17 @@ class Rejected:
 
 
 def rejection(
-    missed: Errors, wrong: np.ndarray, samples: Samples, held_out: np.ndarray, frozen: bool = False
+    residuals: Errors, wrong: np.ndarray, samples: Samples, held_out: np.ndarray, frozen: bool = False
 ) -> Rejected:
     """What is rejected of these samples.
 
-    missed: errors of the samples held out. wrong: True for rejected samples, (N,). held_out: rows of those held out.
+    residuals: errors of the samples held out. wrong: True for rejected samples, (N,). held_out: rows of those held out.
     frozen: whether only those were judged.
     """
     kept = ~wrong[held_out]
     return Rejected(
-        _rms_mm(missed.position_norm),
-        _rms_mm(missed.position_norm[kept]),
+        _rms_mm(residuals.position_norm),
+        _rms_mm(residuals.position_norm[kept]),
         len(np.unique(samples.station[wrong])),
         len(np.unique(samples.station[held_out])) if frozen else samples.stations,
     )

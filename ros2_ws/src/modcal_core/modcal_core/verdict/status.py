@@ -43,7 +43,7 @@ def judge(
     if not len(case.held_out):
         return Verdict("cannot_tell", remedy="Record more stations: none was left for the score.")
     parts = contributions(case) if parts is None else parts
-    known = floors(case.missed, case.samples, case.wrong, stated)
+    known = floors(case.residuals, case.samples, case.wrong, stated)
     own = estimation(case)
     seen = predictable(case)
     angles = bool(case.samples.is_pose[case.held_out].any())

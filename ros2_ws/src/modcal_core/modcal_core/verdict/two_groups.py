@@ -76,7 +76,7 @@ def two_groups(case: Case) -> TwoGroups | None:
         return None
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
-    weight = weights(case.spread, samples)
+    weight = weights(case.noise, samples)
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
     residual = residual * weight

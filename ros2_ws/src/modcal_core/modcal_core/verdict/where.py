@@ -34,7 +34,7 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     seen = any(reason.kind == "predictable" for reason in judged.reasons)
     share = judged.predictable_both.share if seen and judged.predictable_both is not None else 1.0
     least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
-    found = dependence(case.model, samples, weights(case.spread, samples), fitted, least)
+    found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
     if found is not None:
@@ -86,6 +86,6 @@ def _apart(case: Case) -> Iterator[str]:
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
     if case.fitted:
         samples = case.samples.select(np.flatnonzero(case.wrong))
-        found = dependence(case.model, samples, weights(case.spread, samples))
+        found = dependence(case.model, samples, weights(case.noise, samples))
         if found is not None:
             yield f"What the rejected stations miss by {found.sentence}."

@@ -10,7 +10,7 @@ from modcal_core.measurements.dropouts import DAY, ELSEWHEN
 from modcal_core.measurements.dropped import UNUSABLE, Dropped, together
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.recalibrate import Remembered
+from modcal_core.recalibrate import SampleMemory
 from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_STATES
@@ -136,17 +136,17 @@ class Buffer:
         """Whether there are finished pieces that could be made into samples."""
         return bool(self._pieces)
 
-    def heard(self) -> Remembered:
+    def collected(self) -> SampleMemory:
         """Everything remembered."""
         self._take_early()
         open_pieces = [piece.recording() for piece in (self._before, self._now) if piece is not None]
-        return Remembered(
+        return SampleMemory(
             (*self._pieces, *(piece for piece in open_pieces if piece.joints)), self.samples, self.dropped
         )
 
-    def finished(self) -> Remembered:
+    def finished(self) -> SampleMemory:
         """Everything but the present piece."""
-        return Remembered(tuple(self._pieces), self.samples, self.dropped)
+        return SampleMemory(tuple(self._pieces), self.samples, self.dropped)
 
     def condensed(self, pieces: int, samples: Samples | None, dropped: Dropped = ()) -> None:
         """From now on these samples stand for what was remembered before and for so many of the oldest pieces.

@@ -54,15 +54,15 @@ def model_status(
         facts["status"] = standing.status
         facts["because"] = " ".join(standing.because)
     if supervisor.live is not None:
-        facts["largest sign of change"] = f"{supervisor.live.watch.largest:.1f}"
+        facts["largest sign of change"] = f"{supervisor.live.detector.largest:.1f}"
         facts["samples rejected"] = supervisor.live.estimator.rejected
     if candidate is not None:
         facts["candidate, error before [mm]"] = f"{1e3 * candidate.before:.4f}"
         facts["candidate, error after [mm]"] = f"{1e3 * candidate.after:.4f}"
     if trouble:
         return Status("model", ERROR, trouble, facts)
-    if supervisor.state == SUSPECTED and supervisor.suspicion is not None:
-        text = f"{supervisor.suspicion.sentence}; the last trusted model is still published"
+    if supervisor.state == SUSPECTED and supervisor.hypothesis is not None:
+        text = f"{supervisor.hypothesis.sentence}; the last trusted model is still published"
         return Status("model", WARN, text, facts)
     if standing is None:
         return Status("model", WARN, verdict, facts)
@@ -74,7 +74,7 @@ def collected(supervisor: Supervisor) -> str:
     """How far collecting is."""
     policy = supervisor.policy
     if supervisor.live is not None:
-        if supervisor.suspicion is not None and policy.after_change:
+        if supervisor.hypothesis is not None and policy.after_change:
             return f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved anew"
         return f"{supervisor.stations} stations"
     wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")

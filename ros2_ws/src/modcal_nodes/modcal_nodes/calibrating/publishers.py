@@ -48,16 +48,16 @@ class Publishers:
         if np.isfinite(comparison.before):
             self._before.publish(Float64(data=float(comparison.before)))
 
-    def change(self, suspicion: ChangeHypothesis) -> None:
+    def change(self, hypothesis: ChangeHypothesis) -> None:
         """Publish that something has changed, and what it may be; the model is not to be trusted blindly."""
         data = {
-            "place": suspicion.place,
-            "direction": suspicion.direction,
-            "driver": suspicion.driver,
-            "since_s": suspicion.since,
-            "size_mm": 1e3 * suspicion.size,
-            "same_as": list(suspicion.same_as),
-            "sentence": suspicion.sentence,
+            "place": hypothesis.place,
+            "direction": hypothesis.direction,
+            "driver": hypothesis.driver,
+            "since_s": hypothesis.since,
+            "size_mm": 1e3 * hypothesis.size,
+            "same_as": list(hypothesis.same_as),
+            "sentence": hypothesis.sentence,
         }
         self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
         self._trusted.publish(Bool(data=False))

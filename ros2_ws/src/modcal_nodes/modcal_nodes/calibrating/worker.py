@@ -16,7 +16,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
-from modcal_core.recalibrate import Comparison, Job, Remembered, resolve
+from modcal_core.recalibrate import Comparison, Job, SampleMemory, recalibrate
 from modcal_core.report.files import calibration_files
 from modcal_core.robots.chain import Chain
 from modcal_nodes.calibrating.standing import Standing, standing_of
@@ -41,7 +41,7 @@ class Solved:
 
 def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     """Calibrate and write the texts, report.html only if page. Raises ModcalError for data that cannot carry a fit."""
-    resolved = resolve(job)
+    resolved = recalibrate(job)
     report = resolved.report
     size = report.size_mm("final")
     return Solved(
@@ -55,7 +55,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     )
 
 
-def condense(heard: Remembered, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
+def condense(heard: SampleMemory, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
     """The samples of everything heard, at most so many, and what was left out. Raises ModcalError without any."""
     samples, _, lost = heard.prepared(chain, clock_limit, most)
     return samples, lost

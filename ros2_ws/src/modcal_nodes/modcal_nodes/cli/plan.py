@@ -13,7 +13,7 @@ from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
 from modcal_core.planning.ground import CANDIDATES
-from modcal_core.planning.plan import Plan, Wish, plan
+from modcal_core.planning.plan import Plan, PlanRequest, plan
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
@@ -101,13 +101,13 @@ def plan_command(
         raise BadTable("--stations", "goes with no --accuracy-mm", "give one of them")
     chain = read_robot(robot, base, tip)
     known = None if measured is None else read_stations(measured, chain)
-    wish = Wish(
+    request = PlanRequest(
         stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
         candidates, known, returns,
     )  # fmt: skip
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), wish, np.random.default_rng(seed))
+        found = plan(chain, site or Site(), request, np.random.default_rng(seed))
         out = out or Path(f"{robot.stem}_plan")
         watch("writing the plan")
         write_folder(out, _files(found, speed, dwell, robot.stem))

@@ -109,6 +109,6 @@ def read_samples(path: Path) -> Samples:
 
 
 _ARRAYS = (
-    *("q", "stamps", "station", "frame", "kind", "position", "R", "sigma_position", "sigma_rotation"),
+    *("q", "stamps", "station", "frame", "kind", "reading", "R", "sigma_position", "sigma_rotation"),
     *("velocity", "moving", "acceleration", "approach", "effort"),
 )

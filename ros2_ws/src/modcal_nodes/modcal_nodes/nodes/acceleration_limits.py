@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import ModcalError
 from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm, require_method
-from modcal_msgs_py.commands import JointsHeard, fill_accelerations
+from modcal_msgs_py.commands import JointInput, fill_accelerations
 from modcal_nodes.cli.by_joint import numbers_by_joint
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
@@ -38,7 +38,7 @@ class AccelerationLimits(GuardedNode):
         follow(self, ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
         self._described: LoadedArm | None = None
         self._arm: LoadedArm | None = None
-        self._joints: JointsHeard | None = None
+        self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
         self._last, self._count = -np.inf, 0  # stamp of the last bounds, and how many there were
@@ -78,7 +78,7 @@ class AccelerationLimits(GuardedNode):
         try:
             arm = LoadedArm.read(self._urdf, chosen["base"] or None, chosen["tip"] or None, self._names or None)
             if self._joints is None or self._joints.names != arm.chain.names:
-                self._joints = JointsHeard(arm.chain.names, arm.chain.lower, arm.chain.upper)
+                self._joints = JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper)
             self._described = arm
             self._arm, self._refusal = _with(arm, chosen), ""
         except ModcalError as error:
@@ -105,7 +105,7 @@ class AccelerationLimits(GuardedNode):
             self._names |= new
             self._recognise()
         if self._joints is not None:
-            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
+            self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
     def _tick(self, _: object = None) -> None:
         """Publish bounds of where the arm stands now, if it has been heard since the last ones."""

@@ -22,7 +22,7 @@ from modcal_core.impedance.wrench import Load
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.commands import JointsHeard
+from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
 from modcal_msgs_py.setpoints import wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
@@ -58,7 +58,7 @@ class ArticulationEstimator(GuardedNode):
         follow(self, ARTICULATION_ESTIMATOR, chosen)
         self._tracker = Tracker(TrackerSettings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
         self._chain: Chain | None = None
-        self._joints: JointsHeard | None = None
+        self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
@@ -128,7 +128,7 @@ class ArticulationEstimator(GuardedNode):
         except ModcalError as error:
             self._chain, self._refusal = None, str(error)
             return
-        self._joints = JointsHeard(self._chain.names, self._chain.lower, self._chain.upper)
+        self._joints = JointInput(self._chain.names, self._chain.lower, self._chain.upper)
 
     def _take_joints(self, message: JointState) -> None:
         if self._chain is None:
@@ -136,7 +136,7 @@ class ArticulationEstimator(GuardedNode):
         if self._chain is None or self._joints is None:
             return
         now = self._now()
-        self._joints.hear(message, now, self._chosen["timeout_s"])
+        self._joints.receive(message, now, self._chosen["timeout_s"])
         if self._joints.missing():
             return
         self._joints.require_fresh(now, self._chosen["timeout_s"])

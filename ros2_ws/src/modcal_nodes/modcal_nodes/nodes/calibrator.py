@@ -76,8 +76,8 @@ class Calibrator(GuardedNode):
         self._files = dict(state.files or {})
         self._candidate: Solved | None = None
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
-        wander = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
-        self._supervisor = Supervisor(_policy(chosen), wander)
+        random_walk = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
+        self._supervisor = Supervisor(_policy(chosen), random_walk)
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
         self._trouble = ""  # why the saved model is not used
         self._verdict = _NOTHING
@@ -236,7 +236,7 @@ class Calibrator(GuardedNode):
             self._solve_next = True
             return ""
         job = Job(
-            self._buffer.heard(),
+            self._buffer.collected(),
             self._arm.chain,
             read_inertias(self._arm.description, self._arm.chain),
             self._cell,
@@ -290,7 +290,7 @@ class Calibrator(GuardedNode):
             write_folder(Path(self._chosen["out"]), solved.files)
         self._outputs.result(solved.rms, solved.comparison)
         self._candidate = solved
-        suspected = self._supervisor.suspicion
+        suspected = self._supervisor.hypothesis
         if self._supervisor.solved(solved.calibration, solved.comparison.better):
             self._trusted(solved)
         self._verdict = solved.verdict
@@ -353,7 +353,7 @@ class Calibrator(GuardedNode):
         self._worker.close()
         if self._folder and self._arm.chain is not None:
             try:
-                heard = self._buffer.heard()
+                heard = self._buffer.collected()
                 if heard.recordings:
                     most, limit = self._chosen["max_stations"], self._chosen["clock_limit_s"]
                     self._buffer.samples, _ = condense(heard, self._arm.chain, limit, most)
@@ -378,11 +378,11 @@ class Calibrator(GuardedNode):
         if live is None:
             return
         self._outputs.estimate(live.estimator)
-        if live.suspicion is not None and live.suspicion is not self._said:
-            self._outputs.change(live.suspicion)
-            if self._said is None or self._said.label != live.suspicion.label:
-                self.get_logger().warning(f"{live.suspicion.sentence}; the last trusted model is still published")
-            self._said = live.suspicion
+        if live.hypothesis is not None and live.hypothesis is not self._said:
+            self._outputs.change(live.hypothesis)
+            if self._said is None or self._said.label != live.hypothesis.label:
+                self.get_logger().warning(f"{live.hypothesis.sentence}; the last trusted model is still published")
+            self._said = live.hypothesis
             self._health.publish()
 
     def _statuses(self) -> Iterable[Status]:

@@ -25,7 +25,7 @@ from modcal_core.correction.commander import (
 from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements.approach import Approach
-from modcal_msgs_py.commands import JointsHeard, desired_pose, fill_pose, require_new
+from modcal_msgs_py.commands import JointInput, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
 from modcal_nodes.io.inputs import parse_calibration, read_calibration
@@ -57,7 +57,7 @@ class Corrector(GuardedNode):
         self._text = ""
         self._refusal = _NOTHING_YET
         self._urdf = self._chosen["robot_description"]
-        self._joints: JointsHeard | None = None
+        self._joints: JointInput | None = None
         self._approach, self._signals = Approach(), SignalsHeard()
         self._announced: CalibratedRobot | None = None
         self._last = -np.inf
@@ -143,7 +143,7 @@ class Corrector(GuardedNode):
         else:
             bounds = robot.bounds(self._commander.settings)
             if self._joints is None or self._joints.names != bounds.names:
-                self._joints, self._approach = JointsHeard(bounds.names, bounds.lower, bounds.upper), Approach()
+                self._joints, self._approach = JointInput(bounds.names, bounds.lower, bounds.upper), Approach()
             self._refusal = ""
             self._commander.use(robot, self._now())
             self._announce()
@@ -174,7 +174,7 @@ class Corrector(GuardedNode):
         if self._joints is None:
             return
         now = self._now()
-        self._joints.hear(message, now, self._chosen["timeout_s"])
+        self._joints.receive(message, now, self._chosen["timeout_s"])
         if self._joints.missing():
             return
         self._approach.update(self._joints.position)
@@ -186,7 +186,7 @@ class Corrector(GuardedNode):
             self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
             self._last = now
 
-    def _correct(self, robot: CalibratedRobot, joints: JointsHeard, at: Conditions) -> None:
+    def _correct(self, robot: CalibratedRobot, joints: JointInput, at: Conditions) -> None:
         """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
@@ -243,7 +243,7 @@ class Corrector(GuardedNode):
         self._trajectory.publish(message)
         self._counts["commands"] += 1
 
-    def _conditions(self, joints: JointsHeard, now: float) -> Conditions:
+    def _conditions(self, joints: JointInput, now: float) -> Conditions:
         needs = self._commander.robot.correction.needs if self._commander.robot else ()
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()

@@ -27,8 +27,8 @@ from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_core.impedance.task import JointPositions, Stop, Wait
 from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_msgs_py.commands import JointsHeard, desired_pose
-from modcal_msgs_py.setpoints import ObjectHeard, fill_point, fill_target, fill_wrench, wrench_numbers
+from modcal_msgs_py.commands import JointInput, desired_pose
+from modcal_msgs_py.setpoints import ObjectInput, fill_point, fill_target, fill_wrench, wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
@@ -75,8 +75,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._active = self._configured = False
         self._urdf = ""
         self._arm: SensedArm | None = None
-        self._joints: JointsHeard | None = None
-        self._object = ObjectHeard(read)
+        self._joints: JointInput | None = None
+        self._object = ObjectInput(read)
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = OK
@@ -219,7 +219,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             return
         try:
             ticked = self._now()
-            operation.let_go(why, ticked)
+            operation.release(why, ticked)
             end = time.monotonic() + _LET_GO
             while self._operation is not None and time.monotonic() < end and self.context.ok():
                 time.sleep(1.0 / self._chosen["rate_hz"])
@@ -301,11 +301,11 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             raise BadCommand("robot_description", "changes while it pulls", "it is taken when the pull is over")
         self._arm = self._joints = None
         arm = SensedArm.of(urdf, self._chosen)
-        self._arm, self._joints = arm, JointsHeard(arm.chain.names, arm.chain.lower, arm.chain.upper)
+        self._arm, self._joints = arm, JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper)
 
     def _take_joints(self, message: JointState) -> None:
         if self._joints is not None:
-            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
+            self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
@@ -313,7 +313,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             stamp = seconds(message.header.stamp) or now
             if self._arm.sensor.stamp > now + self._chosen["timeout_s"]:  # the clock was set back
                 self._arm.sensor.forget()
-            self._arm.sensor.hear(
+            self._arm.sensor.receive(
                 message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["timeout_s"]
             )
 

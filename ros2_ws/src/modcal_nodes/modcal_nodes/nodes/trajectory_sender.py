@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.files import read_yaml
 from modcal_core.planning.trajectory_file import Trajectory, trajectory_from_data
-from modcal_msgs_py.commands import JointsHeard
+from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.stamps import set_seconds
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import OK, WARN, Health, Status
@@ -39,7 +39,7 @@ class TrajectorySender(GuardedNode):
         self._sent: Trajectory | None = None
         self._at = self._begun = time.monotonic()
         unlimited = np.full(len(self._planned.names), np.inf)
-        self._joints = JointsHeard(self._planned.names, -unlimited, unlimited)
+        self._joints = JointInput(self._planned.names, -unlimited, unlimited)
         self._refusals = Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         heard = self._refusals.guarded("joint_states", self._take_joints)
@@ -48,7 +48,7 @@ class TrajectorySender(GuardedNode):
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take_joints(self, message: JointState) -> None:
-        self._joints.hear(message, self._now(), self._chosen["timeout_s"])
+        self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds

@@ -22,7 +22,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import POINT, POSE
-from modcal_msgs_py.commands import JointsHeard
+from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.io.inputs import parse_calibration
@@ -103,7 +103,7 @@ class Viewer(GuardedNode):
     def _look_at(self, base: str, tip: str) -> None:
         """Begin anew with the arm between these links; what was seen of another one is forgotten."""
         self._arm = KnownArm(self._urdf, base, tip)
-        self._joints: JointsHeard | None = None
+        self._joints: JointInput | None = None
         self._approach = Approach()
         self._stations.clear()
         self._judged = None
@@ -114,7 +114,7 @@ class Viewer(GuardedNode):
     def _recognise(self) -> None:
         if self._arm.recognise(self._names) and self._arm.chain is not None:
             chain = self._arm.chain
-            self._joints = JointsHeard(chain.names, chain.lower, chain.upper)
+            self._joints = JointInput(chain.names, chain.lower, chain.upper)
             self._dirty = True
 
     def _take_description(self, message: String) -> None:
@@ -180,7 +180,7 @@ class Viewer(GuardedNode):
             return
         try:
             self._arm.joint_state(message)
-            self._joints.hear(message, self._now(), self._chosen["timeout_s"])
+            self._joints.receive(message, self._now(), self._chosen["timeout_s"])
             if not self._joints.missing():
                 self._approach.update(self._joints.position)
         except ModcalError as error:
@@ -248,7 +248,7 @@ class Viewer(GuardedNode):
         around = self._around_stations
         self._ellipsoids.publish(drawing.uncertainty_picture(self._frame, around, present, scale, _LIFETIME))
 
-    def _present(self, joints: JointsHeard) -> Conditions:
+    def _present(self, joints: JointInput) -> Conditions:
         """The moment that is now; raises BadCommand for joints that are not known now."""
         now = self._now()
         joints.require_fresh(now, self._chosen["timeout_s"])

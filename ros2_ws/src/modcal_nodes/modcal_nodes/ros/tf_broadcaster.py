@@ -37,7 +37,7 @@ class Broadcaster:
         )
 
     def _hear(self, message: Any) -> None:
-        self._parents.hear((t.header.frame_id, t.child_frame_id) for t in message.transforms)
+        self._parents.receive((t.header.frame_id, t.child_frame_id) for t in message.transforms)
 
     def publish(self, frames: Iterable[Frame], stamp: Any) -> None:
         """Publish these frames at a time (builtin_interfaces/Time)."""

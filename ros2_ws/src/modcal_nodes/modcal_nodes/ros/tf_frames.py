@@ -58,7 +58,7 @@ class Parents:
     def __init__(self) -> None:
         self._of: dict[str, str] = {}
 
-    def hear(self, pairs: Iterable[tuple[str, str]]) -> None:
+    def receive(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Take (parent, child) of a message."""
         self._of.update({child.lstrip("/"): parent.lstrip("/") for parent, child in pairs})
 

@@ -11,7 +11,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.safety_monitor import Limits
-from modcal_core.impedance.speed_governor import Patience
+from modcal_core.impedance.speed_governor import GovernorSettings
 from modcal_core.impedance.task import ImpedanceTask
 from modcal_core.impedance.wrench import Load, WrenchSensor
 from modcal_core.robots.chain import Chain
@@ -48,13 +48,13 @@ def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
         joint_acceleration=np.where(turning, chosen["joint_acceleration_rad_s2"], chosen["joint_acceleration_m_s2"]),
         speed=chosen["max_speed_m_s"],
         acceleration=chosen["max_acceleration_m_s2"],
-        turning=chosen["max_angular_speed_rad_s"],
-        turning_acceleration=chosen["max_angular_acceleration_rad_s2"],
+        angular_speed=chosen["max_angular_speed_rad_s"],
+        angular_acceleration=chosen["max_angular_acceleration_rad_s2"],
         force=chosen["max_force_n"],
         moment=chosen["max_moment_nm"],
         displacement=chosen["max_displacement_m"],
-        turn=chosen["max_rotation_rad"],
-        stale=chosen["timeout_s"],
+        rotation=chosen["max_rotation_rad"],
+        timeout=chosen["timeout_s"],
         period=1.0 / chosen["rate_hz"],
         gain=chosen["min_gain"],
     )
@@ -79,9 +79,9 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
         goal_rad=goal or chosen["goal_rad"],
         goal_m=goal or chosen["goal_m"],
         mode=chosen["mode"],
-        exploring=chosen["exploration_speed_m_s"],
+        exploration_speed=chosen["exploration_speed_m_s"],
         speed=chosen["speed_m_s"],
-        explore=chosen["max_exploration_m"],
+        max_exploration=chosen["max_exploration_m"],
         mass=_three("mass", chosen),
         damping=_three("damping", chosen),
         stiffness=_three("stiffness", chosen),
@@ -89,14 +89,14 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
         blend=chosen["blend_s"],
         tare_s=chosen["tare_s"],
         servo_lag=chosen["servo_lag_s"],
-        down=_vector("gravity", chosen),
-        patience=Patience(
-            slow=(chosen["slowdown_force_n"], chosen["slowdown_moment_nm"]),
-            most=(chosen["stop_force_n"], chosen["stop_moment_nm"]),
-            last=chosen["max_force_n"],
-            hand=chosen["contact_stiffness_n_m"],
+        gravity=_vector("gravity", chosen),
+        governor=GovernorSettings(
+            slowdown=(chosen["slowdown_force_n"], chosen["slowdown_moment_nm"]),
+            stop=(chosen["stop_force_n"], chosen["stop_moment_nm"]),
+            max_force=chosen["max_force_n"],
+            contact_stiffness=chosen["contact_stiffness_n_m"],
         ),
-        patience_s=chosen["patience_s"],
+        input_timeout_s=chosen["patience_s"],
     )
     out.gains(out.direction)  # refuses what is no gain, and no direction
     return out

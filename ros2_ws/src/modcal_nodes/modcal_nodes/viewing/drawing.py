@@ -8,7 +8,7 @@ import numpy as np
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import Misses, enlarged_axes, joint_axes
+from modcal_core.correction.picture import Residuals, enlarged_axes, joint_axes
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
@@ -56,14 +56,14 @@ def residual_picture(chain: Chain, judged: Judged | None, scale: float, full: fl
     return fill_picture(MarkerArray(), Marker, chain.base, parts)
 
 
-def rms(of: Misses) -> float:
+def rms(of: Residuals) -> float:
     """Root mean square of the misses [m]; 0 where there are none."""
     return float(np.sqrt(np.mean(of.size**2))) if len(of) else 0.0
 
 
-def _residuals(space: str, of: Misses, scale: float, full: float, solid: float) -> list[Marker]:
+def _residuals(space: str, of: Residuals, scale: float, full: float, solid: float) -> list[Marker]:
     colours = [colour_of(size / full, solid) for size in of.size]
-    return arrows(Marker, space, of.expected, scale * of.miss, colours, _SHAFT)
+    return arrows(Marker, space, of.expected, scale * of.residual, colours, _SHAFT)
 
 
 def axes_picture(nominal: Chain, calibrated: Chain | None, q: Array, scale: float, lifetime: float) -> MarkerArray:

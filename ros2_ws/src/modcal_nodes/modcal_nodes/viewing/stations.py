@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import Misses, conditions_of, known_to, misses
+from modcal_core.correction.picture import Residuals, conditions_of, known_to, residuals
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.estimator import joined
@@ -23,8 +23,8 @@ class Judged:
     strangers: frames of readings that the calibration does not know.
     """
 
-    calibrated: Misses
-    nominal: Misses
+    calibrated: Residuals
+    nominal: Residuals
     moments: tuple[Conditions, ...]
     strangers: tuple[str, ...]
 
@@ -71,9 +71,9 @@ class Stations:
         moments = tuple(conditions_of(samples.select(np.array([i])), signals) for i in range(len(samples)))
         for at in moments:
             correction.require(at)
-        models, spread = (calibration.calibrated, calibration.nominal), calibration.spread
-        calibrated, nominal = (misses(model, samples, spread) for model in models)
+        models, noise = (calibration.calibrated, calibration.nominal), calibration.noise
+        calibrated, nominal = (residuals(model, samples, noise) for model in models)
         return Judged(calibrated, nominal, moments, strangers)
 
 
-_NOTHING = Misses(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, bool))
+_NOTHING = Residuals(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, bool))

@@ -76,7 +76,7 @@ class SerialSystem:
         self._half = turns.unit(0.5 * angles) if self._pose else np.empty((chain.n, 0), dtype=complex)
         self._turn = self._half * self._half if self._pose else turns.unit(angles)
         self._y = np.ones((N, 4))
-        self._y[:, :3] = samples.position
+        self._y[:, :3] = samples.reading
         self._orientation = turns.quaternions(samples.R) if self._pose else None
         where = np.array([(p.place, p.direction, max(p.frame, 0)) for p in parameters], dtype=int).reshape(-1, 3)
         self._place, self._direction, self._of_frame = where.T

@@ -17,7 +17,7 @@ _HEARD = ("temperature:", "signal:")
 
 
 @dataclass(frozen=True)
-class Usual:
+class TypicalDriver:
     """What an effect was while it was calibrated. mean: of its basis functions, (b,). cost: mean square [m²] by which
     the tool is off where the effect is held at that.
     """
@@ -45,12 +45,12 @@ def driver_ranges(model: Model, samples: Samples) -> dict[str, tuple[float, floa
     return {name: (float(x.min()), float(x.max())) for name in sorted(names) if len(x := drivers.values(name))}
 
 
-def usual_sizes(model: Model, samples: Samples) -> tuple[Usual | None, ...]:
+def typical_sizes(model: Model, samples: Samples) -> tuple[TypicalDriver | None, ...]:
     """For each effect its average, of a step its end, and what it costs to hold it there.
 
     None where no recording lacks its driver.
     """
-    out: list[Usual | None] = []
+    out: list[TypicalDriver | None] = []
     drivers, effects = model.drivers(samples), model.effects
     for i, effect in enumerate(effects):
         if not outside_drivers(effect):
@@ -61,5 +61,5 @@ def usual_sizes(model: Model, samples: Samples) -> tuple[Usual | None, ...]:
         mean = basis[:, int(np.argmax(samples.stamps))] if effect.shape.kind in STEPS else basis.mean(axis=1)
         without = model.with_effects((*effects[:i], averaged(effect, mean), *effects[i + 1 :]))
         gap = model.predict_samples(samples)[:, :3, 3] - without.predict_samples(samples)[:, :3, 3]
-        out.append(Usual(mean, float(np.mean(np.sum(gap**2, axis=1)))))
+        out.append(TypicalDriver(mean, float(np.mean(np.sum(gap**2, axis=1)))))
     return tuple(out)
