@@ -152,7 +152,7 @@ def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
     done = pull(Toy(drawer(), friction=6.0, inertia=4.0), Operation(PANDA, far, LIMITS), trusts=0.05)
     assert done.stop is not None
     assert not done.stop.done
-    assert "cannot lead it" in done.stop.why
+    assert "cannot move it" in done.stop.why
     assert done.opened < 0.12
     assert "follow" not in done.phases
     assert_gentle(done)

@@ -142,7 +142,7 @@ def test_bodies_weigh_what_the_library_says(rng: np.random.Generator) -> None:
         ([Module("B", 8)], "its length code is 8, 0 to 7 are there"),
         ([Module("B"), Module("JR", 1)], "its length code is 1, 0 to 0 are there"),
         ([Module("B"), Module("JR", turn=4)], "turned by 4 quarter turns"),
-        ([Module("B", turn=1)], "a base is turned against nothing"),
+        ([Module("B", turn=1)], "a base has no turn"),
         ([Module("B", serial="A"), Module("JR", serial="A")], "serial number A is at module 1 already"),
     ],
 )

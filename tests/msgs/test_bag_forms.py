@@ -333,4 +333,4 @@ def test_tf_along_the_robot_is_no_measurement(c: Cell, tmp_path: Path, capfd: py
         message.transforms[0].child_frame_id = "tool0"
     bag = forms.write(tmp_path / "bag", [*without(c), *links])
     assert run(["info", str(bag), "--tf", "base_link:tool0"]) == 2
-    assert "it was computed from the joints, and is no measurement" in capfd.readouterr().err
+    assert "it was computed from the joints and is not a measurement" in capfd.readouterr().err

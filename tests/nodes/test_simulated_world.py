@@ -136,7 +136,7 @@ def test_a_link_grows_along_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("link", "said"), [("tool0", "does not lead to a joint"), ("shoulder_link", "has no length that could grow")]
+    ("link", "said"), [("tool0", "does not lead to a joint"), ("shoulder_link", "has no length that can grow")]
 )
 def test_links_that_cannot_grow(link: str, said: str) -> None:
     with pytest.raises(BadRobot, match=said):

@@ -108,7 +108,7 @@ def prepare_pieces(
         own = prepared.samples.between(piece.since, piece.until)
         samples = own if samples is None else samples.followed_by(own) if len(own) else samples
     if samples is None:
-        raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
+        raise refused or BadRecording("recording", "no message was received", "start the robot and the tracker")
     return Prepared(samples, tuple(notes), together(lost), together_stated(stated))
 
 

@@ -56,7 +56,7 @@ class Topics:
             if not equals or not name.strip("/"):
                 raise BadTable(f"topic {text}", "is not ROLE=NAME", "write it as tracker/pose=/vrpn/tool/pose")
             if role not in TYPES:
-                raise BadTable(f"topic {text}", f"{role} is no role", f"roles are {', '.join(TYPES)}")
+                raise BadTable(f"topic {text}", f"{role} is not a role", f"roles are {', '.join(TYPES)}")
             stated.append((role, _absolute(name)))
         pair = None
         if tf is not None:

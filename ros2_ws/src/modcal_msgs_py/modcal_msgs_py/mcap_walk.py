@@ -132,12 +132,12 @@ class McapFile:
         while at < size:
             self.share = at / size
             if size - at < _RECORD.size:
-                self.cut = f"{size - at} bytes at the end are no record"
+                self.cut = f"{size - at} bytes at the end are not a record"
                 return
             opcode, length = _RECORD.unpack_from(data, at)
             body = at + _RECORD.size
             if not 0x01 <= opcode <= 0x0F and opcode < 0x80:
-                self.cut = f"{size - at} bytes from byte {at} are no MCAP records"
+                self.cut = f"{size - at} bytes from byte {at} are not MCAP records"
                 return
             if body + length > size:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"

@@ -72,7 +72,7 @@ class Transforms:
         moving = [(key, forward) for key, forward in way if self._moves(key)]
         links = set() if description is None else set(re.findall(r"<link[^>]*\bname\s*=\s*[\"']([^\"']+)", description))
         if any(parent in links and child in links for (parent, child), _ in moving):
-            said = "goes along the robot's own links: it was computed from the joints, and is no measurement"
+            said = "goes along the robot's own links: it was computed from the joints and is not a measurement"
             raise BadRecording(name, said, "name the frames between which the tracker measures")
         if len(moving) != 1:
             said = "does not move" if not moving else f"is put together of {len(moving)} transforms that move"

@@ -88,7 +88,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             "joint states and readings",
             f"{said}; {' and '.join(beside)} moved as well and {'is' if len(beside) == 1 else 'are'} not between base "
             "and tip",
-            "give --tip (or --base) of the link that carries the target (or the arm)",
+            "give --tip (or --base) as the link that carries the target (or the arm)",
         )
     raise BadRecording(
         "joint states and readings",

@@ -79,4 +79,4 @@ def _known() -> tuple[frozenset[str], frozenset[str]]:
 
 
 def _unknown(effect: Effect, what: str) -> BadTable:
-    return BadTable(f"effect {effect.family} at {effect.place}", f"no {what}", "install the package that brings it")
+    return BadTable(f"effect {effect.family} at {effect.place}", f"no {what}", "install the package that provides it")

@@ -59,7 +59,7 @@ class Gains:
         """Gains from numbers for way and turning, or for each of the six."""
         R = np.eye(3) if task is None else np.array(task, dtype=float)
         if R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
-            raise BadCommand("axes of the gains", "are no rotation", "give three orthogonal unit axes")
+            raise BadCommand("axes of the gains", "are not a rotation", "give three orthogonal unit axes")
         R.flags.writeable = False
         least = 1e-3
         return cls(_pair("mass", mass, least), _pair("damping", damping, 0.0), _pair("stiffness", stiffness, 0.0), R)

@@ -118,7 +118,7 @@ def spread_chart(report: Report) -> Chart | None:
     label(axes, "combination of parameters, the best known first", "deviation ÷ expected")
     alt = f"{seen.rank} of {seen.parameters} combinations of parameters are shown by the data."
     words = (
-        "What the data leaves open of each combination, as a share of what was expected before measuring. "
+        "Remaining uncertainty of each combination, as a share of what was expected before measuring. "
         "Crosses, above the dashed line: not shown by these stations, held near nominal."
     )
     return chart(figure, "spread", alt, words)

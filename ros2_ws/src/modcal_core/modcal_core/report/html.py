@@ -48,7 +48,7 @@ FILES = (
         "The robot description with corrected origins, every other byte as it was: geometry, no effects.",
         ("ros2 run robot_state_publisher robot_state_publisher calibrated.urdf",),
     ),
-    File("kinematics.yaml", "The same numbers in the form of the maker, or by joint name.", ()),
+    File("kinematics.yaml", "The same numbers in the manufacturer's format, or by joint name.", ()),
     File(
         "calibrated_delta.yaml",
         "The Delta's constants and the tool that was found.",

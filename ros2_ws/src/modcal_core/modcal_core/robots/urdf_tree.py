@@ -150,7 +150,7 @@ def parse(urdf_xml: str) -> Tree:
 
 
 def document(urdf_xml: str) -> Any:
-    """The root element of a URDF text, whatever it holds. Raises BadRobot for what is no XML, no URDF, or xacro."""
+    """The root element of a URDF text, whatever it holds. Raises BadRobot for what is not XML, no URDF, or xacro."""
     if len(urdf_xml) > _MOST_TEXT:
         said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MOST_TEXT:.0f} million is the limit"
         raise BadRobot("robot description", said, _ONE_ROBOT)
@@ -273,7 +273,7 @@ def _check(tree: Tree) -> None:
             if link not in links:
                 close = difflib.get_close_matches(link, tree.links, n=1, cutoff=0.3)
                 hint = f"add it, or name {close[0]}" if close else "add it"
-                raise BadRobot(f"joint {joint.name}", f"names link '{link}', which is not there", hint)
+                raise BadRobot(f"joint {joint.name}", f"names link '{link}', which does not exist", hint)
         if joint.child in carried:
             said = f"is the child of joints {carried[joint.child]} and {joint.name}"
             raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")

@@ -29,11 +29,11 @@ _STATIONS = 60
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
     "--at", "later", type=(click.FloatRange(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
-    help="The same, from so many seconds on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
+    help="The same, from the given second on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
 @click.option(
     "--returns", type=click.IntRange(0, 1000), default=RETURNS, show_default=True,
-    help="Of these postures, how many are visited twice, so that the noise floor is known.",
+    help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
 @speaking
 def simulate_command(
@@ -80,7 +80,7 @@ def _parameter(text: str) -> tuple[str, Any]:
     name, equals, written = text.partition("=")
     if not equals or name not in SIMULATED_CELL or name in _OF_THE_NODE:
         names = ", ".join(n for n in SIMULATED_CELL if n not in _OF_THE_NODE)
-        raise BadTable(f"-p {text}", "is no NAME=VALUE of the simulated cell", f"names are {names}")
+        raise BadTable(f"-p {text}", "is not a NAME=VALUE of the simulated cell", f"names are {names}")
     parameter = SIMULATED_CELL[name]
     value = _typed(yaml.safe_load(written), parameter)
     if value is None:

@@ -54,7 +54,11 @@ class DeltaWorld(Machine):
 
     def length(self, link: str) -> float:
         """Raises BadRobot: the links of a simulated Delta do not grow."""
-        raise BadRobot(f"link '{link}'", "is one of a Delta, whose links do not grow here", "leave warm_up_link empty")
+        raise BadRobot(
+            f"link '{link}'",
+            "belongs to a Delta, whose links do not grow in this simulation",
+            "leave warm_up_link empty",
+        )
 
     def grow(self, link: str, metres: float) -> None:
         """Raises BadRobot: the links of a simulated Delta do not grow."""

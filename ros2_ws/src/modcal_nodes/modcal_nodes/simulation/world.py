@@ -57,7 +57,7 @@ class World(Machine):
             raise BadRobot(f"link '{link}'", "does not lead to a joint", f"name one of {', '.join(self._bodies)}")
         length = float(np.linalg.norm(self._at_rest[self._bodies[link]]))
         if length < SHORTEST_LINK:
-            raise BadRobot(f"link '{link}'", "has no length that could grow", "name a longer link")
+            raise BadRobot(f"link '{link}'", "has no length that can grow", "name a longer link")
         return length
 
     def grow(self, link: str, metres: float) -> None:

@@ -58,7 +58,7 @@ def _beside(node: dict[str, Any]) -> Iterator[str]:
         before = f", {1e3 * node['residual_before_m']:.4f} mm before" if "residual_before_m" in node else ""
         yield f"held-out residual {1e3 * node['residual_m']:.4f} mm{before}"
     if node.get("change"):
-        yield f"change: {node['change'].get('sentence', 'not said what')}"
+        yield f"change: {node['change'].get('sentence', 'unknown')}"
     if "estimate" in node:
         values = ", ".join(f"{p['name']} {p['value']:.3g} ± {p['std']:.2g}" for p in node["estimate"])
         yield f"running estimate, farthest off the trusted model [m, rad]: {values}"
