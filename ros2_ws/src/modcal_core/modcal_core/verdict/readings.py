@@ -202,7 +202,7 @@ def repeated(samples: Samples) -> tuple[str, ...]:
             count = _in_runs(runs)
             if count:
                 out.append(
-                    f"In frame '{frame}' {what} stay constant over {count} stations while the {other} move: one of the "
+                    f"In frame '{frame}' {what} stand still over {count} stations while the {other} move: one of the "
                     "two topics repeats what it said before."
                 )
     return tuple(out)
