@@ -63,7 +63,7 @@ ruff:
 mypy:
 	@$(PY) -m mypy
 
-format: setup-test  ## let ruff mend what it can
+format: setup-test  ## let ruff fix what it can
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
 
