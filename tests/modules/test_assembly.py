@@ -175,7 +175,7 @@ def changed(*path: str, to: Any) -> Any:
         (changed("modules", "LC", "role", to="leg"), "its role is 'leg'"),
         (changed("modules", "LC", "colour", to="red"), "'colour' does not belong there"),
         (changed("modules", "LC", "motion", to="revolute"), "a joint, and nothing else, has a motion"),
-        (changed("modules", "LC", "output", "along", to=[0, 0, 0]), "has a length that leads nowhere"),
+        (changed("modules", "LC", "output", "along", to=[0, 0, 0]), "has a length without a direction"),
         (changed("modules", "LC", "length_m", to={"first": 40, "step": 5}), "give metres"),
         (changed("modules", "JP", "limits", to={}), "a sliding joint has an end"),
         (changed("modules", "JR", "limits", "lower", to=4), "run from 4 to 2.967"),

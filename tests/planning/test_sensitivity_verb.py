@@ -31,7 +31,7 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
     out = tmp_path / "out"
     assert run(["sensitivity", str(IRB1410), "--measured", str(stations), "--out", str(out)]) == 0
     told = " ".join(capfd.readouterr().out.split())
-    assert "All 18 translation parameters move the point by as much as they are off, at every pose." in told
+    assert "All 18 translation parameters move the point by their own error, at every pose." in told
     assert "joint_5/d matters" in told
     assert "these stations do not see it" in told
     assert {p.name for p in out.iterdir()} == {

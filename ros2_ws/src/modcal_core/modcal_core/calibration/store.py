@@ -44,7 +44,7 @@ _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibratio
 
 @dataclass(frozen=True)
 class Calibration:
-    """A nominal model and the calibrated one, both with base frames and tool, and what the fit says of itself.
+    """A nominal model and the calibrated one, both with base frames and tool, and the fit's own uncertainty.
 
     geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
     made from, (2, n); outside them it extrapolates.

@@ -27,7 +27,9 @@ def _pair(what: str, value: ArrayLike, least: float) -> Array:
     if out.shape == (2,):  # one for the way, one for turning
         out = np.repeat(out, 3)
     if out.shape != (6,) or not np.isfinite(out).all() or (out < least).any():
-        raise BadCommand(f"{what} {np.asarray(value).tolist()}", f"needs 2 or 6 numbers, at least {least:g}", "mend it")
+        raise BadCommand(
+            f"{what} {np.asarray(value).tolist()}", f"needs 2 or 6 numbers, at least {least:g}", "correct it"
+        )
     out.flags.writeable = False
     return out
 

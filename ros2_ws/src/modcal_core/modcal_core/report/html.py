@@ -37,7 +37,7 @@ class File:
 FILES = (
     File(
         "calibration.yaml",
-        "Everything needed to predict: nominal and calibrated arm, effects, base frames, tool, covariance.",
+        "Everything needed for prediction: nominal and calibrated arm, effects, base frames, tool, covariance.",
         (
             "modcal evaluate calibration.yaml OTHER_BAG --out check",
             'ros2 launch modcal_nodes correct.launch.py calibration:="$PWD"',
@@ -51,7 +51,7 @@ FILES = (
     File("kinematics.yaml", "The same numbers in the manufacturer's format, or by joint name.", ()),
     File(
         "calibrated_delta.yaml",
-        "The Delta's constants and the tool that was found.",
+        "The Delta's constants and the identified tool.",
         ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
     ),
     File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),

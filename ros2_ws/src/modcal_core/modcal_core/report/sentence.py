@@ -121,7 +121,7 @@ def _floor(verdict: Verdict) -> str:
     if len({source for _, source in known}) == 1:
         known = [(" and ".join(size for size, _ in known), known[0][1])]
     sizes = " and ".join(f"{size}{_SOURCES[source]}" for size, source in known)
-    return f"what is left is as small as this arm and this instrument can be{f' ({sizes})' if sizes else ''}."
+    return f"the residual is as small as this arm and this instrument allow{f' ({sizes})' if sizes else ''}."
 
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}

@@ -44,10 +44,10 @@ def simulate_command(
     returns: int,
     output: Output,
 ) -> None:
-    """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
+    """Record an arm (URDF) or a Delta (YAML) that differs from its nominal model, in MuJoCo, with a tracker.
 
-    It visits 60 random postures (-p stations=N), six of them twice. What else it does that its model lacks is
-    said with -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
+    The arm visits 60 random postures (-p stations=N), six of them twice. Unmodelled effects are switched on with
+    -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
     of the node.
     """
     if out.exists():
