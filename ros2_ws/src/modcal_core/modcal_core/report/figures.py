@@ -95,8 +95,10 @@ def error_histogram(report: Report) -> Chart | None:
     label(axes, "position error of held-out samples, mm", "samples")
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."
-    words = "Each bar counts held-out samples with an error of this size: hatched with the nominal model, "
+    words = (
+        "Each bar counts held-out samples with an error of this size: hatched with the nominal model, "
         "solid with the final."
+    )
     return chart(figure, "histogram", alt, words)
 
 
