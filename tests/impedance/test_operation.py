@@ -161,7 +161,7 @@ def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
 def test_what_nothing_predicts_is_given_up() -> None:
     done = pull(Toy(drawer(), friction=3.0, inertia=4.0), Operation(PANDA, replace(TASK, explore=0.08), LIMITS), 9.9)
     assert done.stop is not None
-    assert "not understood after" in done.stop.why
+    assert "motion not identified after" in done.stop.why
     assert done.opened < 0.1
 
 

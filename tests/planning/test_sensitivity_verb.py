@@ -64,7 +64,7 @@ def test_an_arm_of_seven_joints_in_the_parameters_of_a_calibration(tmp_path: Pat
     ("arguments", "words"),
     [
         (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is not a prime"),
-        (["irb1410.yaml", "--base", "base"], "is a table, which is one arm from end to end"),
+        (["irb1410.yaml", "--base", "base"], "is a table, which describes one whole arm"),
         (["iiwa14.urdf", "--design", "l25"], "it has 6 columns, the arm 7 joints"),
         (["irb1410.yaml", "--base-factor", "joint_9/a"], "is not one of the chain's"),
     ],

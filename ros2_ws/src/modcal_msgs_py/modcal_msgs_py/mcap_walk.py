@@ -336,9 +336,9 @@ def _unpacked_at_once(content: bytes, size: int) -> bytearray:
 
 def _other_format(start: bytes) -> str:
     if start.startswith(b"SQLite format 3"):
-        return "let its name end in .db3"
+        return "make its name end in .db3"
     if start.startswith(ZSTD):
-        return "let its name end in .mcap.zstd, or unpack it: zstd -d"
+        return "make its name end in .mcap.zstd, or unpack it: zstd -d"
     if start.startswith(b"#ROSBAG"):
         return "it is a bag of ROS 1: convert it with rosbags-convert"
     return "give a bag folder or a .mcap file"

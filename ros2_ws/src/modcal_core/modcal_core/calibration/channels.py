@@ -264,7 +264,7 @@ class _Channels:
             name = self.chain.names[j]
             return self._said(
                 f"the origin of joint {name} in the URDF looks wrong by ({said}) mm, "
-                "or the link before it is a different one",
+                "or the link before it is different",
                 f"check <origin xyz> of {name}, and whether the description is that of this robot",
             )
         miss, solution = self._placed([*known, *(Y @ self.before[j] for j in range(1, n))], h)

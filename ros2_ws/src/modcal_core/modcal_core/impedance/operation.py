@@ -208,7 +208,7 @@ class Operation:
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
         elif pull.way > self.task.explore:
             said = state.event or "no model predicts it"
-            self._let_go(f"not understood after {100.0 * pull.progress(T):.0f} cm ({said})", now)
+            self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and walk along the way in thought."""

@@ -283,28 +283,28 @@ class SafetyMonitor:
 
 def _require_most(what: str, value: float, most: float) -> None:
     if not value <= most * (1.0 + _ROUNDING):
-        raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or check the preceding step")
+        raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or check what computes it")
 
 
 def _require_back(what: str, lead: Array, now: Array, before: Array, near: float, brake: float) -> None:
     """A motion (3,) that leads no farther from the tool than lead (3,), or brakes: speeds now and before, each (3,)."""
     far = _norm(lead)
     if far > near and not float(now @ lead) / far <= max(float(before @ lead) / far - brake, 0.0) + _ROUNDING:
-        raise BadCommand(what, "leads away from the tool after release", "bring it back to where the tool is")
+        raise BadCommand(what, "moves away from the tool during release", "bring it back to where the tool is")
 
 
 def _require_finite(what: str, array: Array, shape: tuple[int, ...]) -> None:
     if np.shape(array) != shape or not np.isfinite(array).all():
-        raise BadCommand(what, f"is not {shape} finite numbers", "check the preceding step")
+        raise BadCommand(what, f"is not {shape} finite numbers", "check what computes it")
 
 
 def _require_rotation(what: str, T: Array) -> None:
     _require_finite(what, T, (4, 4))
     R = T[:3, :3]
     if not (np.abs(R @ R.T - _I).max() <= 1e-6 and R[:, 0] @ crossed(R[:, 1], R[:, 2]) > 0.0):
-        raise BadCommand(what, "is not a rotation", "check the preceding step")
+        raise BadCommand(what, "is not a rotation", "check what computes it")
     if not (T[3] == (0.0, 0.0, 0.0, 1.0)).all():
-        raise BadCommand(what, "is not a rigid transform", "check the preceding step")
+        raise BadCommand(what, "is not a rigid transform", "check what computes it")
 
 
 def _turn(before: Array, after: Array) -> Array:

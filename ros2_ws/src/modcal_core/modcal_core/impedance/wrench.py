@@ -57,7 +57,7 @@ def estimate_load(wrenches: ArrayLike, rotations: ArrayLike, down: Array = DOWN)
     if len(g) < 3 or spread[1] < _LEAST_MASS_SPREAD:
         raise NotEnoughData(
             "weight of the tool",
-            f"{len(g)} readings in which gravity hardly turns about the tool",
+            f"{len(g)} readings in which gravity hardly changes direction in the tool frame",
             "hold the tool still in three or more directions, 30° and more apart, about two axes",
         )
     n = len(g)

@@ -89,7 +89,7 @@ class Assembly:
             if kind.role not in _NEXT[before]:
                 after = f"stands after a {before}" if before else "stands first"
                 wanted = " or a ".join(_NEXT[before]) or "nothing"
-                raise BadTable(f"{what} ({module.kind})", f"a {kind.role} {after}", f"put a {wanted} there")
+                raise BadTable(f"{what} ({module.kind})", f"a {kind.role} {after}", f"use a {wanted} here")
             if isinstance(module.size, bool) or not isinstance(module.size, int) or not 0 <= module.size < kind.sizes:
                 limit = f"its length code is {module.size!r}, 0 to {kind.sizes - 1} are there"
                 raise BadTable(f"{what} ({module.kind})", limit, "choose a length of the library")

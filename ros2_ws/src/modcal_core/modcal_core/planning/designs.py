@@ -96,5 +96,5 @@ def design(chain: Chain, kind: str, rng: np.random.Generator, levels: int = 5, c
     if kind != "l25":
         raise BadTable(f"design '{kind}'", "is not known", f"choose {', '.join(DESIGNS)}")
     if chain.n > 6:
-        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "take --design array or sobol")
+        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "use --design array or sobol")
     return array_postures(chain, 5)

@@ -34,7 +34,7 @@ class Trajectory:
         off = np.abs(self.q[0] - position)
         if not off.max() <= farthest:
             worst = int(np.argmax(off))
-            said = f"stands {off[worst]:.3g} from the first point, {farthest:g} is the limit"
+            said = f"is {off[worst]:.3g} from the first point, {farthest:g} is the limit"
             raise BadCommand(f"joint {self.names[worst]}", said, "bring the arm to the first point before")
         lead = max(_RISE * float(off.max()) / speed, _LEAST_LEAD)
         return Trajectory(self.names, self.t - self.t[0] + lead, self.q)

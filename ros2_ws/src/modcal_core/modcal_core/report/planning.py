@@ -147,7 +147,7 @@ def to_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, picture, files."""
     first, *others = sentences(plan)
     alt = f"{len(plan.q)} stations among the postures that could be chosen, from above and from the side."
-    caption = "Dots could be chosen; the line leads through the stations in their order."
+    caption = "Dots could be chosen; the line connects the stations in their order."
     return plain_page(
         f"{title}: stations to measure", first, others, [chart(_drawn(plan), "stations", alt, caption)], _FILES
     )

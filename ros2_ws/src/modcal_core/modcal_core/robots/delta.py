@@ -218,5 +218,5 @@ def _require_sound(delta: Delta) -> None:
     turns = np.sort(np.mod(delta.constants[AZIMUTH], 2.0 * np.pi))
     apart = np.diff(np.r_[turns, turns[0] + 2.0 * np.pi])
     if apart.min() < np.radians(10.0):
-        limit = f"two arms stand {np.degrees(apart.min()):.1f} degrees apart, 10 are the least"
+        limit = f"two arms stand {np.degrees(apart.min()):.1f} degrees apart, at least 10 are needed"
         raise BadRobot(name, limit, "correct the azimuths")

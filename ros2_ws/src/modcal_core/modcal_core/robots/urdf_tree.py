@@ -266,7 +266,7 @@ def _check(tree: Tree) -> None:
     for kind, names in (("link", tree.links), ("joint", [joint.name for joint in tree.joints])):
         name, count = Counter(names).most_common(1)[0] if names else ("", 1)
         if count > 1:
-            raise BadRobot(f"{kind} '{name}'", f"stands {count} times in robot '{tree.name}'", "name each once")
+            raise BadRobot(f"{kind} '{name}'", f"occurs {count} times in robot '{tree.name}'", "name each once")
     links, carried = set(tree.links), dict[str, str]()
     for joint in tree.joints:
         for link in (joint.parent, joint.child):

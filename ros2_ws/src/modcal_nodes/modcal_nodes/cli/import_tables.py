@@ -78,7 +78,7 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
     undone = proved(samples, chain, sequences.pop() or None if len(sequences) == 1 else None)[1]
     if undone is None:
         return recording
-    note = "Poses look inverse (tracker in tool): `modcal calibrate` turns them round; state inverse: true on import."
+    note = "Poses look inverse (tracker in tool): `modcal calibrate` inverts them; state inverse: true on import."
     return replace(recording, warnings=(*recording.warnings, note))
 
 

@@ -147,7 +147,7 @@ def _motion(
     speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
-            raise BadTable("--at and --workspace", "are two ways to say which postures", "give one of them")
+            raise BadTable("--at and --workspace", "are two ways to choose postures", "give one of them")
         q = random_postures(chain, workspace, np.random.default_rng(seed))
         return q, np.tile(speeds, (len(q), 1)), ()
     # a joint that cannot stand at zero stands at the limit next to it

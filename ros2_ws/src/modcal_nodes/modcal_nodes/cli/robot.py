@@ -27,7 +27,7 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> C
     """The arm in a file: a kinematic table where its name ends in .yaml or .yml, else a URDF."""
     if path.suffix in (".yaml", ".yml"):
         if base is not None or tip is not None:
-            raise BadRobot(str(path), "is a table, which is one arm from end to end", "leave out --base and --tip")
+            raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
         from modcal_core.robots.tables import from_table  # few arms come as tables
 
         return from_table(read_yaml(path))

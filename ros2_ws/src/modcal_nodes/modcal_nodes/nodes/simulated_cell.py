@@ -123,7 +123,7 @@ class SimulatedCell(GuardedNode):
 
     def _restart(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         if not self._time.simulated:
-            answer.message = "the cell's time is not its own: start it with publish_clock"
+            answer.message = "the cell does not publish its own clock: start it with publish_clock"
             return answer
         with self._beat.lock:
             self._time.begin()

@@ -170,7 +170,7 @@ class TopicRecorder:
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
-                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
+                return Complaint(WARN, UNHEARD, f"{text}: nothing is recorded until one arrives")
         silence = time.monotonic() - self._last
         if silence > self.patience and self.publishers == 0 and self.needed:
             text = f"{self.topic}: no node publishes it: start the driver, or remap the topic"

@@ -64,7 +64,7 @@ def _beside(node: dict[str, Any]) -> Iterator[str]:
         yield f"running estimate, farthest off the trusted model [m, rad]: {values}"
     if "delay_ms" in node:
         delay, deviation = node["delay_ms"], 1e3 * node["position_std_m"]
-        yield f"poses come {delay['median']:.1f} ms after their stamps (p99 {delay['p99']:.1f}); std {deviation:.3f} mm"
+        yield f"poses are {delay['median']:.1f} ms late (p99 {delay['p99']:.1f}); std {deviation:.3f} mm"
 
 
 class Changes:

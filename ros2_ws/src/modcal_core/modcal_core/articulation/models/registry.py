@@ -42,7 +42,7 @@ def all_models() -> tuple[ArticulationModel, ...]:
         if fault := _fault(model):
             raise BadTable(offender, fault, REMEDY)
         if model.name in {one.name for one in known}:
-            raise BadTable(offender, f"kind {model.name} is taken", "choose another name")
+            raise BadTable(offender, f"kind {model.name} is already used", "choose another name")
         known.append(model)
     more = known[len(BUILT_IN) :]
     if (together := sum(model.share for model in more)) >= _MOST_SHARE:
