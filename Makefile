@@ -12,7 +12,7 @@ PY := $(VENV)/bin/python
 PYTHON ?=
 export PYTHON
 
-# Where Python may not keep what it compiled, every process that a test starts would compile modcal anew.
+# Where Python may not keep what it compiled, every process that a test starts would compile modcal again.
 unexport PYTHONDONTWRITEBYTECODE
 # Another ROS that is sourced in this shell would put its Python modules and libraries before those of .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
@@ -63,7 +63,7 @@ ruff:
 mypy:
 	@$(PY) -m mypy
 
-format: setup-test  ## let ruff mend what it can
+format: setup-test  ## let ruff fix what it can
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
 

@@ -184,7 +184,7 @@ def _ended(relay: subprocess.Popen[bytes]) -> None:
 
 
 def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
-    """Kill one after the other, evenly over the time, and see that none ends otherwise."""
+    """Kill one after the other, evenly over the time, and check that none ends otherwise."""
     begun, round_, turn = time.monotonic(), seconds / (2.0 * len(every)), 0
     while (since := time.monotonic() - begun) < seconds:
         due = time.monotonic() + 0.2

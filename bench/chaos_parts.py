@@ -186,7 +186,7 @@ def _later(cdr: bytes, seconds: float) -> bytes:
 
 
 def relay(log: str, seed: str) -> None:
-    """Relay until told to stop."""
+    """Relay until stopped on request."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import modcal
 
-TABLE = [  # theta, d, a, alpha of the drawing [rad, m]
+TABLE = [  # theta, d, a, alpha of the nominal model [rad, m]
     (0, 0.089159, 0, np.pi / 2), (0, 0, -0.425, 0), (0, 0, -0.39225, 0),
     (0, 0.10915, 0, np.pi / 2), (0, 0.09465, 0, -np.pi / 2), (0, 0.0823, 0, 0),
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What does the drawing lack? A gear error in the elbow that nobody declared, read from the report with its verdict."""
+"""What does the nominal model lack? An unmodelled gear error in the elbow, read from the report with its verdict."""
 
 from pathlib import Path
 

@@ -20,9 +20,9 @@ from modcal_nodes.io.options import Options  # noqa: E402
 from modcal_nodes.io.recorded import calibrate_bag  # noqa: E402
 
 STAGES = (
-    ("nominal", "as drawn", "#b3261e"),
+    ("nominal", "nominal", "#b3261e"),
     ("geometric", "geometry corrected", "#a15c00"),
-    ("final", "with what nobody declared", "#1a5fb4"),
+    ("final", "with unmodelled effects", "#1a5fb4"),
 )
 
 

@@ -41,7 +41,7 @@ DECIDING = {
 }
 EVERY_NODE = {"/rosout", "/parameter_events"}
 EVERY_NODES_SERVICES = ("rcl_interfaces", "type_description_interfaces")
-KINDS = ("hears", "publishes", "serves")
+KINDS = ("subscribes to", "publishes", "serves")
 
 INTRODUCTION = """# Topics and services
 
@@ -57,8 +57,14 @@ publishers offer."""
 FRAMES = {
     node: table(["frames", "type", ""], [[code(name), "tf2_msgs/TFMessage", said] for name, said in rows])
     for node, rows in {
-        "calibrator": [("/tf_static", "published and heard when `publish_tf` is `true`"), ("/tf", "heard then")],
-        "corrector": [("/tf", "published and heard when `publish_tf` is `true`"), ("/tf_static", "heard then")],
+        "calibrator": [
+            ("/tf_static", "published and subscribed to when `publish_tf` is `true`"),
+            ("/tf", "subscribed to then"),
+        ],
+        "corrector": [
+            ("/tf", "published and subscribed to when `publish_tf` is `true`"),
+            ("/tf_static", "subscribed to then"),
+        ],
     }.items()
 }
 
@@ -118,7 +124,7 @@ def _opened(name: str, parameters: dict[str, str]) -> list[Opened]:
     with _started(name, parameters) as node:
         if isinstance(node, LifecycleNode):
             node.trigger_configure()
-        heard = [Opened("hears", _short(s.topic_name, name), _type(s.msg_type), _qos(s.qos_profile))
+        heard = [Opened("subscribes to", _short(s.topic_name, name), _type(s.msg_type), _qos(s.qos_profile))
                  for s in node.subscriptions if s.topic_name not in EVERY_NODE]  # fmt: skip
         said = [Opened("publishes", _short(p.topic_name, name), _type(p.msg_type), _qos(p.qos_profile))
                 for p in node.publishers if p.topic_name not in EVERY_NODE]  # fmt: skip

@@ -86,7 +86,7 @@ def test_drivers_travel_along() -> None:
         ({"points": P, "efforts": np.ones((N, 2))}, "efforts"),
         ({"points": P, "temperatures": {"x": np.full(N, np.nan)}}, "temperature x, row 0"),
         ({"points": P, "q": np.where(np.arange(N)[:, None] == 7, np.nan, Q)}, "q, row 7"),
-        ({"points": P, "q": "abc"}, "no array of numbers"),
+        ({"points": P, "q": "abc"}, "not an array of numbers"),
         ({"points": np.full((N, 3), np.nan)}, "no reading that is finite"),
         ({"q": np.empty((0, 3)), "points": np.empty((0, 3))}, "hold no row"),
     ],

@@ -213,9 +213,9 @@ class _Bad(Circle):
         ("raises", "pose at log_radius = -0.916291: raises ZeroDivisionError (float division by zero)"),
         ("nan", "pose at log_radius = -0.916291: is not finite at a = 3"),
         ("shape", "pose at log_radius = -0.916291: has shape (48, 3, 4), not (48, 4, 4)"),
-        ("mirror", "pose at log_radius = -0.916291: is no rigid transform"),
+        ("mirror", "pose at log_radius = -0.916291: is not a rigid transform"),
         ("still", "pose at log_radius = -0.916291: does not move"),
-        ("begin", "begin: is no list of 1 finite numbers each"),
+        ("begin", "begin: is not a list of 1 finite numbers each"),
     ],
 )
 def test_a_faulty_model_is_refused_by_name(fault: str, said: str, rng: np.random.Generator) -> None:
@@ -223,5 +223,5 @@ def test_a_faulty_model_is_refused_by_name(fault: str, said: str, rng: np.random
     own = _Bad(fault)
     with pytest.raises(BadTable) as error:
         fit(Track(p), own, rng)
-    remedy = "mend the package that brings it, or uninstall it"
+    remedy = "fix the package that provides it, or uninstall it"
     assert str(error.value) == f"articulation model circle of package bad_extras, {said}: {remedy}"

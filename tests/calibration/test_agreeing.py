@@ -72,7 +72,7 @@ def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
     rows = np.random.default_rng(3).random(80) < 0.4
     away = se3.exp([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
     assert "base (or the tracker) stands elsewhere" in found(placed(clean, away @ T, rows)).what
-    assert "tool (or the target on it) sits elsewhere" in found(placed(clean, T @ away, rows)).what
+    assert "tool (or the target on it) is displaced" in found(placed(clean, T @ away, rows)).what
 
 
 @pytest.mark.slow
@@ -89,7 +89,7 @@ def test_a_joint_that_is_stale_or_was_never_reported(clean: Samples) -> None:
     [
         (lambda q: q + 0.5 * np.pi, "reads 90"),
         (lambda q: q / (2.0 * np.pi), "counted in revolutions"),
-        (lambda q: 0.7 * q**2, "was elsewhere than reported"),
+        (lambda q: 0.7 * q**2, "was not where it was reported"),
     ],
 )
 def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> None:  # type: ignore[no-untyped-def]

@@ -72,7 +72,7 @@ def test_orientations_in_another_frame_than_positions(clean: Samples) -> None:
 
 def test_orientations_that_go_along_with_nothing(clean: Samples) -> None:
     nonsense = replace(clean, R=Rotation.random(len(clean), rng=np.random.default_rng(3)).as_matrix())
-    assert "positions go along with the posture and orientations do not" in named(disagreeing_channel(nonsense, CHAIN))
+    assert "positions correlate with the posture and orientations do not" in named(disagreeing_channel(nonsense, CHAIN))
 
 
 def test_a_coordinate_that_is_too_long(clean: Samples) -> None:

@@ -146,7 +146,7 @@ def test_from_recordings_to_a_better_start(
     other = assembly_to_data(five_joints().with_serials([m.serial for m in reversed(assembly.modules)]), library)
     (tmp_path / "other.yaml").write_text(yaml.safe_dump({**other, "name": "five_joints"}))
     assert run(["modules", "learn", str(tmp_path / "other.yaml"), str(one), "--modules", str(store)]) == 2
-    assert "is another assembly in this store" in capsys.readouterr().err
+    assert "is a different assembly in this store" in capsys.readouterr().err
     assert store.read_text() == before
 
 

@@ -74,8 +74,8 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
     [
         ("modcal_delta: 1\n", [], "joints: must name three arms"),
         ("arms: [1", [], "is not YAML"),
-        (None, ["--urdf", str(FILE)], "goes with none of --urdf"),
-        (None, ["--tip", "tool0"], "goes with none of --urdf"),
+        (None, ["--urdf", str(FILE)], "cannot be combined with --urdf"),
+        (None, ["--tip", "tool0"], "cannot be combined with --urdf"),
         (FILE.read_text().replace("shaft", "wrist"), [], "joint wrist"),
         (FILE.read_text().replace("distal_m: 0.80", "distal_m: 0.42"), [], "no platform fits"),
     ],

@@ -121,7 +121,7 @@ def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     )
     assert run(["calibrate", str(bag), *GEOMETRY, "--out", str(tmp_path / "out")]) == 2
     said = capfd.readouterr().err
-    assert "topic /arm/state: was taken for the tracker's, as the only one that can be; but" in said
+    assert "topic /arm/state: was taken as the tracker's topic, as the only candidate; but" in said
     assert "computed from the joints" in said
     assert not (tmp_path / "out").exists()
     stated = calibrated(bag, "--topic", "tracker/pose=/arm/state")

@@ -113,7 +113,7 @@ CASES = {
     ),
     "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv, joint 1: theta: needs 1 number, has 'ninety'"),
     "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "is neither a calibration, a URDF, nor a table"),
-    "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is no distance"),
+    "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is not a valid distance"),
 }  # fmt: skip
 
 

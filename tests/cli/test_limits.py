@@ -90,8 +90,8 @@ def test_what_a_bag_does_not_say_is_counted(tmp_path: Path, capfd: pytest.Captur
 CASES = {
     "payload that the posture cannot hold": (["--payload", "60"], "joint elbow_joint: gravity, friction and speed take .* of the 150 N m"),
     "payload of less than nothing": (["--payload", "-1"], "payload: mass: -1 kg is not 0 or more"),
-    "payload inertia of no body": (["--payload", "1", "--inertia", "1", "1", "3", "0", "0", "0"], "payload: inertia: .* is of no body"),
-    "joint that is not there": (["--at", "elbow=1"], "--at elbow: is no joint of this arm: name one of shoulder_pan_joint"),
+    "payload inertia of no body": (["--payload", "1", "--inertia", "1", "1", "3", "0", "0", "0"], "payload: inertia: .* is not physical"),
+    "joint that is not there": (["--at", "elbow=1"], "--at elbow: is not a joint of this arm: name one of shoulder_pan_joint"),
     "joint beyond its limits": (["--at", "elbow_joint=9"], "--at elbow_joint: 9 is outside its limits, -3.14159 to 3.14159"),
     "joint without a number": (["--at", "elbow_joint"], "--at elbow_joint: is not JOINT=NUMBER"),
     "share of the torque above 1": (["--share", "1.5"], "share of the torque: 1.5 is not above 0 and at most 1"),

@@ -78,5 +78,5 @@ def test_a_piece_without_a_station_is_passed_over(bag: Path) -> None:
     assert any("left out" in note for note in both.notes)
     with pytest.raises(BadRecording, match="tracker"):
         prepare_pieces([blind, blind], ur10())
-    with pytest.raises(BadRecording, match="nothing was heard"):
+    with pytest.raises(BadRecording, match="no message was received"):
         prepare_pieces(list[Recording](), ur10())  # type: ignore[arg-type]

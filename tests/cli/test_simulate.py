@@ -98,10 +98,10 @@ def test_points_efforts_and_a_delta(tmp_path: Path) -> None:
     [
         (
             ["-p", "colour=red"],
-            "modcal: -p colour=red: is no NAME=VALUE of the simulated cell: names are base, tip, seed",
+            "modcal: -p colour=red: is not a NAME=VALUE of the simulated cell: names are base, tip, seed",
         ),
-        (["-p", "urdf=other.urdf"], "modcal: -p urdf=other.urdf: is no NAME=VALUE of the simulated cell"),
-        (["-p", "stations"], "modcal: -p stations: is no NAME=VALUE"),
+        (["-p", "urdf=other.urdf"], "modcal: -p urdf=other.urdf: is not a NAME=VALUE of the simulated cell"),
+        (["-p", "stations"], "modcal: -p stations: is not a NAME=VALUE"),
         (["-p", "stations=many"], "modcal: -p stations=many: is no int: write one"),
         (["-p", "noise_m=.nan"], "modcal: -p noise_m=.nan: is no float: write one"),
         (["-p", "noise_m=2"], "modcal: -p noise_m=2: 0 to 0.1 is allowed: choose a value between"),

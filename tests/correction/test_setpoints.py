@@ -119,7 +119,7 @@ def test_a_commander_keeps_to_limits_that_only_the_description_knows() -> None:
 def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
     commander = Commander(CommanderSettings(stream=True))
     at = Conditions.at_rest(AT, 0.0)
-    with pytest.raises(BadCommand, match="nothing is corrected"):
+    with pytest.raises(BadCommand, match="no command is corrected"):
         commander.setpoint(np.eye(4), "", at, 0.0)
     commander.use(robot(1e-4, 2e-4), 0.0)
     with pytest.raises(NotReachable):

@@ -157,7 +157,7 @@ def test_an_effect_of_a_package_is_found_within_three_sigma(installed: Run, tmp_
     # without the package the file is refused: it would predict without the effect, and say nothing
     read = "import sys, yaml; from modcal_core.calibration.store import from_data; from_data(yaml.safe_load(open(sys.argv[1])))"
     done = subprocess.run([sys.executable, "-c", read, str(stored)], capture_output=True, text=True)
-    assert "effect taut_cable at elbow_joint: no shape taut: install the package that brings it" in done.stderr
+    assert "effect taut_cable at elbow_joint: no shape taut: install the package that provides it" in done.stderr
 
 
 def test_a_clean_arm_stays_clean(installed: Run) -> None:

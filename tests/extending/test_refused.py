@@ -78,8 +78,8 @@ def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
         ({"yields": "other"}, "effect bend: yields one of family other"),
         ({"shape": "crooked"}, "effect bend at elbow_joint: no shape crooked"),
         ({"driver": "mood:elbow_joint"}, "effect bend at elbow_joint: no driver mood:elbow_joint"),
-        ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): fix the package that brings it"),
-        ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: fix the package that brings it"),
+        ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): fix the package that provides it"),
+        ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: fix the package that provides it"),
     ],
 )
 def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line: str) -> None:

@@ -152,7 +152,7 @@ def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
     done = pull(Toy(drawer(), friction=6.0, inertia=4.0), Operation(PANDA, far, LIMITS), trusts=0.05)
     assert done.stop is not None
     assert not done.stop.done
-    assert "cannot lead it" in done.stop.why
+    assert "cannot move it" in done.stop.why
     assert done.opened < 0.12
     assert "follow" not in done.phases
     assert_gentle(done)
@@ -163,7 +163,7 @@ def test_what_nothing_predicts_is_given_up() -> None:
         Toy(drawer(), friction=3.0, inertia=4.0), Operation(PANDA, replace(TASK, max_exploration=0.08), LIMITS), 9.9
     )
     assert done.stop is not None
-    assert "not understood after" in done.stop.why
+    assert "motion not identified after" in done.stop.why
     assert done.opened < 0.1
 
 

@@ -142,7 +142,7 @@ def test_bodies_weigh_what_the_library_says(rng: np.random.Generator) -> None:
         ([Module("B", 8)], "its length code is 8, 0 to 7 are there"),
         ([Module("B"), Module("JR", 1)], "its length code is 1, 0 to 0 are there"),
         ([Module("B"), Module("JR", turn=4)], "turned by 4 quarter turns"),
-        ([Module("B", turn=1)], "a base is turned against nothing"),
+        ([Module("B", turn=1)], "a base has no turn"),
         ([Module("B", serial="A"), Module("JR", serial="A")], "serial number A is at module 1 already"),
     ],
 )
@@ -175,7 +175,7 @@ def changed(*path: str, to: Any) -> Any:
         (changed("modules", "LC", "role", to="leg"), "its role is 'leg'"),
         (changed("modules", "LC", "colour", to="red"), "'colour' does not belong there"),
         (changed("modules", "LC", "motion", to="revolute"), "a joint, and nothing else, has a motion"),
-        (changed("modules", "LC", "output", "along", to=[0, 0, 0]), "has a length that leads nowhere"),
+        (changed("modules", "LC", "output", "along", to=[0, 0, 0]), "has a length without a direction"),
         (changed("modules", "LC", "length_m", to={"first": 40, "step": 5}), "give metres"),
         (changed("modules", "JP", "limits", to={}), "a sliding joint has an end"),
         (changed("modules", "JR", "limits", "lower", to=4), "run from 4 to 2.967"),

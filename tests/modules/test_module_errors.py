@@ -198,7 +198,7 @@ def test_the_store_keeps_everything(stories: list[tuple[float, float, list[Recor
     third = stories[2][2][2]
     assert np.abs(with_recording(again, third, LIBRARY).mean - learn(stories[2][2], LIBRARY).mean).max() < 1e-15
     assert len(with_recording(again, again.recordings[0], LIBRARY).recordings) == 2
-    with pytest.raises(BadTable, match="is another assembly"):
+    with pytest.raises(BadTable, match="is a different assembly"):
         with_recording(again, replace(third, assembly=replace(third.assembly, name="one")), LIBRARY)
 
 

@@ -193,11 +193,11 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
     ),
     "the tracker under a name of its own, the only one": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/vrpn/tool/pose")]), [],
-        "/vrpn/tool/pose (PoseStamped) is taken for tracker/pose: the only topic that can be",
+        "/vrpn/tool/pose (PoseStamped) is used as tracker/pose: the only possible topic",
     ),
     "joint states under a name of their own, the only ones": (
         with_others(lambda c: [*forms.joints(c, "/arm/joints"), *forms.described(c), *forms.readings(c)]), [],
-        "/arm/joints (JointState) is taken for joint_states: the only topic that can be",
+        "/arm/joints (JointState) is used as joint_states: the only possible topic",
     ),
     "the tracker, stated": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/vrpn/tool/pose")]), ["--topic", "tracker/pose=/vrpn/tool/pose"], GOOD
@@ -257,7 +257,7 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
     ),
     "a later robot_description of something else": (
         with_others(lambda c: [*plain(c), forms.text("/robot_description", OBJECT, c.stamps[9])]), [],
-        "/robot_description was published with 2 different contents: that with most recorded joints was taken",
+        "/robot_description was published with 2 different contents: the one with most recorded joints was used",
     ),
     "two robots, one of them stated": (with_others(two_robots), ARM_1, GOOD),
     "no robot_description": (
@@ -333,4 +333,4 @@ def test_tf_along_the_robot_is_no_measurement(c: Cell, tmp_path: Path, capfd: py
         message.transforms[0].child_frame_id = "tool0"
     bag = forms.write(tmp_path / "bag", [*without(c), *links])
     assert run(["info", str(bag), "--tf", "base_link:tool0"]) == 2
-    assert "it was computed from the joints, and is no measurement" in capfd.readouterr().err
+    assert "it was computed from the joints and is not a measurement" in capfd.readouterr().err

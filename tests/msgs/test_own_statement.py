@@ -35,7 +35,7 @@ def test_what_the_readings_bear_out_is_used(recording: Recording, factor: float)
     own = own_statement(stating(recording, factor * TRUE_M), NAMES)
     assert own.stated.instrument_mm == pytest.approx(1e3 * factor * TRUE_M)
     assert own.stated.instrument_deg is None
-    assert "which bears it out" in own.notes[0]
+    assert "which agrees with it" in own.notes[0]
     scatter = float(own.notes[0].partition("scatter by ")[2].split()[0])
     assert scatter == pytest.approx(1e3 * TRUE_M, rel=0.1)  # of some hundreds of readings
 

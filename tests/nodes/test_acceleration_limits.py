@@ -241,4 +241,4 @@ def test_a_payload_that_is_none_ends_it(tmp_path: Path) -> None:
         assert process.popen.wait(60.0) == 2
     lines = [line for line in process.output.splitlines() if line.startswith("modcal: ")]
     assert len(lines) == 1
-    assert "payload: inertia: (1, 1, 3, 0, 0, 0) is of no body" in lines[0]
+    assert "payload: inertia: (1, 1, 3, 0, 0, 0) is not physical" in lines[0]

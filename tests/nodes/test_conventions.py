@@ -140,7 +140,7 @@ def test_help_is_printed_in_place_of_starting(name: str, capsys: pytest.CaptureF
         for parameter in NODES[name]:
             assert f"{parameter} (" in out
     assert answered(make, [name, "--hlep"]) == 2
-    assert f"--hlep: is no argument of {name}" in capsys.readouterr().err
+    assert f"--hlep: is not an argument of {name}" in capsys.readouterr().err
     assert answered(make, [name, "--ros-args", "-r", "a:=b"]) is None
 
 
@@ -155,7 +155,7 @@ def run(name: str, *words: str) -> subprocess.CompletedProcess[str]:
     ("words", "code", "said"),
     [
         (("--help",), 0, ""),
-        (("--hlep",), 2, "is no argument"),
+        (("--hlep",), 2, "is not an argument"),
         (("--ros-args", "-p", "horizon_s:=1e9"), 2, "horizon_s"),
         (("--ros-args", "-p"), 2, ""),
         (("--ros-args", "--params-file", "no_such.yaml"), 2, "no_such.yaml"),

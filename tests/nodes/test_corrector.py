@@ -83,7 +83,7 @@ def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> N
         corrected = read_chain(arm.urdfs[-1])
         assert np.abs(forward(corrected, np.array(arm.states[-1].position)) - expected).max() < 1e-9
         assert arm.urdfs[-1] != URDF
-        # a joint that is not reported is said; nothing is corrected without it
+        # a joint that is not reported is said; no command is corrected without it
         arm.reshape = lambda m: [JointState(header=m.header, name=m.name[:5], position=list(m.position)[:5])]
         wait(lambda: "correction" in arm.health and arm.health["correction"].level == ERROR, 20.0)
         assert "wrist_3_joint" in arm.health["correction"].message
@@ -145,7 +145,7 @@ def test_a_calibration_of_another_robot_corrects_nothing(tmp_path: Path) -> None
         arm = Arm(node, urdf="")
         wait(lambda: arm.heard() and "calibration" in arm.health, 60.0)
         assert arm.health["calibration"].level == ERROR
-        assert "robot_description: not heard yet" in arm.health["calibration"].message
+        assert "robot_description: not received yet" in arm.health["calibration"].message
         for other, said in (
             (URDF.replace("elbow_joint", "knee_joint"), "this robot has"),
             (URDF.replace('"-0.612', '"-0.613').replace('"0.612', '"0.613'), "other nominal kinematics"),
@@ -155,7 +155,7 @@ def test_a_calibration_of_another_robot_corrects_nothing(tmp_path: Path) -> None
             arm.description.publish(String(data=other))
             wait(lambda said=said: said in arm.health["calibration"].message, 20.0)
             assert arm.health["calibration"].level == ERROR
-            arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "nothing is corrected")
+            arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "no command is corrected")
         assert not arm.poses
         assert not arm.urdfs
         arm.description.publish(String(data=URDF))
@@ -166,7 +166,7 @@ def test_a_calibration_of_another_robot_corrects_nothing(tmp_path: Path) -> None
         wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
         late: list[str] = []
         node.create_subscription(String, "corrector/robot_description", lambda m: late.append(m.data), LATCHED)
-        arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "nothing is corrected")
+        arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "no command is corrected")
         assert not late, "a late listener must not find the URDF of a calibration that is not in use"
 
 
@@ -293,7 +293,7 @@ def test_simulated_time_that_stands_still_goes_on_and_jumps_back(tmp_path: Path)
 
 
 def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
-    """A temperature that nobody publishes: said, and nothing is corrected until it comes."""
+    """A temperature that nobody publishes: said, and no command is corrected until it comes."""
     made = calibration(0, started("sensor"))
     domain = fresh_domain()
     process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
@@ -362,7 +362,7 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
         arm.poses.clear()
         wait(lambda: len(arm.poses) > 2, 20.0)
         assert np.abs(matrix(arm.poses[-1].pose.pose) - truth(made, AWAY, "tool")).max() < 1e-12
-        assert "neither tip nor tool" in set_parameter("target", ParameterValue(type=4, string_value="elbow")).reason
+        assert "must be tip or tool" in set_parameter("target", ParameterValue(type=4, string_value="elbow")).reason
         assert not set_parameter("horizon_s", ParameterValue(type=3, double_value=1e9)).successful
         assert "read-only" in set_parameter("calibration", ParameterValue(type=4, string_value="x")).reason
 
@@ -372,7 +372,7 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
         wait(answer.done, 20.0)
         assert answer.result().success
         wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
-        arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "nothing is corrected")
+        arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "no command is corrected")
         arm.calibration.publish(String(data=text(made)))
         arm.poses.clear()
         wait(lambda: arm.poses, 20.0)

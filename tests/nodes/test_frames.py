@@ -82,7 +82,7 @@ def test_what_is_missing_is_said_at_once(capfd: pytest.CaptureFixture[str]) -> N
     with spun(Calibrator, tip="nozzle", publish_tf=True) as pair:
         heard, trusted = said(pair), list[bool]()
         pair.partner.create_subscription(Bool, "calibrator/trusted", lambda m: trusted.append(m.data), LATCHED)
-        pair.wait(lambda: any("robot_description: not heard yet" in s.message for s in heard), 3.0)
+        pair.wait(lambda: any("robot_description: not received yet" in s.message for s in heard), 3.0)
         pair.wait(lambda: trusted and pair.node._lacked, 3.0)
         assert trusted == [False]
         description = pair.partner.create_publisher(String, "robot_description", LATCHED)
@@ -95,6 +95,6 @@ def test_what_is_missing_is_said_at_once(capfd: pytest.CaptureFixture[str]) -> N
         assert (worst.name, worst.level) == ("/calibrator: model", DiagnosticStatus.ERROR)
         pair.wait(lambda: pair.node._lacked.startswith("link 'nozzle'"), 3.0)
     log = capfd.readouterr().err
-    assert "waiting: robot_description: not heard yet" in log
+    assert "waiting: robot_description: not received yet" in log
     assert "waiting: link 'nozzle': is not in the robot description" in log
     assert "tf2_msgs is not installed" in log

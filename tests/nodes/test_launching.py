@@ -82,8 +82,8 @@ def test_arguments_become_parameters_of_their_type_and_remaps(tmp_path: Path) ->
     ("given", "said"),
     [
         ({"use_sim_time": "perhaps"}, "neither true nor false"),
-        ({"log_level": "loud"}, "is no level"),
-        ({"params_file": "no/such.yaml"}, "is no file"),
+        ({"log_level": "loud"}, "is not a log level"),
+        ({"params_file": "no/such.yaml"}, "is not a file"),
         ({"direction": "[1, 0"}, "direction"),
     ],
 )

@@ -199,11 +199,11 @@ def test_what_is_missing_or_cannot_be_recorded_is_said(tmp_path: Path) -> None:
         wait(lambda: right.get_subscription_count() == 1, 60.0)
         other.create_publisher(String, "joint_states", RELIABLE)
         expected = [
-            "/never: nobody publishes it: start the driver, or remap the topic",
+            "/never: no node publishes it: start the driver, or remap the topic",
             "/silent: silent for ",
             "/goals: nav_msgs/msg/Goals cannot be recorded",
             "/joint_states: only sensor_msgs/msg/JointState is recorded, not std_msgs/msg/String",
-            "no tracker is heard (/tracker/pose)",
+            "no message from a tracker (/tracker/pose)",
         ]
         wait(lambda: all(diagnostics.said(TOPICS, words) for words in expected), 60.0)
         assert diagnostics.last[TOPICS].level == DiagnosticStatus.ERROR

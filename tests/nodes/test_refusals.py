@@ -18,7 +18,7 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
         for _ in range(2):
             answer = call(node, wait, "calibrator/solve")
             assert not answer.success
-            assert "robot_description: not heard yet" in answer.message
+            assert "robot_description: not received yet" in answer.message
         assert calibrator.stop(signal.SIGINT) == 0
     assert not (tmp_path / "out").exists()
 

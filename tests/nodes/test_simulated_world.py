@@ -136,7 +136,7 @@ def test_a_link_grows_along_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("link", "said"), [("tool0", "does not lead to a joint"), ("shoulder_link", "has no length that could grow")]
+    ("link", "said"), [("tool0", "does not belong to a joint"), ("shoulder_link", "has no length that can grow")]
 )
 def test_links_that_cannot_grow(link: str, said: str) -> None:
     with pytest.raises(BadRobot, match=said):
@@ -278,7 +278,7 @@ def test_trajectories_go_by_name() -> None:
         (command((1.0, [0.0] * 5)), "wrong positions"),
         (command((1.0, [0.0] * 5 + [np.nan])), "wrong positions"),
         (command((0.0, [0.0] * 6)), "no later"),
-        (command((1.0, [0.0] * 6), (1.0, [0.1] * 6)), "point 1: comes no later"),
+        (command((1.0, [0.0] * 6), (1.0, [0.1] * 6)), "point 1: is not later"),
         (command((1.0, [0.0, 0.0, 4.0, 0.0, 0.0, 0.0])), "outside the joint limits"),
     ],
 )

@@ -34,7 +34,7 @@ def told(standing: Standing | None, verdict: str = "A result.", trouble: str = "
 )
 def test_only_the_floor_is_ok(verdict: Verdict | None, level: bytes, words: str) -> None:
     report = replace(points(), judged=verdict)
-    for said in ("going on with the model that was saved", report.verdict):
+    for said in ("continuing with the saved model", report.verdict):
         status = told(standing_of(report), said)
         assert status.level == level
         assert said.rstrip(".") in status.message
@@ -46,7 +46,7 @@ def test_only_the_floor_is_ok(verdict: Verdict | None, level: bytes, words: str)
 
 def test_without_a_model_nothing_is_ok() -> None:
     assert told(None, "nothing solved yet").level == WARN
-    assert told(standing_of(replace(points(), judged=FLOOR)), trouble="other kinematics").level == ERROR
+    assert told(standing_of(replace(points(), judged=FLOOR)), trouble="different kinematics").level == ERROR
 
 
 @pytest.mark.parametrize("verdict", [FLOOR, OPEN, CANNOT])

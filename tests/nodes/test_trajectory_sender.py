@@ -72,7 +72,7 @@ def test_the_simulated_arm_goes_where_the_plan_says(tmp_path: Path) -> None:
             assert far.popen.wait(60.0) == 2
             assert deaf.popen.wait(60.0) == 2
         assert "from the first point, 0.1 is the limit" in far.output
-        assert "nobody listens to /trajectory_sender/joint_trajectory" in deaf.output
+        assert "no node subscribes to /trajectory_sender/joint_trajectory" in deaf.output
         good = Process("trajectory_sender", domain, tmp_path, *remap, trajectory="good.yaml")
         with running(good):
             assert good.popen.wait(60.0) == 0, good.output

@@ -43,7 +43,7 @@ def test_what_nodes_say_is_shown(tmp_path: Path) -> None:
         elsewhere = run(domain, tmp_path, "--once", "--namespace", "right", "--for", "2")
         assert elsewhere.returncode == 2
         assert len(elsewhere.stderr.splitlines()) == 1
-        assert "no modcal node heard in 2 s" in elsewhere.stderr
+        assert "no message from a modcal node in 2 s" in elsewhere.stderr
 
         lines = run(domain, tmp_path, "--json", "--for", "6", "--every", "0.5", "--namespace", "/left/")
         assert lines.returncode == 0

@@ -37,7 +37,7 @@ def test_l25_is_the_one_in_the_books() -> None:
 
 @pytest.mark.parametrize("levels", [1, 4, 6, 9])
 def test_levels_that_are_no_prime_are_refused(levels: int) -> None:
-    with pytest.raises(BadTable, match="the number is no prime"):
+    with pytest.raises(BadTable, match="the number is not a prime"):
         orthogonal_array(3, levels)
 
 

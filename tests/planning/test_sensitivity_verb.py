@@ -31,7 +31,7 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
     out = tmp_path / "out"
     assert run(["sensitivity", str(IRB1410), "--measured", str(stations), "--out", str(out)]) == 0
     told = " ".join(capfd.readouterr().out.split())
-    assert "All 18 translation parameters move the point by as much as they are off, at every pose." in told
+    assert "All 18 translation parameters move the point by their own error, at every pose." in told
     assert "joint_5/d matters" in told
     assert "these stations do not see it" in told
     assert {p.name for p in out.iterdir()} == {
@@ -63,8 +63,8 @@ def test_an_arm_of_seven_joints_in_the_parameters_of_a_calibration(tmp_path: Pat
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is no prime"),
-        (["irb1410.yaml", "--base", "base"], "is a table, which is one arm from end to end"),
+        (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is not a prime"),
+        (["irb1410.yaml", "--base", "base"], "is a table, which describes one whole arm"),
         (["iiwa14.urdf", "--design", "l25"], "it has 6 columns, the arm 7 joints"),
         (["irb1410.yaml", "--base-factor", "joint_9/a"], "is not one of the chain's"),
     ],
@@ -83,7 +83,7 @@ def test_what_cannot_be(arguments: list[str], words: str, tmp_path: Path, capfd:
     [
         ("stations.csv", "joint_1,joint_2\n0,1\n", "joint joint_3: is not named once"),
         ("stations.csv", "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n0,1,2,3,4,x\n", "row 2: needs 6 finite numbers"),
-        ("plan.yaml", "stations: []\n", "is no plan"),
+        ("plan.yaml", "stations: []\n", "is not a plan"),
         ("plan.yaml", "modcal_plan: 1\njoints: [joint_1]\nstations: []\n", "is not named once|holds no station"),
     ],
 )  # fmt: skip

@@ -192,7 +192,7 @@ def test_sites_that_make_no_sense(parts: dict[str, Any], words: str) -> None:
     [
         ({"arm": {"spheres": [{"link": "arm", "center_m": [0, 0, 0], "radius_m": 0.1}]}}, "no such link", BadTable),
         ({"limits": {"joint_9": [0, 1]}}, "no such joint", BadTable),
-        ({"limits": {"joint_2": [2.0, 3.0]}}, "leave nothing of the robot's own", BadTable),
+        ({"limits": {"joint_2": [2.0, 3.0]}}, "leave no part of the robot's own limits", BadTable),
         ({"tracker": {"position_m": [50, 0, 0], "range_m": [0, 8]}}, "none is seen by the tracker", NotPlannable),
         ({"surroundings": {"floor_m": 5.0}}, "none touches nothing", NotPlannable),
         ({"workspace": {"box_m": [[5, 6], [0, 1], [0, 1]]}}, "no allowed posture", NotPlannable),

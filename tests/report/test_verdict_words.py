@@ -36,7 +36,7 @@ def test_no_verdict_is_calm_about_what_is_not_known() -> None:
 @pytest.mark.parametrize(
     ("verdict", "words"),
     [
-        (FLOOR, "At the floor: what is left is as small as this arm and this instrument can be (0.055 mm, from"),
+        (FLOOR, "At the floor: the residual is as small as this arm and this instrument allow (0.055 mm, from"),
         (OPEN, "Open: 48 of 160 stations were rejected. A regressor predicts 20 % of the squared error. And 1 more"),
         (CANNOT, "Cannot tell whether the rest is the floor: no floor is known. Visit six of these postures twice."),
     ],

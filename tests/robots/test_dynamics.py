@@ -156,7 +156,7 @@ def test_a_payload_moves_the_common_centre() -> None:
         ((float("nan"),), "payload: mass"),
         ((1.0, (100.0, 0.0, 0.0)), "payload: centre: .* within 10 m"),
         ((1.0, (0.0, float("nan"), 0.0)), "payload: centre"),
-        ((1.0, (0.0, 0.0, 0.0), (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)), "payload: inertia: .* is of no body"),
+        ((1.0, (0.0, 0.0, 0.0), (1.0, 1.0, 3.0, 0.0, 0.0, 0.0)), "payload: inertia: .* is not physical"),
         ((1.0, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), "payload: inertia: .* six numbers"),
     ],
 )

@@ -112,7 +112,7 @@ GOOD = "# convention: dh\nname,type,theta,d,a,alpha,lower,upper\nj1,revolute,0,1
 WRONG = {
     "table: states no convention: begin with a line such as '# convention: dh'": "name,theta\nj1,0\n",
     "convention 'dhh' is unknown": GOOD.replace("dh", "dhh"),
-    "comment 'colour': is none of the table's": "# colour: red\n" + GOOD,
+    "comment 'colour': is not a key of the table": "# colour: red\n" + GOOD,
     "has no column 'name'": "# convention: dh\ntheta,d\n0,1\n",
     "column 'bx' is not one of a dh table": GOOD.replace("theta", "bx"),
     "joint 1: has 3 cells, the header 8": GOOD.replace("j1,revolute,0,1,0,0,,", "j1,revolute,0"),

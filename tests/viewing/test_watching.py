@@ -18,7 +18,7 @@ def heard() -> Heard:
     """A calibrator that is well, a corrector that is not, and a node of somebody else's."""
     out = Heard()
     out.status("/calibrator: model", "modcal", 0, "error is 0.05 mm", FACTS, 10.0)
-    out.status("/calibrator: hearing", "modcal", 0, "everything that is needed is heard", {}, 10.0)
+    out.status("/calibrator: hearing", "modcal", 0, "everything that is needed is received", {}, 10.0)
     out.status("/arm/corrector: correction", "modcal", 2, "joint_states are 3 s off", {"poses": "5"}, 10.5)
     out.status("/drive: motor [4]", "vendor", 2, "hot", {}, 10.5)
     return out

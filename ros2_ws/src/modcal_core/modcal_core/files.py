@@ -112,4 +112,4 @@ def parse_yaml(text: str, source: str) -> Any:
         raise BadTable(source, f"is not YAML{where}", "correct it") from error
     except (ValueError, TypeError, OverflowError, AttributeError, RecursionError, UnicodeError) as error:
         # of dates that are none, numbers of thousands of digits, and what else a loader does not expect
-        raise BadTable(source, f"holds a value that is none ({type(error).__name__})", "correct it") from error
+        raise BadTable(source, f"holds a value that cannot be read ({type(error).__name__})", "correct it") from error

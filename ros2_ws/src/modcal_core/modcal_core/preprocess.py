@@ -71,7 +71,7 @@ def prepare(
         # clocks are settled anew, and said again if they are still off
         samples, notes = _settle_delays(recording, aligned, samples, chain, rules)
         if not stood:
-            said = "The arm hardly stood still: readings were used one by one, with postures interpolated."
+            said = "The arm was almost always moving: readings were used one by one, with interpolated postures."
             notes = (said, *notes)
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     lost = together([clean.lost, dropped(aligned, samples, rules, since, until)])
@@ -108,7 +108,7 @@ def prepare_pieces(
         own = prepared.samples.between(piece.since, piece.until)
         samples = own if samples is None else samples.followed_by(own) if len(own) else samples
     if samples is None:
-        raise refused or BadRecording("recording", "nothing was heard", "start the robot and the tracker")
+        raise refused or BadRecording("recording", "no message was received", "start the robot and the tracker")
     return Prepared(samples, tuple(notes), together(lost), together_stated(stated))
 
 

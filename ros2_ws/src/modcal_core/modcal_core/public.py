@@ -147,7 +147,7 @@ def tolerance_asked(mm: float | None, of: str) -> Asked | None:
     if mm is None:
         return None
     if of not in STATISTICS:
-        raise BadTable(f"tolerance of {of}", "is no statistic of the error", f"ask for {', '.join(STATISTICS)}")
+        raise BadTable(f"tolerance of {of}", "is not a statistic of the error", f"ask for {', '.join(STATISTICS)}")
     return Asked(mm, of)
 
 
@@ -188,7 +188,7 @@ def _require_measured(report: Report, samples: Samples) -> None:
     if computed and by_type:
         raise BadRecording(
             f"topic {by_type[0]}",
-            f"was taken for the tracker's, as the only one that can be; but {computed[0].rstrip('.')}",
+            f"was taken as the tracker's topic, as the only candidate; but {computed[0].rstrip('.')}",
             f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one",
         )
 
@@ -219,4 +219,4 @@ def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
         return (f"The recording's robot description was not compared: {error}.",)
     if described in (calibration.robot, fingerprint(calibrated)):
         return ()
-    return ("The recording's robot description has other kinematics than the one that was calibrated.",)
+    return ("The recording's robot description has different kinematics than the one that was calibrated.",)

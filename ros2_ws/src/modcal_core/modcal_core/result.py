@@ -49,8 +49,8 @@ class Result:
     def files(self, factory: Mapping[str, Any] | None = None, page: bool = True) -> dict[str, str]:
         """Names and texts of the files of a calibration: report, corrected model, everything needed to predict.
 
-        factory: the kinematics that the maker's tool took from this arm, whose form and hash ``kinematics.yaml`` keeps.
-        page: whether report.html is among them.
+        factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash
+        ``kinematics.yaml`` keeps. page: whether report.html is among them.
         """
         from modcal_core.report.files import calibration_files, delta_files
 

@@ -72,6 +72,6 @@ def added_topics() -> dict[str, AddedTopic]:
             raise BadTable(offender, f"names a {type(named).__name__}", "name an AddedTopic")
         topic = named.topic.strip("/")
         if topic in out:
-            raise BadTable(offender, f"topic {topic} is taken", "choose another")
+            raise BadTable(offender, f"topic {topic} is already used", "choose another")
         out[topic] = named
     return out

@@ -60,7 +60,7 @@ def listed_files(folder: Path) -> list[Path]:
     text = file.read_text(encoding="utf-8")
     stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
     if not isinstance(stated, list) or not stated or not all(isinstance(name, str) and name for name in stated):
-        raise ValueError("relative_file_paths is no list of names")
+        raise ValueError("relative_file_paths is not a list of names")
     if any(len(Path(name).name.encode()) > _MAX_NAME for name in stated):
         raise ValueError("a name in relative_file_paths is too long for a file")
     out = []

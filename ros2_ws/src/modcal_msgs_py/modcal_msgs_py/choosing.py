@@ -56,7 +56,7 @@ class Topics:
             if not equals or not name.strip("/"):
                 raise BadTable(f"topic {text}", "is not ROLE=NAME", "write it as tracker/pose=/vrpn/tool/pose")
             if role not in TYPES:
-                raise BadTable(f"topic {text}", f"{role} is no role", f"roles are {', '.join(TYPES)}")
+                raise BadTable(f"topic {text}", f"{role} is not a role", f"roles are {', '.join(TYPES)}")
             stated.append((role, _absolute(name)))
         pair = None
         if tf is not None:
@@ -123,7 +123,7 @@ def resolve(listed: Sequence[Listed], topics: Topics, source: str) -> Roles:
     by_type = _by_type(listed, found, left_out, topics.tf is not None)
     for one, role in by_type.items():
         found[one.topic, one.type_name] = role
-        notes.append(f"{one.topic} ({_short(one.type_name)}) is taken for {role}: the only topic that can be.")
+        notes.append(f"{one.topic} ({_short(one.type_name)}) is used as {role}: the only possible topic.")
     return Roles(
         found, frozenset(left_out), frozenset(one.topic for one in by_type), tuple(notes), topics.tf, tuple(listed)
     )

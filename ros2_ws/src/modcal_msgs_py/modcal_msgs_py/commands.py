@@ -74,7 +74,7 @@ class JointInput:
             raise BadCommand(
                 "joint_states",
                 f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit",
-                "let the driver stamp with this clock, or see why it is late",
+                "make the driver stamp with this clock, or check why it is late",
             )
         names = list(message.name)
         if len(message.position) != len(names) or len(set(names)) != len(names):
@@ -112,7 +112,7 @@ class JointInput:
         """Raises BadCommand unless every joint was heard within ``stale`` seconds of ``now``."""
         if missing := self.missing():
             raise BadCommand(
-                "joint_states", f"say nothing of {', '.join(missing)}", "publish every joint between base and tip"
+                "joint_states", f"do not contain {', '.join(missing)}", "publish every joint between base and tip"
             )
         age = np.abs(now - self.stamps)
         j = int(np.argmax(age))
@@ -120,7 +120,7 @@ class JointInput:
             raise BadCommand(
                 f"joint_states of {self.names[j]}",
                 f"are {age[j]:.3g} s off, {stale:g} s is the limit",
-                "see that the driver is alive and its clock is this one",
+                "check that the driver is alive and its clock is this one",
             )
 
 

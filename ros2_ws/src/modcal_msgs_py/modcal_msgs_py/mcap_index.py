@@ -52,10 +52,10 @@ def read_index(path: Path) -> Index | None:
 def _index(data: mmap.mmap) -> Index | None:
     end = len(data) - len(_MAGIC) - _FOOTER.size
     if end < len(_MAGIC) or data[-len(_MAGIC) :] != _MAGIC:
-        raise ValueError("the file does not end as it should")
+        raise ValueError("the file does not end correctly")
     opcode, length, at, _, _ = _FOOTER.unpack_from(data, end)
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size:
-        raise ValueError("the file does not end as it should")
+        raise ValueError("the file does not end correctly")
     if at == 0:
         return None
     if not len(_MAGIC) <= at <= end:

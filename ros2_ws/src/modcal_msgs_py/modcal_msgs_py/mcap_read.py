@@ -233,7 +233,7 @@ class _Reader:
     def _hopeless(self, topic: str, type_name: str, failed: int, left: int) -> bool:
         """Count a message that cannot be decoded; after many in a row, all that are left, this one included."""
         hopeless = failed >= _HOPELESS
-        self._builder.lose(topic, f"they are no {type_name}", left if hopeless else 1)
+        self._builder.lose(topic, f"they are not of type {type_name}", left if hopeless else 1)
         return hopeless
 
 

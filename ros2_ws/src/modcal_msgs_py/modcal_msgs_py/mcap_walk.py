@@ -132,12 +132,12 @@ class McapFile:
         while at < size:
             self.share = at / size
             if size - at < _RECORD.size:
-                self.cut = f"{size - at} bytes at the end are no record"
+                self.cut = f"{size - at} bytes at the end are not a record"
                 return
             opcode, length = _RECORD.unpack_from(data, at)
             body = at + _RECORD.size
             if not 0x01 <= opcode <= 0x0F and opcode < 0x80:
-                self.cut = f"{size - at} bytes from byte {at} are no MCAP records"
+                self.cut = f"{size - at} bytes from byte {at} are not MCAP records"
                 return
             if body + length > size:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"
@@ -336,9 +336,9 @@ def _unpacked_at_once(content: bytes, size: int) -> bytearray:
 
 def _other_format(start: bytes) -> str:
     if start.startswith(b"SQLite format 3"):
-        return "let its name end in .db3"
+        return "make its name end in .db3"
     if start.startswith(ZSTD):
-        return "let its name end in .mcap.zstd, or unpack it: zstd -d"
+        return "make its name end in .mcap.zstd, or unpack it: zstd -d"
     if start.startswith(b"#ROSBAG"):
         return "it is a bag of ROS 1: convert it with rosbags-convert"
     return "give a bag folder or a .mcap file"

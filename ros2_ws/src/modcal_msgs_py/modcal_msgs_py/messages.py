@@ -215,7 +215,7 @@ class RecordingBuilder:
         warnings = [
             *notes,
             *(
-                f"{count} messages on {topic} had no stamp; the time they were received was taken."
+                f"{count} messages on {topic} had no stamp; the time of reception was used."
                 for topic, count in self._unstamped.items()
             ),
             *(f"{count} messages on {topic} were left out: {why}." for (topic, why), count in self._lost.items()),
@@ -279,7 +279,9 @@ class RecordingBuilder:
 
         topic, chosen = max(texts, key=lambda pair: known(pair[1]))  # the first of equals
         others = len(self._description[topic]) - 1
-        said = f"{topic} was published with {others + 1} different contents: that with most recorded joints was taken."
+        said = (
+            f"{topic} was published with {others + 1} different contents: the one with most recorded joints was used."
+        )
         return chosen, [said] if others else []
 
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:

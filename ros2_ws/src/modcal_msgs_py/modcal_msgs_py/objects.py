@@ -31,7 +31,7 @@ def seen(message: Any, what: str) -> tuple[Array, Array | None, float]:
     """
     stamp = seconds(message.header.stamp)
     if stamp <= 0.0:
-        raise BadCommand(what, "has no stamp", "let its publisher stamp it")
+        raise BadCommand(what, "has no stamp", "make its publisher stamp it")
     if hasattr(message, "point"):
         return _finite([message.point.x, message.point.y, message.point.z], what), None, stamp
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose

@@ -34,7 +34,7 @@ class SignalsHeard:
         if not abs(now - stamp) <= _STALE:
             raise BadCommand(name, f"its stamp is {abs(now - stamp):.3g} s off", "stamp it with this clock")
         if name not in self._values and len(self._values) >= _MOST_NAMES:
-            raise BadCommand(name, f"{_MOST_NAMES} temperatures are heard already", "publish fewer")
+            raise BadCommand(name, f"{_MOST_NAMES} temperatures are received already", "publish fewer")
         kept = self._values.setdefault(name, deque(maxlen=_MOST))
         if kept and stamp < kept[-1][0]:  # the clock went back: what came before belongs to another time
             kept.clear()

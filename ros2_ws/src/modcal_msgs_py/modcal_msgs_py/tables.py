@@ -62,7 +62,7 @@ class _Table:
                 cell = row[index] if index < len(row) else "nothing"
                 raise self.bad_cell(i, key, f"'{shown(cell)[1:-1]}' is not a number") from None
             if not abs(out[i]) < _LARGEST:
-                raise self.bad_cell(i, key, f"{out[i]} is no finite number")
+                raise self.bad_cell(i, key, f"{out[i]} is not finite")
         return out
 
     def text(self, key: Any) -> list[str]:
@@ -124,7 +124,7 @@ def _matching(folder: Path, pattern: str, source: str) -> list[Path]:
     try:
         return sorted(path for path in folder.glob(pattern) if path.is_file())
     except (ValueError, NotImplementedError, IndexError, OSError) as error:
-        said = f"{shown(pattern)} is no pattern of files"
+        said = f"{shown(pattern)} is not a file pattern"
         raise BadTable(f"{source}: files", said, "give names relative to the folder, such as run_*.csv") from error
 
 
@@ -148,7 +148,7 @@ def _read(path: Path, entry: Mapping[str, Any]) -> _Table:
     except UnicodeError as error:
         raise BadTable(str(path), "is not text in the stated encoding", "state its encoding") from error
     except (csv.Error, TypeError) as error:
-        raise BadTable(str(path), f"is no table ({error})", "state its delimiter, or give a CSV file") from error
+        raise BadTable(str(path), f"is not a table ({error})", "state its delimiter, or give a CSV file") from error
     has_header = bool(entry.get("header", True))
     header = tuple(cell.strip() for cell in lines[0]) if has_header and lines else ()
     rows = [line for line in lines[int(has_header) :] if any(cell.strip() for cell in line)]
@@ -176,7 +176,7 @@ def _stamps(table: _Table, entry: Mapping[str, Any], clock: float, source: str) 
         out = table.column(_need(time, "seconds", source))
     if not ((out >= 0.0) & (out < _LAST)).all():
         i = int(np.argmin((out >= 0.0) & (out < _LAST)))
-        raise table.bad_cell(i, time.get("column", time.get("seconds")), f"{out[i]:g} s is no time of a recording")
+        raise table.bad_cell(i, time.get("column", time.get("seconds")), f"{out[i]:g} s is not a plausible time")
     falls = int((np.diff(out) < 0.0).sum())
     warning = f"{table.path.name}: {falls} rows are stamped before the row above them." if falls else None
     # rows within the clock's resolution are still rows of their own
@@ -227,7 +227,7 @@ def _orientation(table: _Table, reading: Mapping[str, Any], where: str) -> Array
         values = np.stack([table.column(c) for c in columns], axis=1)
         length = np.linalg.norm(values, axis=1)
         if not (length > _LEAST_LENGTH).all():
-            raise table.bad_cell(int(np.argmin(length)), columns[0], "a quaternion of zeros is no orientation")
+            raise table.bad_cell(int(np.argmin(length)), columns[0], "a quaternion of zeros is not an orientation")
         return Rotation.from_quat(values).as_matrix()
     angles = reading[stated[0]]
     scale = _unit(angles, where, ("rad", "deg"))

@@ -77,7 +77,7 @@ def require_mapping(mapping: Any, source: str) -> Mapping[str, Any]:
         if delimiter == decimal:
             raise BadTable(f"{where}: decimal", f"{shown(decimal)} is the delimiter too", "state the other one")
         if not _is_text_encoding(table.get("encoding", "utf-8-sig")):
-            raise BadTable(f"{where}: encoding", f"{shown(table['encoding'])} is no encoding of text", "e.g. utf-8")
+            raise BadTable(f"{where}: encoding", f"{shown(table['encoding'])} is not a text encoding", "e.g. utf-8")
         kinds = [k for k in ("pose", "point", "same_point") if k in table]
         if len(kinds) != 1:
             said = f"{len(kinds)} of pose, point and same_point are stated"

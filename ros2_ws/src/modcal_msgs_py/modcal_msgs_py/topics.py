@@ -34,7 +34,7 @@ LATCHED = (ROBOT_DESCRIPTION, NOTES)
 
 for _topic, _added in ADDED.items():
     if _topic in TYPES:
-        raise BadTable(f"topic {_topic} of {GROUP}", "is the contract's own", "choose another name")
+        raise BadTable(f"topic {_topic} of {GROUP}", "is used by modcal itself", "choose another name")
     TYPES[_topic] = _added.message
 
 

@@ -72,10 +72,10 @@ class Transforms:
         moving = [(key, forward) for key, forward in way if self._moves(key)]
         links = set() if description is None else set(re.findall(r"<link[^>]*\bname\s*=\s*[\"']([^\"']+)", description))
         if any(parent in links and child in links for (parent, child), _ in moving):
-            said = "goes along the robot's own links: it was computed from the joints, and is no measurement"
+            said = "follows the robot's own links: it was computed from the joints and is not a measurement"
             raise BadRecording(name, said, "name the frames between which the tracker measures")
         if len(moving) != 1:
-            said = "does not move" if not moving else f"is put together of {len(moving)} transforms that move"
+            said = "does not move" if not moving else f"is composed of {len(moving)} transforms that move"
             raise BadRecording(name, said, "name the frame of the tracker and that of its target, as it publishes them")
         stamps, received, values = self._edges[moving[0][0]].columns()
         T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))

@@ -92,7 +92,7 @@ class JointModel:
             raise BadRobot(f"joint {self.kind}, pitch", f"is {self.pitch:g} m/rad", "only a screw has a finite pitch")
         R = self.start[:3, :3]
         if np.abs(R @ R.T - _EYE).max() > 1e-6 or crossed(R[:, 0], R[:, 1]) @ R[:, 2] < 0.0:
-            raise BadRobot(f"joint {self.kind}, start", "is no rigid transform", "give a rotation and a position")
+            raise BadRobot(f"joint {self.kind}, start", "is not a rigid transform", "give a rotation and a position")
 
     @classmethod
     def trusted(cls, start: Array, axis: Array, point: Array, pitch: float = 0.0, oriented: bool = True) -> Self:

@@ -141,11 +141,11 @@ class Tracker:
                 "pose of the handle", f"its position is not three finite numbers within {FARTHEST:g} m", "give metres"
             )
         if self._oriented and R is None:
-            raise BadCommand("pose of the handle", "comes without a rotation, unlike before", "reset, or give both")
+            raise BadCommand("pose of the handle", "has no rotation, unlike earlier poses", "reset, or give both")
         if not self._oriented:
             R = None
         if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - _EYE).max() > RIGID):
-            raise BadCommand("pose of the handle", "its rotation is no rotation matrix", "give a unit quaternion")
+            raise BadCommand("pose of the handle", "its rotation is not a rotation matrix", "give a unit quaternion")
         if not np.isfinite(stamp) or stamp < self._stamp:
             raise BadCommand(
                 "pose of the handle", f"its stamp {stamp:g} s is older than the last", "give poses in order"

@@ -133,7 +133,7 @@ def _frozen(values: ArrayLike) -> Array:
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise BadRecording("track", f"is no array of numbers ({error})", "give numbers") from error
+        raise BadRecording("track", f"is not an array of numbers ({error})", "give numbers") from error
     array.flags.writeable = False
     return array
 
@@ -151,6 +151,6 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
     _finite("rotations", R)
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
     if off.max() > RIGID:
-        raise BadRecording(f"track, rotation of sample {int(off.argmax())}", "is no rotation matrix",
+        raise BadRecording(f"track, rotation of sample {int(off.argmax())}", "is not a rotation matrix",
                            "give proper orthonormal matrices")  # fmt: skip
     return R

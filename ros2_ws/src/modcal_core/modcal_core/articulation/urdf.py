@@ -46,7 +46,9 @@ def describe(
     low, high = limits if limits is not None else (-written.reach, written.reach)
     if world == handle or not world or not handle:
         raise BadRobot(
-            f"links {world!r} and {handle!r}", "are no two names", "name the frame of the track and the handle"
+            f"links {world!r} and {handle!r}",
+            "are not two different names",
+            "name the frame of the track and the handle",
         )
     if model.moves and not (np.isfinite([low, high]).all() and low < high):
         raise BadRobot(f"limits {low:g} to {high:g}", "do not rise", "give the lower one first")
@@ -84,7 +86,7 @@ def read(text: str) -> JointModel:
     try:
         robot = etree.fromstring(text.encode(), etree.XMLParser(resolve_entities=False, no_network=True))
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise BadRobot("object_description", f"is no XML ({error})", "publish what describe wrote") from error
+        raise BadRobot("object_description", f"is not XML ({error})", "publish what describe wrote") from error
     joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     main = joints.get(JOINT)
     types = {m.joint for m in AXES.values() if main is not None and m.urdf and m.urdf.type == main.get("type")}

@@ -179,14 +179,16 @@ class _Search:
         other, agree = self._largest(rest)
         if other is None or agree.sum() < _LEAST // 2 or agree.mean() < _EXPLAINED:
             return None
-        tool = replace(placed, Y=other.Y, t=other.t), "the base (or the tracker) stands elsewhere"
-        base = replace(placed, X=other.X, x=other.x), "the tool (or the target on it) sits elsewhere"
+        tool = replace(placed, Y=other.Y, t=other.t), "the base (or the tracker) is displaced"
+        base = replace(placed, X=other.X, x=other.x), "the tool (or the target on it) is displaced"
         part, A = self.samples.select(rest), self.A[rest]
         said = next(
             (text for one, text in (tool, base) if self._within(one, A, part).mean() >= _EXPLAINED),
-            "base and tool are others",
+            "base and tool are both displaced",
         )
-        remedy = "see whether two trackers or two targets write under one name; give each part a frame or a recording"
+        remedy = (
+            "check whether two trackers or targets publish under one name; give each part its own frame or recording"
+        )
         return self._said(rest, f"{said} at {self._stations(rest)}", remedy)
 
     def _one_joint(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
@@ -260,10 +262,13 @@ class _Search:
     def _joint_said(self, j: int, rows: np.ndarray, reported: Array, seen: Array) -> Disagreement | None:
         name = self.samples.names[j]
         where = f" at {self._stations(rows)}" if len(rows) < len(self.samples) else ""
-        remedy = f"see how the position of {name} comes into joint_states"
+        remedy = f"check how the position of {name} gets into joint_states"
         swing = np.degrees(2.0 * _spread(seen))
         if np.ptp(self.samples.q[:, j]) < _STILL:
-            what = f"joint {name} is reported as standing still and moves by some {swing:.0f}°: it looks never reported"
+            what = (
+                f"joint {name} is reported as standing still and moves by some {swing:.0f}°: "
+                "its position is apparently never reported"
+            )
             return self._said(rows, what, remedy)
         if np.ptp(reported) < _STILL:
             what = (
@@ -278,11 +283,11 @@ class _Search:
             turn = np.degrees(np.angle(np.mean(np.exp(1j * off))))
             if abs(turn) < np.degrees(_CLEARLY * ANGLE):  # it stands as reported: what is wrong is not this joint
                 return None
-            return self._said(rows, f"joint {name} reads {-turn:.1f}° too much{where}: another zero", remedy)
+            return self._said(rows, f"joint {name} reads {-turn:.1f}° too much{where}: its zero is different", remedy)
         for how, factor in _FACTORS.items():
             if _spread(seen - factor * reported) < 2.0 * ANGLE:
-                return self._said(rows, f"joint {name} looks counted {how}{where}", remedy)
-        return self._said(rows, f"joint {name} was elsewhere than reported{where}", remedy)
+                return self._said(rows, f"joint {name} is apparently counted {how}{where}", remedy)
+        return self._said(rows, f"joint {name} was not where it was reported{where}", remedy)
 
     def _stations(self, rows: np.ndarray) -> str:
         bad = np.zeros(len(self.samples), bool)

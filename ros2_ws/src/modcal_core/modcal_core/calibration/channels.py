@@ -180,7 +180,7 @@ class _Channels:
             which = " and ".join("xyz"[k] for k in off)
             return self._said(
                 f"coordinate {which} of the readings looks {size[off[0]] / common:.4g} times as long as the others",
-                "write all three coordinates in one unit, and see the instrument's scale",
+                "write all three coordinates in one unit, and check the instrument's scale",
             )
         Y = so3.nearest_rotation(M / common)
         if np.linalg.det(M) < 0.0 or abs(common - 1.0) > _LONGER:
@@ -218,8 +218,8 @@ class _Channels:
                 size = 1e3 * float(np.linalg.norm(solution[6:]))
                 more = f", but as if an offset of {size:.3g} mm had been turned by the inverse orientation"
         return self._said(
-            f"positions go along with the posture, though not as those of one point of the tool{more}",
-            "see how the tool's offset is taken into account before positions are written",
+            f"positions correlate with the posture, though not as those of one point of the tool{more}",
+            "check how the tool's offset is taken into account before positions are written",
         )
 
     def _orientations_alone(self) -> Disagreement | None:
@@ -230,9 +230,9 @@ class _Channels:
         if max(each) > self.limit:
             return None
         return self._said(
-            f"positions go along with the posture and orientations do not (they miss by "
+            f"positions correlate with the posture and orientations do not (they miss by "
             f"{np.degrees(self.turned[2]):.3g}°)",
-            "see how orientations are made, and whether they are of the same target",
+            "check how orientations are computed, and whether they are of the same target",
         )
 
     # --- descriptions ------------------------------------------------------------------------------------------------
@@ -263,8 +263,9 @@ class _Channels:
             said = ", ".join(f"{1e3 * v:.0f}" for v in shift)
             name = self.chain.names[j]
             return self._said(
-                f"the origin of joint {name} in the URDF looks wrong by ({said}) mm, or the link before it is another",
-                f"see <origin xyz> of {name}, and whether the description is that of this robot",
+                f"the origin of joint {name} in the URDF looks wrong by ({said}) mm, "
+                "or the link before it is different",
+                f"check <origin xyz> of {name}, and whether the description is that of this robot",
             )
         miss, solution = self._placed([*known, *(Y @ self.before[j] for j in range(1, n))], h)
         sizes = np.linalg.norm(solution[6:].reshape(-1, 3), axis=1)
@@ -273,7 +274,7 @@ class _Channels:
             return None
         return self._said(
             f"orientations fit the URDF and lengths do not: look at the origins of {', '.join(wrong)}",
-            "give the description of this robot and not of another size",
+            "give the description of this robot, not of another size",
         )
 
     def _placed(self, columns: list[Array], h: Array) -> tuple[float, Array]:
@@ -301,7 +302,7 @@ class _Channels:
             return self._said(
                 f"joint {name} looks as if it turned about {axis} in its frame and not about "
                 f"{' '.join(f'{v:g}' for v in self.chain.axes[j])}",
-                f"see <axis> of {name} in the URDF",
+                f"check <axis> of {name} in the URDF",
             )
         starts = _cube()
         which = [(j, S) for j in joints for S in range(len(starts))]
@@ -321,8 +322,8 @@ class _Channels:
         name = self.chain.names[which[k][0]]
         turned = np.degrees(float(np.linalg.norm(so3.log(S[k]))))
         return self._said(
-            f"the origin of joint {name} in the URDF looks turned by {turned:.3g}°, or its zero is another",
-            f"see <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
+            f"the origin of joint {name} in the URDF looks turned by {turned:.3g}°, or its zero is different",
+            f"check <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
         )
 
     def _residual(self, a: Array, R: Array) -> Array:

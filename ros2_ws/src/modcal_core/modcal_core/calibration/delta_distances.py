@@ -110,8 +110,8 @@ def fit_distances(
     seen = visibility(nominal, q, pairs, room)
     told = min(len(pairs.distance), 3 * len(q) - 6)  # points in space have no more than that of their own
     if seen.rank >= told:
-        limit = f"{told} independent ones are as many as the combinations of parameters they show"
-        raise NotEnoughData(f"{len(pairs.distance)} distances", limit, "measure more of them, or hold parameters")
+        limit = f"{told} independent ones are not more than the combinations of parameters they depend on"
+        raise NotEnoughData(f"{len(pairs.distance)} distances", limit, "measure more of them, or fix parameters")
 
     def at(x: Array) -> Delta:
         X = nominal.vector.copy()
@@ -232,7 +232,7 @@ def _start(nominal: Delta, q: Array, pairs: Pairs) -> float:
     before = objective(nominal, q, pairs)
     if not np.isfinite(before):
         lost = int((~np.isfinite(tool_positions(nominal, q)).all(axis=0)).sum())
-        said = f"{lost} of {len(q)} cannot be taken by the nominal Delta"
+        said = f"{lost} of {len(q)} cannot be reached by the nominal Delta"
         raise BadRecording("postures", said, "correct its constants, joint names and signs, or leave them out")
     return before
 

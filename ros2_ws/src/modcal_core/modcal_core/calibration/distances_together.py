@@ -36,7 +36,7 @@ def contradicted_together(fit: Fit, samples: Samples, distances: Sequence[AnyDis
         return ()
     return (
         f"The {len(distances)} known distances together are stated {100.0 * factor:+.2f} ± {100.0 * std:.2f} % longer "
-        "than readings and arm say: see that they are written down as they were measured, and in the right unit.",
+        "than readings and arm say: check that they are written down as they were measured, and are in the right unit.",
     )
 
 

@@ -261,7 +261,7 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
         of_them = "" if share == 1.0 else f" the {share:.0%} of them that fit"
         raise NotEnoughData(
             f"{samples.stations} stations for {parameters} parameters",
-            f"{of_them or ' they'} give {equations:.0f} equations, {int(np.ceil(need))} are the least".strip(),
+            f"{of_them or ' they'} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed".strip(),
             f"record at least {least} stations, or fix parameters",
         )
 

@@ -129,7 +129,9 @@ def locate_base(model: Model, samples: Samples, known: Sequence[Known] = (), own
 
 def _require_readings(frame: str, count: int) -> None:
     if count < 3:
-        raise NotEnoughData(f"frame '{frame}'", f"{count} readings, 3 are the least", "record more stations in it")
+        raise NotEnoughData(
+            f"frame '{frame}'", f"{count} readings, at least 3 are needed", "record more stations in it"
+        )
 
 
 def _knowledge(samples: Samples, frame: int) -> int:

@@ -118,7 +118,7 @@ def require_readings(instruments: Sequence[Instrument], samples: Samples) -> Non
         if count < least:
             raise NotEnoughData(
                 f"frame '{instrument.frame}'",
-                f"{count} readings of kind {instrument.kind}, {least} are the least",
+                f"{count} readings of kind {instrument.kind}, at least {least} are needed",
                 "record more stations in it",
             )
 

@@ -80,7 +80,7 @@ def with_recording(known: ModuleErrors, new: RecordingEvidence, library: Library
     """
     for old in known.recordings:
         if old.assembly.name == new.assembly.name and old.assembly != new.assembly:
-            said = "is another assembly in this store"
+            said = "is a different assembly in this store"
             raise BadTable(
                 f"assembly {new.assembly.name}", said, "give each assembly a name of its own, also when rebuilt"
             )

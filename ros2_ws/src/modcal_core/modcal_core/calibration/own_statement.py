@@ -55,7 +55,7 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
             kept.append(value)
             if np.isfinite(what):
                 notes.append(
-                    f"{name} states an error of {scale * what:.3g} {unit} of itself{_why(value, shown, scale, unit)}."
+                    f"{name} reports its own error as {scale * what:.3g} {unit}{_why(value, shown, scale, unit)}."
                 )
         believed.append((kept[0], kept[1]))
     position, rotation = (
@@ -83,9 +83,9 @@ def _checked(what: float, shown: float, scale: float, largest: float) -> float |
 
 def _why(value: float | None, shown: float, scale: float, unit: str) -> str:
     if not np.isfinite(shown):
-        return f": not used, for the arm does not stand still long enough to compare. {_REMEDY}, if it is known"
+        return f": not used, because the arm does not stand still long enough to compare. {_REMEDY}, if it is known"
     seen = f"its readings scatter by {scale * shown:.3g} {unit} where the arm stands still"
-    return f"; {seen}, which bears it out" if value is not None else f": not used, for {seen}"
+    return f"; {seen}, which agrees with it" if value is not None else f": not used, because {seen}"
 
 
 def _median(track: ReadingTrack) -> Array:

@@ -192,7 +192,7 @@ def drop_fixed(parameters: Sequence[Parameter], patterns: Sequence[str]) -> list
         hit = {p.name for p in parameters if fnmatchcase(p.name, pattern) or p.name.rpartition("/")[0] == pattern}
         if not hit:
             places = sorted({p.name.rpartition("/")[0] for p in parameters})
-            raise BadTable(f"fixed parameter '{pattern}'", "names no parameter", f"places are {', '.join(places)}")
+            raise BadTable(f"fixed parameter '{pattern}'", "matches no parameter", f"places are {', '.join(places)}")
         fixed |= hit
     return [p for p in parameters if p.name not in fixed]
 

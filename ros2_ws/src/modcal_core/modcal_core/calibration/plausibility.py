@@ -69,7 +69,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         if alone is not None:
             raise BadRecording(alone.what, said, alone.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():
-        raise BadRecording(best[1], f"{said}; undone, it misses by {1e3 * best[0]:.1f} mm", best[2])
+        raise BadRecording(best[1], f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm", best[2])
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
         raise BadRecording(
@@ -88,7 +88,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             "joint states and readings",
             f"{said}; {' and '.join(beside)} moved as well and {'is' if len(beside) == 1 else 'are'} not between base "
             "and tip",
-            "give --tip (or --base) of the link that carries the target (or the arm)",
+            "give --tip (or --base) as the link that carries the target (or the arm)",
         )
     raise BadRecording(
         "joint states and readings",

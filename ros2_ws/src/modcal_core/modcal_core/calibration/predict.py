@@ -24,7 +24,7 @@ def predict(calibration: Calibration, q: ArrayLike | Samples, frame: str | None 
     unknown = [name for name in names if name not in model.frames]
     if unknown:
         remedy = f"give one of {', '.join(model.frames)}"
-        raise BadTable(f"frame {unknown[0]}", "is none that the calibration knows", remedy)
+        raise BadTable(f"frame {unknown[0]}", "is not in the calibration", remedy)
     index = np.array([model.frames.index(name) for name in names])
     at = (
         index[samples.frame] if len(names) == len(samples.frames) and frame is None else np.full(len(samples), index[0])

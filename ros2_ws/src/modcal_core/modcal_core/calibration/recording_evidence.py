@@ -59,7 +59,7 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
     if chain.n < 2:
         raise NotEnoughData(
             f"assembly {assembly.name}",
-            "it has one joint, and what lies before and behind it cannot be told from base and tool",
+            "it has one joint, and the parts before and behind it cannot be distinguished from base and tool",
             "learn from assemblies of two joints or more",
         )
     start = fit_cell(chain, samples, Cell())

@@ -51,7 +51,7 @@ def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
         raise BadRecording(
             topic,
             f"readings stand still (RMS {1e3 * seen:.3g} mm) while the joints move the tip by {1e3 * moved:.0f} mm",
-            "see that the tracker follows its target and its driver sends new readings; "
+            "check that the tracker follows its target and its driver sends new readings; "
             "a ball held in a socket is stated: list the frame under 'sockets' in the cell file (--cell)",
         )
 

@@ -44,7 +44,7 @@ _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibratio
 
 @dataclass(frozen=True)
 class Calibration:
-    """A nominal model and the calibrated one, both with base frames and tool, and what the fit says of itself.
+    """A nominal model and the calibrated one, both with base frames and tool, and the fit's own uncertainty.
 
     geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
     made from, (2, n); outside them it extrapolates.
@@ -265,9 +265,9 @@ def _require_consistent(
     models = {"nominal": nominal, "calibrated": calibrated, "geometric": geometric}
     for name, model in models.items():
         if type(model.chain) is not type(nominal.chain) or model.chain.names != nominal.chain.names:
-            raise ValueError(f"{name} is of another arm than nominal")
+            raise ValueError(f"{name}belongs to a different arm than nominal")
         if model.frames != nominal.frames:
-            raise ValueError(f"{name} has other frames than nominal")
+            raise ValueError(f"{name}has different frames than nominal")
     if not np.isfinite(seen).all() or seen.shape != (2, len(nominal.chain.names)):
         raise ValueError("seen has two finite numbers for each joint")
     if not all(np.isfinite(value) for _, value, _, _ in parameters):
@@ -310,7 +310,7 @@ def _vector(values: Any) -> Array:
     """Finite numbers (m,). Raises ValueError for others."""
     out = np.array(values, dtype=float)
     if out.ndim != 1 or not np.isfinite(out).all():
-        raise ValueError(f"{shown(values)} is no list of finite numbers")
+        raise ValueError(f"{shown(values)} is not a list of finite numbers")
     return out
 
 

@@ -116,7 +116,7 @@ class Commander:
         Raises ModcalError for what the arm must not follow.
         """
         if self.robot is None:
-            raise BadCommand("desired_pose", "nothing is corrected", "see to the calibration first")
+            raise BadCommand("desired_pose", "no command is corrected", "provide a valid calibration first")
         robot, settings = self.robot, self.settings
         frame = "" if frame == robot.correction.chain.base else frame
         command = self._solve(robot, desired, frame, at, wide=not settings.stream)
@@ -149,7 +149,7 @@ class Commander:
             settings.tolerance_rad,
         )
         if command.singular and not wide:
-            raise BadCommand("desired_pose", "the arm is singular there", "lead the stream around it, or send a goal")
+            raise BadCommand("desired_pose", "the arm is singular there", "route the stream around it, or send a goal")
         return command
 
 

@@ -65,13 +65,13 @@ class Correction:
         for name in self.needs:
             if name not in heard:
                 raise MissingDriver(
-                    name, "the calibration depends on it and it was not heard", "publish it, or calibrate without it"
+                    name, "the calibration depends on it and it was not received", "publish it, or calibrate without it"
                 )
         if self.needs_effort and not np.isfinite(at.effort).all():
             raise MissingDriver(
                 "effort of the joints",
-                "the calibration depends on it and joint_states carry none",
-                "let the driver publish it, or calibrate without it",
+                "the calibration depends on it and joint_states contain none",
+                "make the driver publish it, or calibrate without it",
             )
 
     def pose(self, q: Array, at: Conditions, target: Target = "tip", frame: str = "") -> Array:

@@ -38,7 +38,9 @@ class Bounds:
     def require_within(self, q: Array) -> None:
         """Raises BadCommand unless these positions (n,) are finite and within the limits."""
         if not np.isfinite(q).all():
-            raise BadCommand("joint command", "is not finite", "this is our fault: report it with the calibration")
+            raise BadCommand(
+                "joint command", "is not finite", "this is a fault of modcal: report it with the calibration"
+            )
         out = (q < self.lower) | (q > self.upper)
         if out.any():
             j = int(np.argmax(out))
@@ -90,7 +92,7 @@ class SetpointStream:
             raise BadCommand(
                 "new calibration in the middle of a stream",
                 f"it moves a joint by {largest:.4f}, {most:g} is allowed",
-                "it is taken when the stream pauses",
+                "it is applied when the stream pauses",
             )
         self._offset = (now, blend, offset)
 

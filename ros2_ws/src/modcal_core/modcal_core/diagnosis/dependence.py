@@ -58,7 +58,7 @@ class Dependence:
         """For a person, to follow "what is left ..."."""
         more = f"; as well: {'; '.join(self.rivals)}" if self.rivals else ""
         how = (
-            f"goes with {self.driver}, as an error of {self.place}"
+            f"correlates with {self.driver}, as an error of {self.place}"
             if self.driver
             else (f"is a constant error of {self.place}")
         )
@@ -285,7 +285,7 @@ class _Builder:
         moments = moments_on_base(self.at)
         yield self._pair("the base", "the moment of the arm's weight on it", base, moments)
         slip = slipped(self.samples, moments)
-        yield self._pair("the base", "what the moment of the arm's weight on it was before (it slips)", base, slip)
+        yield self._pair("the base", "the previous moment of the arm's weight on it (slip)", base, slip)
 
     def of_places(self) -> Iterator[_Pair]:
         """The tool with where it is and how it is turned in the cell, whatever brought it there."""

@@ -40,7 +40,7 @@ class ReportEntry:
             total = sum(value**2 for value, _, _ in parts) ** 0.5
             if total:
                 out.append(f"{1e3 * total:.3g} m{parts[0][2]}")
-        return " and ".join(out) or "nothing that was seen"
+        return " and ".join(out) or "nothing that was recorded"
 
 
 def unnamed(entry: ReportEntry) -> str:

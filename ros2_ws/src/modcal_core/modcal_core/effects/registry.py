@@ -26,11 +26,11 @@ def families() -> dict[str, Family]:
         if not isinstance(found, Family):
             raise BadTable(offender, f"names a {type(found).__name__}", "name a Family")
         if found.name in out:
-            raise BadTable(offender, f"family {found.name} is taken", "choose another")
+            raise BadTable(offender, f"family {found.name} is already used", "choose another")
         for what, names, taken in (("shape", found.shapes, shapes), ("driver", found.drivers, drivers)):
             for name in names:
                 if name in taken:
-                    raise BadTable(offender, f"{what} {name} is taken", "choose another name")
+                    raise BadTable(offender, f"{what} {name} is already used", "choose another name")
                 taken.add(name)
         out[found.name] = found
     return out
@@ -79,4 +79,4 @@ def _known() -> tuple[frozenset[str], frozenset[str]]:
 
 
 def _unknown(effect: Effect, what: str) -> BadTable:
-    return BadTable(f"effect {effect.family} at {effect.place}", f"no {what}", "install the package that brings it")
+    return BadTable(f"effect {effect.family} at {effect.place}", f"no {what}", "install the package that provides it")

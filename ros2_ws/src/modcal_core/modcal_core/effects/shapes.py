@@ -61,7 +61,7 @@ class Shape:
         """What is known of its kind. Raises BadTable for a kind that nobody knows."""
         found = KINDS.get(self.kind) or _brought(self.kind)
         if found is None:
-            raise BadTable(f"shape {self.kind}", "is not known", "install the package that brings it")
+            raise BadTable(f"shape {self.kind}", "is not known", "install the package that provides it")
         return found
 
     @property
@@ -101,7 +101,7 @@ class Shape:
         wanted = (self.size, x.shape[-1])
         if out.shape != wanted or not np.isfinite(out).all():
             limit = f"is {out.shape}, not {wanted}" if out.shape != wanted else "is not finite"
-            raise BadTable(f"shape {self.kind} at {dict(self.settings)}", limit, "fix the package that brings it")
+            raise BadTable(f"shape {self.kind} at {dict(self.settings)}", limit, "fix the package that provides it")
         return out
 
 

@@ -27,7 +27,9 @@ def _pair(what: str, value: ArrayLike, least: float) -> Array:
     if out.shape == (2,):  # one for the way, one for turning
         out = np.repeat(out, 3)
     if out.shape != (6,) or not np.isfinite(out).all() or (out < least).any():
-        raise BadCommand(f"{what} {np.asarray(value).tolist()}", f"needs 2 or 6 numbers, at least {least:g}", "mend it")
+        raise BadCommand(
+            f"{what} {np.asarray(value).tolist()}", f"needs 2 or 6 numbers, at least {least:g}", "correct it"
+        )
     out.flags.writeable = False
     return out
 
@@ -59,7 +61,7 @@ class Gains:
         """Gains from numbers for way and turning, or for each of the six."""
         R = np.eye(3) if task is None else np.array(task, dtype=float)
         if R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
-            raise BadCommand("axes of the gains", "are no rotation", "give three orthogonal unit axes")
+            raise BadCommand("axes of the gains", "are not a rotation", "give three orthogonal unit axes")
         R.flags.writeable = False
         least = 1e-3
         return cls(_pair("mass", mass, least), _pair("damping", damping, 0.0), _pair("stiffness", stiffness, 0.0), R)

@@ -122,7 +122,7 @@ class Operation:
         needed = [("joint_states", joints.stamp), ("wrench", sensor.stamp)]
         for what, stamp in needed[:1] if self.phase == "release" else needed:
             if not self._fresh(stamp, now):
-                return f"{what}: nothing of the last {self.limits.timeout:g} s: see that its publisher is alive"
+                return f"{what}: no message in the last {self.limits.timeout:g} s: check that its publisher is alive"
         return ""
 
     def _fresh(self, stamp: float, now: float) -> bool:
@@ -147,8 +147,8 @@ class Operation:
         self._before = now, joints.q
         if not self._tare.add(sensor.raw, sensor.stamp, at_rest):
             if now - self._since > _TARE_PATIENCE:
-                return self.stop("tare: the arm does not stand still: hold it still before it pulls")
-            return Wait("the wrench is tared: the arm stands still for a moment")
+                return self.stop("tare: the arm is moving: hold it still before the pull")
+            return Wait("taring the wrench: the arm stands still for a moment")
         sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.gravity)
         sensor.forget_past()
         self.follower.begin(joints.q, T)
@@ -166,7 +166,7 @@ class Operation:
         h = now - self._last
         if not 0.0 < h <= 5.0 * self.limits.period:  # the first, or after a pause: from rest
             if h <= 0.0:
-                raise BadCommand("clock", "went back or stands", "begin anew")
+                raise BadCommand("clock", "moved backwards or stopped", "restart the node")
             self.follower.rest()
             self.impedance.halt()
             self.pace.stand(now)
@@ -208,7 +208,7 @@ class Operation:
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
         elif pull.way > self.task.max_exploration:
             said = state.event or "no model predicts it"
-            self._let_go(f"not understood after {100.0 * pull.progress(T):.0f} cm ({said})", now)
+            self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and walk along the way in thought."""
@@ -221,9 +221,9 @@ class Operation:
                 self.impedance.change(self.task.gains(course.tangent()))
                 self._enter("follow", now)
             else:
-                self._let_go(f"the arm cannot lead it to the goal: {done.why}", now)
+                self._let_go(f"the arm cannot move it to the goal: {done.why}", now)
         elif now - self._since > _CHECK_PATIENCE:
-            self._let_go("the way was not looked through in time: this is our fault", now)
+            self._let_go("the path was not checked in time: this is a fault of modcal", now)
 
     def _follow(self, h: float, T: Array, state: ObjectModel) -> None:
         course, now = self.course, self._last + h
@@ -233,7 +233,7 @@ class Operation:
         if self._walk is not None:
             done = self._look(1)
             if done is not None and not done.whole:
-                self._let_go(f"the arm cannot lead it to the goal: {done.why}", now)
+                self._let_go(f"the arm cannot move it to the goal: {done.why}", now)
                 return
         self._ticks += 1
         if self._ticks % _MEASURED_EVERY == 0 or self._at is None:
@@ -251,9 +251,9 @@ class Operation:
             self.expected = self.follower.pose
             self._enter("arrive", now)
         elif self._untrusted > 0.05:
-            self._let_go(f"it moves otherwise than before ({state.event or 'no model predicts it'})", now)
+            self._let_go(f"it moves differently than before ({state.event or 'no model predicts it'})", now)
         elif self.pace.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
-            self._let_go(f"it does not move on: {self._pushed()}, open to {self._said(T)}", now)
+            self._let_go(f"it stopped moving: {self._pushed()}, open to {self._said(T)}", now)
 
     def _arrive(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand where the goal was reached."""

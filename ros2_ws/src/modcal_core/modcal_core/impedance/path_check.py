@@ -35,7 +35,7 @@ class Reach:
     def require(self, what: str = "path") -> Reach:
         """Itself. Raises NotReachable unless it is whole."""
         if not self.whole:
-            raise NotReachable(what, self.why, "place the arm otherwise before it grasps, or open less far")
+            raise NotReachable(what, self.why, "place the arm differently before it grasps, or open less far")
         return self
 
     def posture(self, share: float) -> Array:
@@ -120,7 +120,7 @@ class PathCheck:
         gain = float(np.sqrt(max(np.linalg.eigvalsh(J @ J.T)[0], 0.0))) if chain.n >= 6 else self._gain
         moved = np.abs(q - self._before)
         if near.any():
-            self._end(f"{chain.names[int(np.argmax(near))]} comes to its limit")
+            self._end(f"{chain.names[int(np.argmax(near))]} reaches its limit")
         elif gain < self._gain:
             self._end(f"the arm is next to singular (gain {gain:.3g}, {self._gain:g} is the limit)")
         elif k > 0 and moved.max() > self._stride:
@@ -135,7 +135,7 @@ class PathCheck:
     def _end(self, why: str) -> None:
         k, m = len(self._joints), len(self._poses)
         joints = np.array(self._joints).reshape(-1, self._chain.n)
-        self.result = Reach(joints, False, f"{100.0 * k / max(m - 1, 1):.0f} % of the way is reached, then {why}")
+        self.result = Reach(joints, False, f"{100.0 * k / max(m - 1, 1):.0f} % of the path is reached, then {why}")
 
 
 def reach(chain: Chain, poses: Sequence[Array], q0: Array, **limits: float) -> Reach:

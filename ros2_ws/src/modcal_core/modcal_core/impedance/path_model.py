@@ -111,7 +111,7 @@ class PathModel:
         self.per_unit = model.length_per_unit
         if not self.per_unit > 1e-3:
             said = f"a handle that moves {1e3 * self.per_unit:.3g} mm per unit cannot be opened"
-            raise BadCommand(f"model of the object ({model.kind})", said, "see whether it is locked")
+            raise BadCommand(f"model of the object ({model.kind})", said, "check whether it is locked")
         self.model = model
         self._twist = model.twist()
         at = self.configuration(expected)

@@ -115,7 +115,7 @@ class SafetyMonitor:
         """Shut, until it is opened."""
         self.chain, self.limits = chain, limits
         self.tool_frame = tool_frame or chain.tip
-        self.tripped = "it was not opened yet"
+        self.tripped = "it has not been opened yet"
         self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
         self._now = -math.inf
@@ -125,7 +125,7 @@ class SafetyMonitor:
         """Let setpoints through that follow from a pose (4, 4) and joints (n,) at which the arm stands. Or raise."""
         finite = np.isfinite(pose).all() and np.isfinite(q).all() and math.isfinite(now)
         if not finite or np.shape(pose) != (4, 4) or np.shape(q) != (self.chain.n,):
-            raise BadCommand("place to begin from", "is not finite", "wait for joint states")
+            raise BadCommand("start position", "is not finite", "wait for joint states")
         self._last = _Last(now, np.array(pose, float), np.array(q, float), self.limits.period, self._rest())
         self._now, self.tripped, self._let_go = now, "", math.nan
 
@@ -140,7 +140,9 @@ class SafetyMonitor:
     def check(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float) -> ArmSetpoint:
         """The setpoint, if it may go out at time ``now`` [s]. Raises Late for a late input, BadCommand else."""
         if self.tripped or self._last is None:
-            raise BadCommand("setpoint", f"the guard is shut ({self.tripped})", "see to that and begin anew")
+            raise BadCommand(
+                "setpoint", f"the safety monitor has tripped ({self.tripped})", "clear the cause, then activate again"
+            )
         try:
             with np.errstate(all="ignore"):  # numbers that overflow fail every comparison below
                 self._check_time(now)
@@ -159,7 +161,7 @@ class SafetyMonitor:
 
     def _check_time(self, now: float) -> None:
         if not (math.isfinite(now) and now >= self._now):
-            raise BadCommand("clock", "went back", "begin anew at the new time")
+            raise BadCommand("clock", "moved backwards", "restart the node")
         self._now = now
 
     def _check_sensors(self, sensors: SensorReadings, now: float) -> None:
@@ -168,10 +170,10 @@ class SafetyMonitor:
         letting_go = 0.0 <= now - self._let_go <= _LETTING_GO
         for what, stamp in needed[:1] if letting_go else needed:
             if not math.isfinite(stamp):
-                raise BadCommand(what, "its stamp is not finite", "see to its publisher")
+                raise BadCommand(what, "its stamp is not finite", "check its publisher")
             if not abs(now - stamp) <= limits.timeout:
                 age, limit = abs(now - stamp), limits.timeout
-                raise Late(what, f"is {age:.3g} s off, {limit:g} s is the limit", "see that its publisher is alive")
+                raise Late(what, f"is {age:.3g} s off, {limit:g} s is the limit", "check that its publisher is alive")
         for name in self.chain.names:
             if not math.isfinite(sensors.joints.get(name, math.nan)):
                 raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")
@@ -180,7 +182,7 @@ class SafetyMonitor:
             return
         if sensors.wrench_frame != self.tool_frame:
             said = f"is in frame '{sensors.wrench_frame}', not '{self.tool_frame}'"
-            raise BadCommand("wrench", said, "bring it there first")
+            raise BadCommand("wrench", said, "transform it first")
         _require_finite("wrench", sensors.wrench, (6,))
         if (refused := self.too_much(sensors.wrench)) is not None:
             raise refused
@@ -190,10 +192,10 @@ class SafetyMonitor:
         force, moment = _norm(wrench[:3]), _norm(wrench[3:])
         if not force <= self.limits.force:
             said = f"{force:.1f} N, {self.limits.force:g} N is the limit"
-            return BadCommand("force", said, "see what holds the object")
+            return BadCommand("force", said, "check what blocks the object")
         if not moment <= self.limits.moment:
             said = f"{moment:.1f} N m, {self.limits.moment:g} N m is the limit"
-            return BadCommand("moment", said, "see what holds the object")
+            return BadCommand("moment", said, "check what blocks the object")
         return None
 
     def _check_form(self, setpoint: ArmSetpoint) -> None:
@@ -203,7 +205,9 @@ class SafetyMonitor:
                 "setpoint", f"is in frame '{setpoint.frame}', not '{chain.base}'", "give it in the base link"
             )
         if setpoint.names != chain.names:
-            raise BadCommand("setpoint", "names other joints than the arm has", "name the chain's, in its order")
+            raise BadCommand(
+                "setpoint", "has different joints than the arm", "use the chain's joint names, in its order"
+            )
         n = chain.n
         for what, array, shape in (
             ("pose", setpoint.pose, (4, 4)),
@@ -227,13 +231,13 @@ class SafetyMonitor:
         if out.any():
             j = int(np.argmax(out))
             said = f"{setpoint.q[j]:.4f} is outside {chain.lower[j]:.4f} to {chain.upper[j]:.4f}"
-            raise BadCommand(f"setpoint of joint {chain.names[j]}", said, "see to the arc")
+            raise BadCommand(f"setpoint of joint {chain.names[j]}", said, "check the arc")
         dt = now - last.now
         rates, before = last.rates, last.dt
         if dt > _PAUSE * limits.period:  # it stood meanwhile, and begins with one step
             rates, dt, before = self._rest(), limits.period, limits.period
         if not dt > 0.0:
-            raise BadCommand("setpoint", "is the second at one time", "wait for the clock")
+            raise BadCommand("setpoint", "has the same stamp as the one before", "wait for the clock")
         new = (
             (setpoint.pose[:3, 3] - last.pose[:3, 3]) / dt,
             _turn(last.pose, setpoint.pose) / dt,
@@ -277,33 +281,33 @@ class SafetyMonitor:
         except np.linalg.LinAlgError:
             gain = math.sqrt(max(float(np.linalg.eigvalsh(A)[0]), 0.0))
             said = f"its smallest gain is {gain:.3g}, {self.limits.gain:g} is the limit"
-            raise BadCommand("posture", f"is next to singular: {said}", "come from another posture") from None
+            raise BadCommand("posture", f"is next to singular: {said}", "approach from another posture") from None
 
 
 def _require_most(what: str, value: float, most: float) -> None:
     if not value <= most * (1.0 + _ROUNDING):
-        raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or see what went wrong before")
+        raise BadCommand(what, f"{value:.4g}, {most:.4g} is the limit", "slow down, or check what computes it")
 
 
 def _require_back(what: str, lead: Array, now: Array, before: Array, near: float, brake: float) -> None:
     """A motion (3,) that leads no farther from the tool than lead (3,), or brakes: speeds now and before, each (3,)."""
     far = _norm(lead)
     if far > near and not float(now @ lead) / far <= max(float(before @ lead) / far - brake, 0.0) + _ROUNDING:
-        raise BadCommand(what, "leads away from the tool, which is let go", "bring it back to where the tool is")
+        raise BadCommand(what, "moves away from the tool during release", "bring it back to where the tool is")
 
 
 def _require_finite(what: str, array: Array, shape: tuple[int, ...]) -> None:
     if np.shape(array) != shape or not np.isfinite(array).all():
-        raise BadCommand(what, f"is not {shape} finite numbers", "see what went wrong before")
+        raise BadCommand(what, f"is not {shape} finite numbers", "check what computes it")
 
 
 def _require_rotation(what: str, T: Array) -> None:
     _require_finite(what, T, (4, 4))
     R = T[:3, :3]
     if not (np.abs(R @ R.T - _I).max() <= 1e-6 and R[:, 0] @ crossed(R[:, 1], R[:, 2]) > 0.0):
-        raise BadCommand(what, "is no rotation", "see what went wrong before")
+        raise BadCommand(what, "is not a rotation", "check what computes it")
     if not (T[3] == (0.0, 0.0, 0.0, 1.0)).all():
-        raise BadCommand(what, "is no rigid transform", "see what went wrong before")
+        raise BadCommand(what, "is not a rigid transform", "check what computes it")
 
 
 def _turn(before: Array, after: Array) -> Array:

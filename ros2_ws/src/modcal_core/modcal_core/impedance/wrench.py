@@ -57,7 +57,7 @@ def estimate_load(wrenches: ArrayLike, rotations: ArrayLike, down: Array = DOWN)
     if len(g) < 3 or spread[1] < _LEAST_MASS_SPREAD:
         raise NotEnoughData(
             "weight of the tool",
-            f"{len(g)} readings in which gravity hardly turns about the tool",
+            f"{len(g)} readings in which gravity hardly changes direction in the tool frame",
             "hold the tool still in three or more directions, 30° and more apart, about two axes",
         )
     n = len(g)
@@ -98,7 +98,7 @@ class Tare:
                 raise BadCommand(
                     f"tare of the {what}",
                     f"readings scatter by {worst:.3g} {unit}, {most:g} is the limit",
-                    "keep the arm still and its surroundings quiet, or see to the sensor",
+                    "keep the arm still and its surroundings quiet, or check the sensor",
                 )
         weight = Load(known.mass, known.centre).wrench(R_base_sensor, down)
         return Load(known.mass, known.centre, readings.mean(axis=0) - weight)
@@ -155,17 +155,17 @@ class WrenchSensor:
             known = ", ".join(self._adjoints)
             raise BadCommand(f"wrench in frame '{frame}'", f"it must be in one of {known}", "set the sensor's frame_id")
         if w.shape != (6,) or not np.isfinite(w).all():
-            raise BadCommand("wrench", "is not finite", "see to the sensor")
+            raise BadCommand("wrench", "is not finite", "check the sensor")
         if not (np.abs(w[:3]).max() <= self._largest[0] and np.abs(w[3:]).max() <= self._largest[1]):
             raise BadCommand(
                 "wrench",
-                f"{np.abs(w[:3]).max():.4g} N, {np.abs(w[3:]).max():.4g} N m is no reading of a sound sensor",
-                "see to the sensor and its unit",
+                f"{np.abs(w[:3]).max():.4g} N, {np.abs(w[3:]).max():.4g} N m is not a plausible reading",
+                "check the sensor and its unit",
             )
         if not abs(now - stamp) <= stale:
-            raise BadCommand("wrench", f"is {abs(now - stamp):.3g} s off, {stale:g} s is the limit", "see to its clock")
+            raise BadCommand("wrench", f"is {abs(now - stamp):.3g} s off, {stale:g} s is the limit", "check its clock")
         if stamp < self.stamp:
-            raise BadCommand("wrench", "came after a newer one", "let one publisher send it, in order")
+            raise BadCommand("wrench", "came after a newer one", "use one publisher that sends in order")
         if frame != self._frame:
             self._filter.forget()
         self._frame, self.stamp, self._raw = frame, stamp, self._sign * w

@@ -127,7 +127,9 @@ def _poses(poses: ArrayLike, N: int) -> Array:
         R = values[:, :3, :3]
         off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
         if (off > 1e-3).any():
-            raise BadRecording(f"pose of row {int(np.argmax(off))}", "is no rotation matrix", "give proper rotations")
+            raise BadRecording(
+                f"pose of row {int(np.argmax(off))}", "is not a rotation matrix", "give proper rotations"
+            )
         out = np.full((N, 7), np.nan)
         good = np.isfinite(values).all(axis=(1, 2))
         out[good] = se3.to_pose(values[good])
@@ -169,7 +171,7 @@ def _numbers(name: str, values: ArrayLike, dimensions: int, count: int | None = 
     try:
         out = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise BadRecording(name, f"is no array of numbers ({error})", "give numbers") from error
+        raise BadRecording(name, f"is not an array of numbers ({error})", "give numbers") from error
     if out.ndim != dimensions or (count is not None and len(out) != count):
         wanted = "(N, n)" if count is None else f"{count} rows" + (f" of {dimensions} dimensions" * (dimensions > 1))
         raise BadRecording(name, f"has shape {out.shape}, not {wanted}", "give one row a posture")

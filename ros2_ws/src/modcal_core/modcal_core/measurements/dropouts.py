@@ -141,7 +141,7 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
             few = n <= _GLITCHES * len(good)
             kept = order[good[order]]
             values[~good, j] = np.interp(track.stamps[~good], track.stamps[kept], values[kept, j]) if few else np.nan
-            done = "those before and after stand in" if few else "it counts as unknown there"
+            done = "the neighbouring values replace it" if few else "it counts as unknown there"
             at = float(track.stamps[int(np.argmax(~good))])
             notes.append(
                 f"{track.topic}: the {what} of {track.names[j]} is not finite, or cannot be, in {n} of {len(good)} "

@@ -102,12 +102,12 @@ def _checked(
         said = f"shapes {r.shape} and {lengths.shape} for {len(faces)} faces"
         raise BadTable("rays on the box", said, "give (N, 6) rays and (N,) lengths")
     if not (np.isfinite(r).all() and np.isfinite(lengths).all() and (lengths > 0.0).all()):
-        raise BadTable("rays on the box", "a length is not positive, or no number", "leave out rays that meet nothing")
+        raise BadTable("rays on the box", "a length is not positive or not finite", "leave out rays that meet nothing")
     if np.abs(np.linalg.norm(r[:, 3:], axis=1) - 1.0).max() > 1e-3:
         raise BadTable("rays on the box", "a direction does not have length one", "give unit vectors")
     wrong = sorted({f for f in faces if f not in FACES})
     if wrong:
-        raise BadTable(f"face '{wrong[0]}'", "is none of a box", f"name {', '.join(FACES)}")
+        raise BadTable(f"face '{wrong[0]}'", "is not a face of a box", f"name {', '.join(FACES)}")
     s = np.broadcast_to(np.asarray(sigma, dtype=float), (len(r),))
     if not (np.isfinite(s).all() and (s > 0.0).all()):
         raise BadTable("sigma of the lengths", "is not positive", "give metres")

@@ -95,14 +95,15 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
             f"{name}: the clock jumps back {len(back)} times, by up to {-steps[worst]:.3f} s at {stamps[worst]:.3f} s."
         )
     if (repeats := int((steps == 0.0).sum())) > 0:
-        out.append(f"{name}: {repeats} messages carry the stamp of the one before.")
+        out.append(f"{name}: {repeats} messages have the stamp of the message before.")
     forward = steps[steps > 0.0]
     if len(forward) > _LEAST:
         usual = float(np.median(forward))
         gaps = forward[forward > max(_GAP * usual, _LEAST_GAP)]
         if 0 < len(gaps) <= _RARE * len(forward):
             out.append(
-                f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; it usually speaks every {usual:.3f} s."
+                f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; "
+                f"it usually publishes every {usual:.3f} s."
             )
     late = received - stamps
     if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > _LATE:

@@ -33,7 +33,7 @@ def added(group: str) -> Iterator[tuple[str, Any]]:
         except Exception as error:  # whatever a package may do
             package = "its package" if point.dist is None else f"package {point.dist.name}"
             said = f"{package} raises {type(error).__name__} ({error})"
-            raise BadTable(offender, said, "mend the package, or uninstall it") from error
+            raise BadTable(offender, said, "fix the package, or uninstall it") from error
         yield offender, named
 
 

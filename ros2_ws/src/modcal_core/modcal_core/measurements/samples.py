@@ -126,7 +126,7 @@ class Samples:
             return replace(self, names=names)
         missing = [name for name in names if name not in self.names]
         if missing:
-            said = f"is none of the samples' joints ({', '.join(self.names)})"
+            said = f"is not one of the samples' joints ({', '.join(self.names)})"
             raise BadRecording(f"joint {missing[0]}", said, "name the columns of q as the robot does")
         columns = [self.names.index(name) for name in names]
         wide = {

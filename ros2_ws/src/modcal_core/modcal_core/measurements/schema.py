@@ -46,7 +46,7 @@ def _check(data: Any, schema: Schema, where: str, remedy: str) -> None:
         if not any(_is(data, kind) for kind in kinds):
             raise BadTable(where, f"{shown(data)} is not {' or '.join(_NAMES[kind] for kind in kinds)}", remedy)
     if "enum" in schema and not any(type(data) is type(one) and data == one for one in schema["enum"]):
-        raise BadTable(where, f"{shown(data)} is none of {', '.join(map(str, schema['enum']))}", remedy)
+        raise BadTable(where, f"{shown(data)} is not one of {', '.join(map(str, schema['enum']))}", remedy)
     if isinstance(data, str):
         _check_size(len(data), schema, where, remedy, ("minLength", "maxLength"), "letters", shown(data))
     elif isinstance(data, Mapping):

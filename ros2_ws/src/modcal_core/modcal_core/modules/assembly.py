@@ -89,7 +89,7 @@ class Assembly:
             if kind.role not in _NEXT[before]:
                 after = f"stands after a {before}" if before else "stands first"
                 wanted = " or a ".join(_NEXT[before]) or "nothing"
-                raise BadTable(f"{what} ({module.kind})", f"a {kind.role} {after}", f"put a {wanted} there")
+                raise BadTable(f"{what} ({module.kind})", f"a {kind.role} {after}", f"use a {wanted} here")
             if isinstance(module.size, bool) or not isinstance(module.size, int) or not 0 <= module.size < kind.sizes:
                 limit = f"its length code is {module.size!r}, 0 to {kind.sizes - 1} are there"
                 raise BadTable(f"{what} ({module.kind})", limit, "choose a length of the library")
@@ -97,7 +97,7 @@ class Assembly:
                 said = f"it is turned by {module.turn!r} quarter turns, 0 to {TURNS - 1} are possible"
                 raise BadTable(f"{what} ({module.kind})", said, "give 0, 1, 2 or 3, or degrees 0, 90, 180, 270")
             if i == 0 and module.turn:
-                raise BadTable(f"{what} ({module.kind})", "a base is turned against nothing", "turn the first joint")
+                raise BadTable(f"{what} ({module.kind})", "a base has no turn", "turn the first joint")
             if module.serial and module.serial in seen:
                 said = f"serial number {module.serial} is at module {seen[module.serial]} already"
                 raise BadTable(f"{what} ({module.kind})", said, "give each physical module its own")

@@ -115,7 +115,7 @@ def _check_headings(matrix: Incidence, library: Library, source: str) -> None:
         role = library.type(kind, f"{source}: column {c + 1}").role
         wanted = GRIPPER if c == len(matrix.columns) - 1 else JOINT
         if role != wanted:
-            raise BadTable(f"{source}: column {c + 1} ({kind})", f"is a {role}", f"put a {wanted} there")
+            raise BadTable(f"{source}: column {c + 1} ({kind})", f"is a {role}", f"use a {wanted} here")
     for r, kind in enumerate(matrix.rows):
         role = library.type(kind, f"{source}: row").role
         wanted = LINK if r else BASE

@@ -92,7 +92,7 @@ def _type(name: str, stated: Any, what: str) -> ModuleType:
     output = _mapping(data.get("output"), f"{what}: output", {"xyz", "along", "rpy"})
     place = _point(output, f"{what}: output")
     if role in (BASE, GRIPPER, LINK) and step and not place.along.any():
-        raise BadTable(f"{what}: output", "has a length that leads nowhere", "give along: [x, y, z]")
+        raise BadTable(f"{what}: output", "has a length without a direction", "give along: [x, y, z]")
     limits = _mapping(data.get("limits") or {}, f"{what}: limits", {"lower", "upper", "velocity", "effort"})
     low, high = (
         _number(limits.get(k, d), f"{what}: limits: {k}", finite=False)

@@ -101,7 +101,7 @@ def _modules(stated: Any, source: str) -> tuple[Module, ...]:
 def _turn(stated: Any, what: str) -> int:
     """Quarter turns from degrees; 0 … 3 are quarter turns already."""
     if isinstance(stated, bool) or not isinstance(stated, int) or (stated not in _DEGREES and not 0 <= stated <= 3):
-        raise BadTable(f"{what}: turn {stated!r}", "is none of the four that can be bolted", "give 0, 90, 180 or 270")
+        raise BadTable(f"{what}: turn {stated!r}", "is not one of the four possible turns", "give 0, 90, 180 or 270")
     return _DEGREES.get(stated, stated)
 
 

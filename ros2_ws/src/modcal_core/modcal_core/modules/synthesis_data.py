@@ -99,7 +99,7 @@ def _rotation(key: str, stated: Any, what: str, mask: np.ndarray) -> Array:
     R = _numbers(stated, what, (3, 3))
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > _ROUNDING or np.linalg.det(R) < 0.0:
-        said = f"is no rotation: R Rᵀ is off by {off:.2g}" if off > _ROUNDING else "is a reflection"
+        said = f"is not a rotation: R Rᵀ is off by {off:.2g}" if off > _ROUNDING else "is a reflection"
         raise BadTable(what, said, "give its three rows")
     return R
 
@@ -120,7 +120,7 @@ def _requirements(stated: Any, what: str) -> dict[str, dict[str, Any]]:
     for name, options in data.items():
         if name not in REQUIREMENTS:
             close = difflib.get_close_matches(str(name), REQUIREMENTS, n=2, cutoff=0.4) or list(REQUIREMENTS)
-            raise BadTable(f"{what}: '{name}'", "is no requirement", f"use {', '.join(close)}")
+            raise BadTable(f"{what}: '{name}'", "is not a known requirement", f"use {', '.join(close)}")
         out[str(name)] = _options(REQUIREMENTS[name], options or {}, f"{what}: {name}")
     return out
 

@@ -40,7 +40,7 @@ from modcal_core.robots.mechanism import is_serial_arm
 
 WEEK = 604800.0  # s
 SURE = 0.01  # chance of naming something where nothing has changed
-_ANYWHERE = 1.0  # m and rad; how far a base or tool that was set up anew may be from where it was
+_ANYWHERE = 1.0  # m and rad; how far a base or tool that was set up again may be from where it was
 _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are not told apart
 
 

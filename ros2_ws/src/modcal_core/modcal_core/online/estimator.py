@@ -29,7 +29,7 @@ from modcal_core.online.fixed_linearisation import FixedLinearisation
 from modcal_core.online.information import Information
 
 KEPT = 512  # samples that can be linearised again
-_MOVED = 0.02  # standard deviations; an estimate that moved further is linearised anew
+_MOVED = 0.02  # standard deviations; an estimate that moved further is linearised again
 _FAR = 0.5  # the same, a parameter: before the oldest are let go, whose error goes with the square of it
 _ROUNDS = 20  # iterations
 Rows = Array  # [A b] of A x = b, with noise of unit variance, (m, P + 1)

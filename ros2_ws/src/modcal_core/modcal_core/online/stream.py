@@ -97,7 +97,7 @@ class SampleStream:
         """Take one joint state, q (n,) [rad, m]. Raises BadRecording for a position that is no number."""
         if not (np.isfinite(q).all() and np.isfinite(stamp)):
             worst = self.names[int(np.argmin(np.isfinite(q)))]
-            raise BadRecording(f"joint {worst}", "position is no number", "mend the driver; the message is left out")
+            raise BadRecording(f"joint {worst}", "position is not finite", "fix the driver; the message is left out")
         if self._end > self._first:
             last = self._t[self._end - 1]
             if stamp < last - _JUMP:
@@ -112,7 +112,7 @@ class SampleStream:
     def reading(self, kind: str, frame: str, stamp: float, values: Array) -> None:
         """Take one reading, as wide as its kind. Raises BadRecording for one that is not finite or no rotation."""
         if len(values) != kinds()[kind].width or not (np.isfinite(values).all() and np.isfinite(stamp)):
-            raise BadRecording(f"{kind} in {frame}", "is no number", "leave out readings without a target")
+            raise BadRecording(f"{kind} in {frame}", "is not finite", "leave out readings without a target")
         if kind == POSE and abs(float(np.linalg.norm(values[3:])) - 1.0) > _UNIT:
             raise BadRecording(
                 f"pose in {frame}",

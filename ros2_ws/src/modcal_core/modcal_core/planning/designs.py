@@ -29,7 +29,9 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     Raises BadTable unless levels is a prime, and where the array would have more than 20 000 rows.
     """
     if levels < 2 or any(levels % d == 0 for d in range(2, int(levels**0.5) + 1)):
-        raise BadTable(f"orthogonal array of {levels} levels", "the number is no prime", "choose 2, 3, 5, 7, 11 or 13")
+        raise BadTable(
+            f"orthogonal array of {levels} levels", "the number is not a prime", "choose 2, 3, 5, 7, 11 or 13"
+        )
     k = 2
     while (levels**k - 1) // (levels - 1) < factors:
         k += 1
@@ -94,5 +96,5 @@ def design(chain: Chain, kind: str, rng: np.random.Generator, levels: int = 5, c
     if kind != "l25":
         raise BadTable(f"design '{kind}'", "is not known", f"choose {', '.join(DESIGNS)}")
     if chain.n > 6:
-        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "take --design array or sobol")
+        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "use --design array or sobol")
     return array_postures(chain, 5)

@@ -134,7 +134,9 @@ def with_limits(chain: Chain, site: Site) -> Chain:
         k = chain.names.index(name)
         lower[k], upper[k] = max(low, lower[k]), min(high, upper[k])
         if lower[k] >= upper[k]:
-            raise BadTable(f"limits of '{name}'", "leave nothing of the robot's own", "give [least, largest] in SI")
+            raise BadTable(
+                f"limits of '{name}'", "leave no part of the robot's own limits", "give [least, largest] in SI"
+            )
     return replace(chain, lower=lower, upper=upper)
 
 

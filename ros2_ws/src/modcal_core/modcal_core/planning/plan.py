@@ -223,7 +223,7 @@ def _how_many(
             raise NotPlannable(
                 f"{request.measure} of {1e3 * _requested(request):.3g} mm",
                 f"{high} stations leave {1e3 * _measure(tried[high], request):.3g} mm",
-                "ask for less, take a better tracker, or read poses",
+                "ask for less, use a better tracker, or measure poses",
             )
         low, high = high, min(2 * high, most)
     while high - low > 1:

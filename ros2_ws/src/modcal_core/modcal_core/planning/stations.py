@@ -26,7 +26,7 @@ _SCHEMA = {
 def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
     """Postures (N, n) [rad, m] of these joints in what a plan.yaml holds. Raises BadTable."""
     if not isinstance(data, Mapping) or data.get("modcal_plan") != 1:
-        raise BadTable(source, "is no plan: modcal_plan is not 1", "give the plan.yaml that modcal plan wrote")
+        raise BadTable(source, "is not a plan: modcal_plan is not 1", "give the plan.yaml that modcal plan wrote")
     joints = data.get("joints")
     if not isinstance(joints, Sequence) or isinstance(joints, str):
         raise BadTable(source, "names no joints", "give the plan.yaml that modcal plan wrote")

@@ -34,7 +34,7 @@ class Trajectory:
         off = np.abs(self.q[0] - position)
         if not off.max() <= farthest:
             worst = int(np.argmax(off))
-            said = f"stands {off[worst]:.3g} from the first point, {farthest:g} is the limit"
+            said = f"is {off[worst]:.3g} from the first point, {farthest:g} is the limit"
             raise BadCommand(f"joint {self.names[worst]}", said, "bring the arm to the first point before")
         lead = max(_RISE * float(off.max()) / speed, _LEAST_LEAD)
         return Trajectory(self.names, self.t - self.t[0] + lead, self.q)
@@ -53,7 +53,7 @@ def trajectory_from_data(data: Any, source: str) -> Trajectory:
         after = [point["time_from_start"] for point in points]
         t = np.array([float(d["sec"]) + 1e-9 * float(d["nanosec"]) for d in after])
     except (KeyError, TypeError, ValueError) as error:
-        raise BadTable(source, f"is no trajectory ({error!r})", _FORM) from error
+        raise BadTable(source, f"is not a trajectory ({error!r})", _FORM) from error
     if q.shape != (len(points), len(names)) or not (np.isfinite(q).all() and np.isfinite(t).all()):
         raise BadTable(source, f"its positions are not {len(names)} finite numbers each", _FORM)
     if t[0] < 0.0 or not (np.diff(t) > 0.0).all():

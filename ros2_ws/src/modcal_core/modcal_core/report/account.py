@@ -121,7 +121,7 @@ def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
     alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
     words = (
-        "Where the squared error of the nominal model went, on a logarithmic axis. Hatched: negative. "
+        "Contributions to the squared error of the nominal model, on a logarithmic axis. Hatched: negative. "
         "Whiskers: 95 % interval."
     )
     return chart(figure, f"account-{unit}", alt, words)

@@ -132,7 +132,7 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     rows.append(("seen", f"{scale * span:.1f} {unit}".rstrip()))
     rows.append(("left over", f"{data['residual_mm']['rms']:.2f} mm RMS, {data['residual_mm']['p95']:.2f} mm at 95 %"))
     if data["residual_deg"] is not None:
-        rows.append(("left over, turned", f"{data['residual_deg']['rms']:.2f} deg RMS"))
+        rows.append(("residual, rotation", f"{data['residual_deg']['rms']:.2f} deg RMS"))
     return rows
 
 
@@ -150,10 +150,10 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
     for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
         along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=LIGHT[colour], label="xyz"[k])
-    label(along, f"configuration, {unit}" if unit else "configuration", "left over, mm")
+    label(along, f"configuration, {unit}" if unit else "configuration", "residual, mm")
     along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
-    alt = f"The path of a {data['kind']} joint and what it leaves over: {data['residual_mm']['rms']:.2f} mm RMS."
-    words = "Left: what was seen, in the plane of the path, and the joint's own path. Right: what is left along it."
+    alt = f"The path of a {data['kind']} joint and its residual: {data['residual_mm']['rms']:.2f} mm RMS."
+    words = "Left: the measured path, in the plane of the path, and the joint's own path. Right: the residual along it."
     return chart(figure, "path", alt, words)
 
 

@@ -96,7 +96,8 @@ def error_histogram(report: Report) -> Chart | None:
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."
     words = (
-        "Each bar counts held-out samples that miss by so much: hatched with the nominal model, solid with the final."
+        "Each bar counts held-out samples with an error of this size: hatched with the nominal model, "
+        "solid with the final."
     )
     return chart(figure, "histogram", alt, words)
 
@@ -115,10 +116,10 @@ def spread_chart(report: Report) -> Chart | None:
     axes.minorticks_off()
     in_decades(axes.yaxis)
     axes.axhline(1.0, color=LIGHT["warn"], lw=0.9, ls="--")
-    label(axes, "combination of parameters, the best known first", "deviation ÷ expected")
-    alt = f"{seen.rank} of {seen.parameters} combinations of parameters are shown by the data."
+    label(axes, "combination of parameters, best known first", "deviation ÷ expected")
+    alt = f"{seen.rank} of {seen.parameters} combinations of parameters are determined by the data."
     words = (
-        "What the data leaves open of each combination, as a share of what was expected before measuring. "
+        "Remaining uncertainty of each combination, as a share of what was expected before measuring. "
         "Crosses, above the dashed line: not shown by these stations, held near nominal."
     )
     return chart(figure, "spread", alt, words)

@@ -30,7 +30,7 @@ def calibration_files(
 ) -> dict[str, str]:
     """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
 
-    factory: the kinematics that the maker's tool took from this arm, whose form and hash are kept.
+    factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept.
     """
     calibrated = calibration.calibrated.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)

@@ -83,7 +83,7 @@ class Finding:
         if self.gain_mm2 is None:
             return f"without them the error is {1e3 * self.after:.3f} mm, with them {1e3 * self.before:.3f} mm"
         if not self.shown:
-            return "that it helps is not shown by the held-out stations"
+            return "the held-out stations do not show that it helps"
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 

@@ -37,7 +37,7 @@ class File:
 FILES = (
     File(
         "calibration.yaml",
-        "Everything needed to predict: nominal and calibrated arm, effects, base frames, tool, covariance.",
+        "Everything needed for prediction: nominal and calibrated arm, effects, base frames, tool, covariance.",
         (
             "modcal evaluate calibration.yaml OTHER_BAG --out check",
             'ros2 launch modcal_nodes correct.launch.py calibration:="$PWD"',
@@ -48,10 +48,10 @@ FILES = (
         "The robot description with corrected origins, every other byte as it was: geometry, no effects.",
         ("ros2 run robot_state_publisher robot_state_publisher calibrated.urdf",),
     ),
-    File("kinematics.yaml", "The same numbers in the form of the maker, or by joint name.", ()),
+    File("kinematics.yaml", "The same numbers in the manufacturer's format, or by joint name.", ()),
     File(
         "calibrated_delta.yaml",
-        "The Delta's constants and the tool that was found.",
+        "The Delta's constants and the identified tool.",
         ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
     ),
     File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),

@@ -27,7 +27,7 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
     if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
         return ()
     return (
-        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool find them again.",
+        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool fit them again.",
     )
 
 

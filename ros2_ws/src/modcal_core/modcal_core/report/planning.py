@@ -95,10 +95,10 @@ def sentences(plan: Plan) -> list[str]:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.ground.parameters)
     if plan.indices.rank < P:
-        out.append(f"These stations show {plan.indices.rank} of {P} parameters: what is missing is left as drawn.")
+        out.append(f"These stations show {plan.indices.rank} of {P} parameters: the others keep their nominal values.")
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
-        out.append(f"No free way was found from station {ways}: let a motion planner or a person lead the arm there.")
+        out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")
     return out
 
 
@@ -147,7 +147,7 @@ def to_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, picture, files."""
     first, *others = sentences(plan)
     alt = f"{len(plan.q)} stations among the postures that could be chosen, from above and from the side."
-    caption = "Dots could be chosen; the line leads through the stations in their order."
+    caption = "Dots could be chosen; the line connects the stations in their order."
     return plain_page(
         f"{title}: stations to measure", first, others, [chart(_drawn(plan), "stations", alt, caption)], _FILES
     )

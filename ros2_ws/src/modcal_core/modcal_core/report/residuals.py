@@ -58,7 +58,7 @@ def comparisons(report: Report) -> tuple[ChartGroup, ...]:
         "The residual of the final model: x as circles, y as triangles, z as squares. "
         "A pattern here is an effect that the model lacks."
     )
-    return (*out, ChartGroup(f"What is left: {_rms(final):.3f} mm RMS", text, charts, opened=True))
+    return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts, opened=True))
 
 
 def axes_of(report: Report) -> list[Against]:
@@ -108,7 +108,7 @@ def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
     panel = _panel(a.values[rows], left.ravel())
     for k, (colour, shape) in enumerate(zip(OF_AXES, ("circle", "triangle", "square"), strict=True)):
         panel.hollow(a.values[rows], left[:, k], colour, shape)
-    alt = f"What is left against {a.name}: {_rms(errors):.3f} mm RMS."
+    alt = f"Residual against {a.name}: {_rms(errors):.3f} mm RMS."
     return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name}")
 
 

@@ -86,9 +86,8 @@ def sentences(study: Study) -> list[str]:
     out = [_about_lengths(study, lengths, constant)]
     if (~lengths).any():
         steady = [names[k] for k in np.flatnonzero(~lengths & constant)]
-        said = (
-            f"{int((~lengths & ~constant).sum())} of {int((~lengths).sum())} angles count differently from pose to pose"
-        )
+        varying, angles = int((~lengths & ~constant).sum()), int((~lengths).sum())
+        said = f"{varying} of {angles} angles have a different influence from pose to pose"
         out.append(said + (f"; {', '.join(steady)} move the point by the same at every one." if steady else "."))
     order = np.argsort(-joint.before.share)
     strongest = ", ".join(f"{names[k]} ({joint.before.share[k]:.1%})" for k in order[:_NAMED])
@@ -99,7 +98,8 @@ def sentences(study: Study) -> list[str]:
     )
     for k in np.flatnonzero(joint.unseen):
         out.append(
-            f"{names[k]} matters ({joint.before.share[k]:.1%} of the mean square error): these stations do not see it."
+            f"{names[k]} matters ({joint.before.share[k]:.1%} of the mean square error): "
+            "these stations do not observe it."
         )
     return out
 
@@ -108,8 +108,8 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
     count = int(lengths.sum())
     single = study.indices.single[:, lengths] / np.maximum(study.indices.sizes[lengths], 1e-300)
     if count and constant[lengths].all() and np.ptp(single) <= _SAME * single.max():
-        return f"All {count} translation parameters move the point by as much as they are off, at every pose."
-    return f"{int((lengths & constant).sum())} of {count} translation parameters count the same at every pose."
+        return f"All {count} translation parameters move the point by their own error, at every pose."
+    return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 
 
 def to_text(study: Study) -> str:
@@ -155,7 +155,7 @@ def to_html(study: Study, title: str) -> str:
 
 def _figures(study: Study) -> dict[str, tuple[Figure, str]]:
     return {
-        "gain": (_gain(study), "RMS error that is left when the strongest parameters are known, one after the other."),
+        "gain": (_gain(study), "Remaining RMS error when the strongest parameters are known, one after the other."),
         "indices": (
             _indices(study),
             "Multi-point and Sobol indices of every parameter, with two standard errors.",
@@ -202,7 +202,7 @@ def _indices(study: Study) -> Figure:
 
 
 def _gain(study: Study) -> Figure:
-    """The RMS error that is left when the strongest parameters are known, one after the other."""
+    """The Remaining RMS error when the strongest parameters are known, one after the other."""
     from matplotlib.figure import Figure
 
     share = np.sort(study.joint.before.share)[::-1]

@@ -22,7 +22,7 @@ MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 def sentence(report: Report) -> str:
     """What a person reads first, a few sentences."""
     if report.size_mm("final") is None and report.size_deg("final") is None:
-        return _counts(report) + " Nothing was scored, so nothing can be said of the error."
+        return _counts(report) + " No station was scored, so the error is unknown."
     parts = [_counts(report), _error(report), _status(report)]
     if report.searched is False:
         parts.append(NOT_SOUGHT)
@@ -71,7 +71,7 @@ def _size_mm(report: Report) -> str:
         return f"{after.rms:.3f} mm RMS"
     rejected, them = ("rejected one", "it") if count == 1 else (f"{count} rejected", "them")
     if not report.counts_rejected:
-        return f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
+        return f"{after.rms:.3f} mm RMS withoutthe {rejected} among these, {out.with_mm:.3f} mm with {them}"
     without = "" if out.without_mm is None else f", {out.without_mm:.3f} mm without"
     return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
 
@@ -101,7 +101,8 @@ def _status(report: Report) -> str:
     left = report.left
     if report.status != "at_floor" and left is not None:
         at = f"{left.effect.place} ({left.effect.direction})"
-        said += f" What stands out sits at {at} and correlates with {left.effect.public_driver.replace(':', ' of ')}."
+        driver = left.effect.public_driver.replace(":", " of ")
+        said += f" The largest remaining pattern is at {at} and correlates with {driver}."
     return said
 
 
@@ -120,7 +121,7 @@ def _floor(verdict: Verdict) -> str:
     if len({source for _, source in known}) == 1:
         known = [(" and ".join(size for size, _ in known), known[0][1])]
     sizes = " and ".join(f"{size}{_SOURCES[source]}" for size, source in known)
-    return f"what is left is as small as this arm and this instrument can be{f' ({sizes})' if sizes else ''}."
+    return f"the residual is as small as this arm and this instrument allow{f' ({sizes})' if sizes else ''}."
 
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}

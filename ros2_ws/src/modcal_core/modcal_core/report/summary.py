@@ -58,7 +58,7 @@ def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
     if seen is not None:
         yield SummaryLine(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
         for name in seen.unobservable:
-            yield SummaryLine(f"not shown by these stations: {name}", "doubt")
+            yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
         yield _effects(report)
         yield from map(SummaryLine, report.story)
@@ -74,7 +74,7 @@ def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
 
 
 def _account(one: Account) -> SummaryTable:
-    """Where the squared error of the nominal model went."""
+    """Contributions to the squared error of the nominal model."""
     rows = []
     for line in one.lines:
         ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"

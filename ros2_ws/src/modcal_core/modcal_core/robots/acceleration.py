@@ -96,8 +96,8 @@ class Window:
         where = f" at posture {at + 1} of {len(self.lower)}" if len(self.lower) > 1 else ""
         raise Overloaded(
             f"joint {self.names[joint]}{where}",
-            f"gravity, friction and speed take {needed:.4g} of the {half:.4g} N m (N) that its drive has",
-            "carry less, go slower, or take another posture",
+            f"gravity, friction and speed need {needed:.4g} of the {half:.4g} N m (N) that its drive has",
+            "reduce the payload or the speed, or use another posture",
         )
 
     def together(self) -> Window:

@@ -204,7 +204,7 @@ def _require_sound(delta: Delta) -> None:
         if any(shape != wanted for shape in found):
             raise BadRobot(name, f"{what} must be {wanted[0]} numbers", "correct the file")
     if not all(np.isfinite(a).all() for a in (delta.constants, delta.lower, delta.upper, delta.tool)):
-        raise BadRobot(name, "has a constant or limit that is no finite number", "correct the file")
+        raise BadRobot(name, "has a constant or limit that is not finite", "correct the file")
     for row in (PROXIMAL, DISTAL):
         for arm, length in zip(delta.names, delta.constants[row], strict=False):
             if not 1e-3 < length < 10.0:
@@ -218,5 +218,5 @@ def _require_sound(delta: Delta) -> None:
     turns = np.sort(np.mod(delta.constants[AZIMUTH], 2.0 * np.pi))
     apart = np.diff(np.r_[turns, turns[0] + 2.0 * np.pi])
     if apart.min() < np.radians(10.0):
-        limit = f"two arms stand {np.degrees(apart.min()):.1f} degrees apart, 10 are the least"
+        limit = f"two arms stand {np.degrees(apart.min()):.1f} degrees apart, at least 10 are needed"
         raise BadRobot(name, limit, "correct the azimuths")

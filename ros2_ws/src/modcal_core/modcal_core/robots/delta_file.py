@@ -28,7 +28,7 @@ def delta_from_data(data: Any, source: str) -> Delta:
     Raises BadRobot for constants that no Delta has.
     """
     if not isinstance(data, Mapping) or "modcal_delta" not in data:
-        raise BadTable(source, "is no description of a Delta: it lacks modcal_delta: 1", _REMEDY)
+        raise BadTable(source, "is not a description of a Delta: it lacks modcal_delta: 1", _REMEDY)
     if data["modcal_delta"] != FORMAT:
         raise BadTable(source, f"modcal_delta {data['modcal_delta']}, {FORMAT} is read", _REMEDY)
     _only(data, _KEYS, source)

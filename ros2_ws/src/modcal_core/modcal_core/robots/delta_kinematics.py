@@ -142,7 +142,7 @@ def inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
     for j, name in enumerate(delta.names):
         beyond = max(float(delta.lower[j] - q[j]), float(q[j] - delta.upper[j]))
         if beyond > 1e-9:
-            said = f"joint {name} would stand at {q[j]:.4f} rad, {beyond:.4f} rad beyond its limits"
+            said = f"joint {name} would be at {q[j]:.4f} rad, {beyond:.4f} rad beyond its limits"
             raise NotReachable(where, said, "ask for a position within the limits", posture=q)
     f = frames(delta, q[None])
     _require_held(delta, q[None], f)

@@ -57,7 +57,9 @@ class Payload:
         least = np.linalg.eigvalsh(0.5 * np.trace(tensor) * np.eye(3) - tensor).min()  # Σ m r rᵀ of a body is not < 0
         if least < -_SAME * max(1e-3, float(np.abs(i).max())):
             raise BadRobot(
-                "payload: inertia", f"{_said(i)} is of no body: moments obey a + b ≥ c", "take it about the centre"
+                "payload: inertia",
+                f"{_said(i)} is not physical: moments obey a + b ≥ c",
+                "give it about the centre of mass",
             )
         return cls(float(mass), c, tensor)
 

@@ -69,7 +69,7 @@ def inverse(
     raise NotReachable(
         f"pose of {chain.tip} at ({x:.3f}, {y:.3f}, {z:.3f}) m in {chain.base}",
         f"the nearest posture found within the limits misses it by {1e3 * position:.3g} mm, {rotation:.3g} rad",
-        "ask for a pose within reach and away from the limits, or come from another posture",
+        "ask for a pose within reach and away from the limits, or start from another posture",
         float(position),
         float(rotation),
         nearest,

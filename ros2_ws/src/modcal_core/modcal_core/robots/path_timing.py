@@ -74,8 +74,8 @@ def fastest(s: Array, rows: PathRows) -> Timing:
         if not reachable[k] > 0.0:
             raise Overloaded(
                 f"path at {s[k] / s[-1]:.1%} of its length",
-                "the limits leave no speed from which its end can be reached",
-                "carry less, or take a path that the drives can hold everywhere",
+                "no speed within the limits reaches its end",
+                "reduce the payload, or use a path that the drives can hold everywhere",
             )
     x = np.zeros(len(s))
     for k in range(len(step)):
@@ -83,7 +83,7 @@ def fastest(s: Array, rows: PathRows) -> Timing:
         x[k + 1] = np.clip(x[k] + 2.0 * step[k] * _largest_u(p, h - r * x[k]), 0.0, reachable[k + 1])
         if x[k + 1] <= _SLACK * reachable.max() and k + 1 < len(step):
             raise Overloaded(
-                f"path at {s[k + 1] / s[-1]:.1%} of its length", "the limits bring it to a stand", "take another path"
+                f"path at {s[k + 1] / s[-1]:.1%} of its length", "the limits bring it to a stop", "use another path"
             )
     speed = np.sqrt(x)
     return Timing(s, x, np.r_[0.0, np.cumsum(2.0 * step / (speed[1:] + speed[:-1]))])

@@ -64,7 +64,7 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
             table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
         elif key and key != _NOTE:
             known = ", ".join((*_TEXTS, *_POSES, _NOTE))
-            raise BadTable(f"{source}, comment '{key}'", "is none of the table's", f"write one of {known}")
+            raise BadTable(f"{source}, comment '{key}'", "is not a key of the table", f"write one of {known}")
     convention = table.get("convention")
     if convention not in _COLUMNS:
         said = "states no convention" if convention is None else f"convention '{convention}' is unknown"

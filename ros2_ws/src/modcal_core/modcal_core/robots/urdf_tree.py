@@ -150,7 +150,7 @@ def parse(urdf_xml: str) -> Tree:
 
 
 def document(urdf_xml: str) -> Any:
-    """The root element of a URDF text, whatever it holds. Raises BadRobot for what is no XML, no URDF, or xacro."""
+    """The root element of a URDF text, whatever it holds. Raises BadRobot for what is not XML, no URDF, or xacro."""
     if len(urdf_xml) > _MOST_TEXT:
         said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MOST_TEXT:.0f} million is the limit"
         raise BadRobot("robot description", said, _ONE_ROBOT)
@@ -266,14 +266,14 @@ def _check(tree: Tree) -> None:
     for kind, names in (("link", tree.links), ("joint", [joint.name for joint in tree.joints])):
         name, count = Counter(names).most_common(1)[0] if names else ("", 1)
         if count > 1:
-            raise BadRobot(f"{kind} '{name}'", f"stands {count} times in robot '{tree.name}'", "name each once")
+            raise BadRobot(f"{kind} '{name}'", f"occurs {count} times in robot '{tree.name}'", "name each once")
     links, carried = set(tree.links), dict[str, str]()
     for joint in tree.joints:
         for link in (joint.parent, joint.child):
             if link not in links:
                 close = difflib.get_close_matches(link, tree.links, n=1, cutoff=0.3)
                 hint = f"add it, or name {close[0]}" if close else "add it"
-                raise BadRobot(f"joint {joint.name}", f"names link '{link}', which is not there", hint)
+                raise BadRobot(f"joint {joint.name}", f"names link '{link}', which does not exist", hint)
         if joint.child in carried:
             said = f"is the child of joints {carried[joint.child]} and {joint.name}"
             raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")

@@ -43,7 +43,7 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
         if np.abs(nominal.origins[k] - calibrated.origins[k]).max() <= _SAME:
             continue
         if not segment:
-            said = f"no fixed joint lies between joint {nominal.names[-1]} and it to take the change"
+            said = f"no fixed joint lies between joint {nominal.names[-1]} and it to absorb the change"
             raise NotRepresentable(f"link '{nominal.tip}'", said, "keep the change in the tool")
         before = np.eye(4)
         for name in segment[:-1]:

@@ -29,11 +29,11 @@ _UR = {
 _FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)joint(?P<number>[1-7])")
 
 
-_AS_MADE = "give the file as the maker's own tool wrote it for this arm"
+_AS_MADE = "give the file as the manufacturer's own tool wrote it for this arm"
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 NO_HASH = """\
-# No hash: it is the one of the arm's own controller, which no recording holds. The driver compares the two and
-# complains where they differ. Give the file that the maker's tool took from this arm (for UR: ur_calibration,
+# No hash: it is the one of the arm's own controller, which no recording contains. The driver compares the two and
+# complains where they differ. Give the file that the manufacturer's tool took from this arm (for UR: ur_calibration,
 # calibration_correction.launch.py) to `modcal calibrate --factory-kinematics FILE`, or copy its line here:
 #   hash: calib_...
 """
@@ -46,8 +46,8 @@ def kinematics_yaml_data(
 
     origins: ``T_parent_joint`` (4, 4) of the joints of the corrected URDF, fixed ones included. Without them the
     chain's constants are taken, which are the same unless fixed joints lie between (as before UR's first).
-    factory: what the maker's tool took from this very arm; its form, its hash and all else in it are kept. Raises
-    BadTable where it is not of this arm.
+    factory: what the manufacturer's tool took from this very arm; its form, its hash and all else in it are kept.
+    Raises BadTable where it is not of this arm.
     """
     own = dict(zip(chain.names, chain.origins, strict=False))
     origins = own if origins is None else origins
@@ -64,7 +64,7 @@ def lacks_hash(data: Mapping[str, Any]) -> bool:
 def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The factory's data with the values of the found ones in place of its own."""
     if not isinstance(factory, Mapping):
-        raise BadTable(where, "is no mapping", _AS_MADE)
+        raise BadTable(where, "is not a mapping", _AS_MADE)
     missing = [str(key) for key in found if key not in factory]
     if missing:
         raise BadTable(where, f"has no {', '.join(missing)}", _AS_MADE)

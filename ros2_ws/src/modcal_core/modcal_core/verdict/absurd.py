@@ -37,8 +37,8 @@ def long_tool(model: Model) -> tuple[str, ...]:
     if length <= reach:
         return ()
     return (
-        f"The tool was found {length:.2f} m from {_tip(model)}, and the arm reaches {reach:.2f} m: see that the URDF, "
-        "--base and --tip are those of this robot, and turn the wrist more while recording.",
+        f"The tool was found {length:.2f} m from {_tip(model)}, and the arm reaches {reach:.2f} m: check that the "
+        "URDF, --base and --tip are those of this robot, and turn the wrist more while recording.",
     )
 
 

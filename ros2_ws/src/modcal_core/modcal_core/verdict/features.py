@@ -201,7 +201,7 @@ class _Builder:
             parts += [self._times([axes[j]], some[j : j + 1]) for j in range(len(axes))]
         if not s.moving.any():
             parts += [self._times([axis], _standard(ahead)) for axis, ahead in zip(axes, play(s), strict=True)]
-        return self._group("the way that the joints arrived and moved", parts)
+        return self._group("how the joints arrived and moved", parts)
 
     def slip(self) -> Group | None:
         """The base with what its load leaves behind where it slips."""
@@ -209,7 +209,7 @@ class _Builder:
             return None
         moments = _standard(slipped(self.samples, moments_on_base(self.at)))
         base = [(0, d) for d in range(6)]
-        return self._group("what the load on the base was before", [self._times(base, moments)])
+        return self._group("the previous load on the base", [self._times(base, moments)])
 
     def load(self) -> Group | None:
         """Every joint's directions with its torques: of a weight at the tip, of the arm, and as the actuators say."""

@@ -112,7 +112,7 @@ def _beyond(seen: Floor | None, stated: Floor | None, unit: str) -> tuple[str, .
     if seen is None or stated is None or seen.interval[0] <= _MORE_THAN_STATED * stated.square:
         return ()
     return (
-        f"{stated.rms:.3g} {unit} was stated for the arm and the instrument together, and postures that were visited "
+        f"{stated.rms:.3g} {unit} was stated for the arm and the instrument together, but postures that were visited "
         f"again differ by {seen.rms:.3g} {unit}.",
     )
 

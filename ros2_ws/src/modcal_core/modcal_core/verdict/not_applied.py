@@ -92,7 +92,7 @@ def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
         for item in left
     ]
     if stood_in:
-        out.append(f"Gravity stands in for measured effort, which the recording lacks: {', '.join(stood_in)}.")
+        out.append(f"Gravity replaces measured effort, which the recording lacks: {', '.join(stood_in)}.")
     return tuple(out)
 
 

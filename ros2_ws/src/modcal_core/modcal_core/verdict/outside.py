@@ -33,5 +33,5 @@ def worse_outside(case: Case, known: Floors, outside: tuple[str, ...]) -> Iterat
     if low > MOST_ABOVE_OWN * here + estimation(case)[0]:
         yield (
             f"Position: {np.sqrt(square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's own "
-            f"recording, outside of which it is used here. {' '.join(outside)}"
+            f"recording, and it is used outside that recording here. {' '.join(outside)}"
         )

@@ -68,7 +68,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
             return (
                 f"The {model} reproduces the readings to {1e6 * left:.2g} µm{digit} which no instrument does: they "
                 f"were probably {COMPUTED} (a TCP topic, a pendant's column) or simulated without noise, "
-                "and are no measurement. Record an instrument that looks at the arm from outside.",
+                "and are not a measurement. Record an instrument that looks at the arm from outside.",
             )
     return ()
 
@@ -90,8 +90,8 @@ def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) ->
             return (
                 f"The {called} model misses by {1e6 * left:.2g} µm RMS, and joint positions rounded to {step:.2g} rad "
                 f"make {1e6 * made:.2g} µm: the readings have no error of their own, so they were probably computed "
-                "from the joints (or commands) before these were rounded, and are no measurement. Record an instrument "
-                "that looks at the arm from outside.",
+                "from the joints (or commands) before these were rounded, and are not a measurement. Record an "
+                "instrument that looks at the arm from outside.",
             )
     return ()
 
@@ -116,7 +116,7 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     if not made or not _MOSTLY * of**2 <= made**2 <= of**2 / _MOSTLY:
         return ()
     return (
-        f"Positions are rounded to {how}, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
+        f"Positions are rounded to {how}, which accounts for {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
         "that are left: that is the export and not the instrument. Write more digits.",
     )
 
@@ -162,8 +162,8 @@ def coarse_joints(left: Errors, scored: Samples, samples: Samples, chain: Mechan
     names = [name for name, step in zip(samples.names, steps, strict=True) if step]
     who = "Joint positions are" if len(names) == chain.n else f"The positions of {' and '.join(names)} are"
     return (
-        f"{who} rounded to {steps.max():.2g} rad, which makes {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm that "
-        "are left: that is the recording and not the arm. Record or write more digits.",
+        f"{who} rounded to {steps.max():.2g} rad, which accounts for {1e3 * made:.3g} mm RMS of the {1e3 * of:.3g} mm "
+        "that are left: that is the recording and not the arm. Record or write more digits.",
     )
 
 
@@ -220,7 +220,7 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
             where, count = lost
             out.append(
                 f"In frame '{frame}' positions are exactly ({', '.join(f'{x:.4g}' for x in where)}) m at {count} of "
-                f"{len(rows)} stations: that is no reading (a lost beam, a default). Leave these stations out."
+                f"{len(rows)} stations: that is not a measurement (a lost beam, a default). Leave these stations out."
             )
             continue
         for axis, column in zip("xyz", samples.reading[rows].T, strict=True):
@@ -232,7 +232,8 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
             which = f", its {end} value: it looks cut off (the end of the instrument's range)" if end else ""
             out.append(
                 f"In frame '{frame}' coordinate {axis} of the readings is exactly {values[most]:.6g} m at "
-                f"{counts[most]} of {len(rows)} stations{which or ': that is no reading'}. Leave these stations out."
+                f"{counts[most]} of {len(rows)} stations{which or ': that is not a measurement'}. "
+                "Leave these stations out."
             )
     return tuple(out)
 
@@ -264,7 +265,7 @@ def turned(left: Errors, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
         return ()
     return (
         f"Orientations miss by {np.degrees(angle):.3g}° RMS beside {1e3 * _rms(left.position_norm):.3g} mm: more than "
-        "an arm or an instrument does, and no convention of quaternions or Euler angles explains it. See that the "
+        "an arm or an instrument does, and no convention of quaternions or Euler angles explains it. Check that the "
         "target was not turned on the tool, and that all readings are of one target.",
     )
 

@@ -103,7 +103,7 @@ def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
         share = f"{count / of:.0%}; up to {MOST_REJECTED:.0%} may be wrong readings"
         yield f"{count} of {of} stations were rejected ({share})."
     for first, last in grounds.rejected_runs:
-        yield f"Stations {first} to {last} were rejected one after the other: something was different there."
+        yield f"Stations {first} to {last} were rejected in sequence: something was different there."
 
 
 def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
@@ -137,8 +137,8 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
             continue
         yield (
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
-            f"less than {most:.2g}{unit}. See that base, tool and target are fixed and that no readings are mixed up; "
-            "if the arm is like that, state its repeatability."
+            f"less than {most:.2g}{unit}. Check that base, tool and target are fixed and that no readings are mixed "
+            "up; if the arm is like that, state its repeatability."
         )
 
 
@@ -159,7 +159,7 @@ def _below_stated(case: Case, floor: Floor | None, angle: bool) -> Iterator[str]
         unit, what = ("°", "orientation") if angle else (" mm", "position")
         yield (
             f"{floor.rms:.3g}{unit} was stated for the {what} of arm and instrument together, and only "
-            f"{np.sqrt(square):.3g}{unit} is left: the statement cannot be true, and says nothing of the floor. See "
+            f"{np.sqrt(square):.3g}{unit} is left: the statement cannot be true, and does not give the floor. See "
             "whether it is in the right unit."
         )
 

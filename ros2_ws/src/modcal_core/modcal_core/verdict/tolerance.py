@@ -172,7 +172,7 @@ def _cannot(norms: Array, count: int, asked: Asked, value: float, low: float | N
         share = 100.0 * _TAIL ** (1.0 / count)
         return (
             f"The largest error seen is {value:.3f} mm. Stations show no upper limit of the largest error: with 97.5 % "
-            f"confidence, {share:.3g} % of postures lie below that one. --tolerance-of p95 can be told."
+            f"confidence, {share:.3g} % of postures lie below that one. --tolerance-of p95 can be decided."
         )
     if low is None or high is None:
         return f"{count} independent held-out stations or blocks; {_MIN_UNITS} are needed for an interval."

@@ -50,8 +50,8 @@ class TwoGroups:
     def sentence(self) -> str:
         """For a person."""
         return (
-            f"What is left falls into two groups of {self.few} and {self.of - self.few} stations, {self.apart} apart, "
-            f"as if {self.who} had two positions ({self.share:.0%} of the squared error): that is no scatter."
+            f"The residual falls into two groups of {self.few} and {self.of - self.few} stations, {self.apart} apart, "
+            f"as if {self.who} had two positions ({self.share:.0%} of the squared error): that is not scatter."
         )
 
 

@@ -38,7 +38,7 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
     if found is not None:
-        said.append(f"What is left {found.sentence}.")
+        said.append(f"The residual {found.sentence}.")
     said += _only_one_kind(judged, case)
     return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
 
@@ -88,4 +88,4 @@ def _apart(case: Case) -> Iterator[str]:
         samples = case.samples.select(np.flatnonzero(case.wrong))
         found = dependence(case.model, samples, weights(case.noise, samples))
         if found is not None:
-            yield f"What the rejected stations miss by {found.sentence}."
+            yield f"The residual of the rejected stations {found.sentence}."

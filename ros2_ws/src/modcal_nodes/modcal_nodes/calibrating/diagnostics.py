@@ -75,7 +75,9 @@ def collected(supervisor: Supervisor) -> str:
     policy = supervisor.policy
     if supervisor.live is not None:
         if supervisor.hypothesis is not None and policy.after_change:
-            return f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved anew"
+            return (
+                f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved again"
+            )
         return f"{supervisor.stations} stations"
     wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")
     if supervisor.stations >= wanted:

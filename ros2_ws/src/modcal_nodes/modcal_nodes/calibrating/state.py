@@ -49,7 +49,7 @@ class StateLock:
         except OSError as error:
             if not folder.is_dir():
                 raise BadTable(str(folder), f"cannot be made ({error.strerror})", "choose another folder") from error
-            self.warning = f"{folder}: cannot be locked ({error.strerror}): see that no other calibrator uses it"
+            self.warning = f"{folder}: cannot be locked ({error.strerror}): check that no other calibrator uses it"
             return
         self._file.truncate(0)
         self._file.write(f"process {os.getpid()}\n")
@@ -119,5 +119,5 @@ def _read_samples(path: Path) -> Samples | None:
         raise
     except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing
         raise BadTable(
-            str(path), f"is damaged ({type(error).__name__})", "remove it; stations are heard anew"
+            str(path), f"is damaged ({type(error).__name__})", "remove it; stations are collected again"
         ) from error

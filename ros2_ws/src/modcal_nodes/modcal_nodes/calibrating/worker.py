@@ -100,7 +100,7 @@ class SolveWorker:
         try:
             future = self._pool.submit(work, *arguments)
         except BrokenProcessPool:  # it was killed while it had nothing to do
-            self._say(f"the process that solves has ended; another one is started for {name}")
+            self._say(f"the solver process has ended; a new one is started for {name}")
             self._start()
             future = self._pool.submit(work, *arguments)
         self._work = _Work(name, future, finish, fail)

@@ -56,15 +56,15 @@ class _Read:
 @click.option("--tf", "tf", default=None, metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for joint states. Default: the bag's.")
 @click.option("--calibration", type=_EXISTING, default=None, help="For joint states: the arm as it was calibrated.")
-@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+@click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
 @click.option("--tip", default=None, metavar="LINK", help="The link that holds the handle.")
-@click.option("--points", is_flag=True, help="Make nothing of rotations.")
+@click.option("--points", is_flag=True, help="Ignore rotations.")
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Of the samples that first guesses are made from.",
+    help="Seed for choosing the samples of the first guesses.",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 @speaking
@@ -186,7 +186,7 @@ def _of_bag(
     if not good.any():
         missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()]
         raise BadRecording(
-            f"{recording.source}, joint_states", f"say nothing of {', '.join(missing)}", "give another --tip"
+            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
         )
     return _Read(se3.to_pose(forward(chain, q[good])), stamps[good], chain.base)
 

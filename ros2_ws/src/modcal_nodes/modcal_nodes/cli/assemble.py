@@ -33,7 +33,7 @@ from modcal_nodes.io.assemblies import read_assembly
 
 _LIBRARY = click.option(
     "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
-    help="YAML of the modules there are. Default: the one that SPEC names, or the published ones.",
+    help="YAML of the available modules. Default: the one that SPEC names, or the published ones.",
 )  # fmt: skip
 _UNLIKELY = 1e-4
 
@@ -43,7 +43,7 @@ _UNLIKELY = 1e-4
 @_LIBRARY
 @click.option(
     "--modules", "store", type=EXISTING, default=None, metavar="STORE",
-    help="What modcal modules learn wrote: the URDF gets what is known of these physical modules.",
+    help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 @speaking
@@ -94,7 +94,7 @@ def modules_command() -> None:
 @click.argument("bag", type=EXISTING)
 @click.option(
     "--modules", "store", type=click.Path(path_type=Path), required=True, metavar="STORE",
-    help="YAML of what is known; made if it is not there.",
+    help="YAML of the known errors; created if it does not exist.",
 )  # fmt: skip
 @_LIBRARY
 @topic_options

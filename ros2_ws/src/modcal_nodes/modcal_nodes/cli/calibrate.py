@@ -32,7 +32,7 @@ _SPLITS = click.option(
     default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
-_SEED = click.option("--seed", type=SEED, default=0, show_default=True, help="Of the split.")
+_SEED = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
 _CLOCK = click.option(
     "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
@@ -49,16 +49,16 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help
 
 _ROBOT = (
     click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag."),
-    click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, in the URDF's place."),
-    click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link."),
+    click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, instead of a URDF."),
+    click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link."),
     click.option(
-        "--tip", default=None, metavar="LINK", help="Where it ends. Default: the link behind most recorded joints."
+        "--tip", default=None, metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
     ),
     click.option(
         "--fix", "fixed", multiple=True, metavar="NAME",
-        help="Keep a parameter or place as it is, e.g. tool. Repeatable.",
+        help="Fix a parameter or place at its nominal value, e.g. tool. Repeatable.",
     ),
-    click.option("--geometry-only", is_flag=True, help="Look for no other effects: only the geometry is fitted."),
+    click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects."),
 )  # fmt: skip
 
 
@@ -87,11 +87,11 @@ _STATED = (
 _TOLERANCE = (
     click.option(
         "--tolerance-mm", type=_POSITIVE, default=None, metavar="MM",
-        help="The error allowed: PASS, FAIL or CANNOT TELL; exit 3 unless PASS.",
+        help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
     ),
     click.option(
         "--tolerance-of", type=click.Choice(STATISTICS), default="p95", show_default=True,
-        help="Which error of the held-out stations must keep the tolerance.",
+        help="Which error of the held-out stations is compared with the tolerance.",
     ),
 )  # fmt: skip
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
@@ -124,7 +124,7 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     type=EXISTING,
     default=None,
     metavar="FILE",
-    help="What the maker's tool took from this arm: kinematics.yaml keeps its form and hash.",
+    help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )
 @calibration_options
 @_with(_TOLERANCE)
@@ -142,8 +142,8 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, outpu
 @click.command("evaluate")
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
-@click.option("--refit-base", is_flag=True, help="Find the base again: the tracker or the robot was moved.")
-@click.option("--refit-tool", is_flag=True, help="Find the tool again: it was changed.")
+@click.option("--refit-base", is_flag=True, help="Fit the base again: the tracker or the robot was moved.")
+@click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
 @_with((_CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, _OUT))
 @speaking
 def evaluate_command(

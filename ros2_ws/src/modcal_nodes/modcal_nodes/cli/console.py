@@ -128,7 +128,7 @@ def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with ``--json`` and ``-v``; it is handed the output that they ask for."""
 
     @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-    @click.option("-v", "--verbose", is_flag=True, help="Say on stderr what was done, and how long it took.")
+    @click.option("-v", "--verbose", is_flag=True, help="Report on stderr what was done, and how long it took.")
     @functools.wraps(command)
     def spoken(*arguments: Any, as_json: bool, verbose: bool, **options: Any) -> Any:
         return command(*arguments, output=Output(as_json, verbose), **options)

@@ -38,12 +38,14 @@ class _Source:
 
 @click.command("export")
 @click.argument("source", type=_EXISTING)
-@click.option("--to", "form", type=click.Choice([*CONVENTIONS, "urdf"]), required=True, help="What to write.")
-@click.option("--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Of a calibration.")
-@click.option("--tool", is_flag=True, help="Of a calibration: end at the tool that was measured, not at the tip link.")
-@click.option("--base", default=None, metavar="LINK", help="Of a URDF: where the arm begins.")
-@click.option("--tip", default=None, metavar="LINK", help="Of a URDF: where it ends.")
-@click.option("--largest-offset", type=float, default=10.0, show_default=True, help="That a DH row may need [m].")
+@click.option("--to", "form", type=click.Choice([*CONVENTIONS, "urdf"]), required=True, help="Format to write.")
+@click.option(
+    "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
+)
+@click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
+@click.option("--base", default=None, metavar="LINK", help="For a URDF: link where the arm begins.")
+@click.option("--tip", default=None, metavar="LINK", help="For a URDF: link where it ends.")
+@click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml."
 )
@@ -65,7 +67,7 @@ def export_command(
     are read back and must give the same poses. What a table cannot hold is said, and noted in it.
     """
     if not (0.0 < largest_offset < 1e9):
-        raise BadTable("--largest-offset", f"{largest_offset:g} m is no distance", "give metres, such as 10")
+        raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     arm = _read(source, which, tool, base, tip)
     if form == "urdf":
         out = out or Path(f"{source.resolve().stem}_chain.urdf")

@@ -38,16 +38,22 @@ from modcal_nodes.io.options import Options
     type=click.IntRange(min=1),
     default=None,
     metavar="N",
-    help="How many at a time. Default: one a core, as far as the memory goes.",
+    help="Recordings at a time. Default: one per core, as far as memory allows.",
 )
 @click.option(
     "--dask",
     "address",
     default=None,
     metavar="ADDRESS",
-    help="Work on the Dask cluster whose scheduler listens here, instead of on this machine's cores.",
+    help="Address of a Dask scheduler: work on its cluster instead of this machine's cores.",
 )
-@click.option("--dask-ca", type=EXISTING, default=None, metavar="FILE", help="TLS: who signed the cluster's (PEM).")
+@click.option(
+    "--dask-ca",
+    type=EXISTING,
+    default=None,
+    metavar="FILE",
+    help="TLS: the certificate authority of the cluster (PEM).",
+)
 @click.option("--dask-cert", type=EXISTING, default=None, metavar="FILE", help="TLS: our certificate (PEM).")
 @click.option("--dask-key", type=EXISTING, default=None, metavar="FILE", help="TLS: its key (PEM).")
 @click.option(
@@ -58,9 +64,9 @@ from modcal_nodes.io.options import Options
     help="Which robot a bag is of: 'folder' it lies in, name in its 'urdf', or a pattern of its path with "
     "the name in (…).",
 )
-@click.option("--refit-base", is_flag=True, help="Say nothing of bases: tracker or robot are set up anew each time.")
-@click.option("--refit-tool", is_flag=True, help="Say nothing of tools: they are mounted anew each time.")
-@click.option("--again", is_flag=True, help="Do all of them, also those that are done already.")
+@click.option("--refit-base", is_flag=True, help="Do not compare bases: tracker or robot are set up again each time.")
+@click.option("--refit-tool", is_flag=True, help="Do not compare tools: they are mounted again each time.")
+@click.option("--again", is_flag=True, help="Recalibrate all recordings, including those already done.")
 @click.option("--json", "as_json", is_flag=True, help="Print both tables as JSON in place of the summary.")
 @calibration_options
 def fleet_command(

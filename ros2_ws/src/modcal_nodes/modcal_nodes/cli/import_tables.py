@@ -26,10 +26,10 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 
 @click.command("import")
 @click.argument("mapping", type=_EXISTING)
-@click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: that of MAPPING.")
+@click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: the folder of MAPPING.")
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="The bag, or the URDF. Default: MAPPING's name."
+    "--out", type=click.Path(path_type=Path), default=None, help="The bag or URDF to write. Default: MAPPING's name."
 )
 @speaking
 def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, output: Output) -> None:
@@ -78,7 +78,7 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
     undone = proved(samples, chain, sequences.pop() or None if len(sequences) == 1 else None)[1]
     if undone is None:
         return recording
-    note = "Poses look inverse (tracker in tool): `modcal calibrate` turns them round; state inverse: true on import."
+    note = "Poses look inverse (tracker in tool): `modcal calibrate` inverts them; state inverse: true on import."
     return replace(recording, warnings=(*recording.warnings, note))
 
 

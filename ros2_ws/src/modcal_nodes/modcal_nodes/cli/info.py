@@ -41,7 +41,7 @@ def info_command(
     tf: str | None,
     output: Output,
 ) -> None:
-    """Say what is in BAG, what it can be used for, and what looks wrong."""
+    """Show what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:

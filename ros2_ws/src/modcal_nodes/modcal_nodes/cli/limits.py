@@ -30,9 +30,9 @@ from modcal_nodes.cli.topics import topic_options
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _BY_JOINT = {
-    "torque": "Largest torque of a drive [N m; N], where the URDF's effort is not it.",
-    "friction": "Dry friction of a joint [N m; N], where the URDF's is not it.",
-    "damping": "Viscous friction of a joint [N m s/rad; N s/m], likewise.",
+    "torque": "Largest torque of a drive [N m; N], instead of the URDF's effort.",
+    "friction": "Dry friction of a joint [N m; N], instead of the URDF's.",
+    "damping": "Viscous friction of a joint [N m s/rad; N s/m], instead of the URDF's.",
     "rotor": "Inertia of motor and gear, seen from the joint [kg m²; kg].",
 }
 _CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
@@ -51,17 +51,25 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.command("limits")
 @click.argument("source", type=_EXISTING)
 @click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for a bag. Default: the one in it.")
-@click.option("--base", default=None, metavar="LINK", help="Where the arm begins. Default: the root link.")
+@click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
 @click.option("--tip", default=None, metavar="LINK", help="The link that carries the payload.")
 @click.option("--payload", type=float, default=0.0, show_default=True, help="Mass that is carried [kg].")
-@click.option("--centre", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="Its centre of mass in the tip link [m].")
-@click.option("--inertia", type=float, nargs=6, default=(0.0,) * 6, help="About that: ixx iyy izz ixy ixz iyz [kg m²].")
-@click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Where a joint stands [rad; m]. Default: 0.")
-@click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="How fast it moves [rad/s; m/s]. Default: 0.")
-@click.option("--workspace", type=click.IntRange(min=1), default=None, help="That many postures within the limits.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of those postures.")
-@click.option("--share", type=float, default=1.0, show_default=True, help="Of the torque that may be used.")
-@click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="In the base link [m/s²].")
+@click.option("--centre", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="Centre of mass in the tip link [m].")
+@click.option(
+    "--inertia",
+    type=float,
+    nargs=6,
+    default=(0.0,) * 6,
+    help="Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m²].",
+)
+@click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Position of a joint [rad; m]. Default: 0.")
+@click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="Velocity of a joint [rad/s; m/s]. Default: 0.")
+@click.option(
+    "--workspace", type=click.IntRange(min=1), default=None, help="Number of random postures within the limits."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of those postures.")
+@click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
+@click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="Folder of limits.json and joint_limits.yaml."
 )
@@ -139,7 +147,7 @@ def _motion(
     speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
-            raise BadTable("--at and --workspace", "are two ways to say which postures", "give one of them")
+            raise BadTable("--at and --workspace", "are two ways to choose postures", "give one of them")
         q = random_postures(chain, workspace, np.random.default_rng(seed))
         return q, np.tile(speeds, (len(q), 1)), ()
     # a joint that cannot stand at zero stands at the limit next to it
@@ -159,7 +167,7 @@ def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array, tuple[s
     if not len(good):
         missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()] or ["all at once"]
         raise BadRecording(
-            f"{recording.source}, joint_states", f"say nothing of {', '.join(missing)}", "give another --tip"
+            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
         )
     rows = good[np.unique(np.linspace(0, len(good) - 1, _MOST).round().astype(int))]
     notes = list(recording.warnings)
@@ -177,7 +185,7 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
     out = np.array(otherwise)
     for name, value in numbers_by_joint(said, option).items():
         if name not in chain.names:
-            raise BadTable(f"{option} {name}", "is no joint of this arm", f"name one of {', '.join(chain.names)}")
+            raise BadTable(f"{option} {name}", "is not a joint of this arm", f"name one of {', '.join(chain.names)}")
         out[chain.names.index(name)] = value
     return out
 

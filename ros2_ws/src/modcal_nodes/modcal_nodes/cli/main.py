@@ -21,21 +21,21 @@ from modcal_core.errors import ModcalError, plain
 # the readers of bags take a second or two, which a request for help should not.
 VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
-    "fleet": ("fleet", "fleet_command", "Calibrate many recordings, and say which robots drift."),
+    "fleet": ("fleet", "fleet_command", "Calibrate many recordings and report which robots drift."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
-    "sensitivity": ("sensitivity", "sensitivity_command", "Say which parameters of an arm matter most."),
+    "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
-    "simulate": ("simulate", "simulate_command", "Record a simulated cell, with what its model lacks."),
-    "info": ("info", "info_command", "Say what is in BAG, what it can be used for, and what looks wrong."),
-    "limits": ("limits", "limits_command", "Say how hard each joint may be accelerated, with this payload."),
+    "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
+    "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
+    "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
     "import": ("import_tables", "import_command", "Turn CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
-    "repair": ("repair", "repair_command", "Make a whole bag of one that was cut."),
-    "assemble": ("assemble", "assemble_command", "Make a robot of a list of modules."),
-    "modules": ("assemble", "modules_command", "What physical modules are off by, learned over assemblies."),
-    "synthesize": ("synthesize", "synthesize_command", "Find the assembly of modules that does a task."),
-    "watch": ("watch", "watch_command", "Show what the nodes of a cell say of themselves, as long as they run."),
-    "articulate": ("articulate", "articulate_command", "Say how the handle in BAG moves, and write it as a URDF."),
+    "repair": ("repair", "repair_command", "Repair a truncated bag."),
+    "assemble": ("assemble", "assemble_command", "Build a robot description from a list of modules."),
+    "modules": ("assemble", "modules_command", "Learn the errors of physical modules over several assemblies."),
+    "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
+    "watch": ("watch", "watch_command", "Show the status of all nodes of a cell, live."),
+    "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
 }
 
 

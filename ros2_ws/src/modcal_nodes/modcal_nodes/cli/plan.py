@@ -34,27 +34,41 @@ _DECIDING = 16  # stations, where none are asked for
     "--site", "site_file", type=EXISTING, default=None, metavar="FILE",
     help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
-@click.option("--stations", type=click.IntRange(min=2), default=None, help="How many. With --decide 16 by default.")
+@click.option(
+    "--stations", type=click.IntRange(min=2), default=None, help="Number of stations. Default with --decide: 16."
+)
 @click.option(
     "--accuracy-mm", type=click.FloatRange(min=1e-6), default=None,
-    help="As many stations as are needed for this error of the calibrated arm.",
+    help="Use as many stations as needed for this error of the calibrated arm.",
 )  # fmt: skip
 @click.option(
-    "--measure", type=click.Choice(["p95", "rms"]), default="p95", show_default=True, help="Of --accuracy-mm."
+    "--measure", type=click.Choice(["p95", "rms"]), default="p95", show_default=True, help="Statistic of --accuracy-mm."
 )
 @click.option(
-    "--criterion", type=click.Choice(CRITERIA), default=ACCURACY, show_default=True, help="What is made best."
+    "--criterion", type=click.Choice(CRITERIA), default=ACCURACY, show_default=True, help="Criterion to optimise."
 )
 @click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
-@click.option("--fix", "fixed", multiple=True, metavar="NAME", help="As in modcal calibrate. Repeatable.")
+@click.option(
+    "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
+)
 @click.option(
     "--besides", "measured", type=EXISTING, default=None, metavar="STATIONS",
-    help="plan.yaml or CSV of stations that are measured already, which count too.",
+    help="plan.yaml or CSV of stations that are already measured and count too.",
 )  # fmt: skip
 @click.option("--candidates", type=click.IntRange(10, 20_000), default=CANDIDATES, show_default=True)
-@click.option("--starts", type=click.IntRange(1, 100), default=2, show_default=True, help="Of the exchange.")
-@click.option("--speed", type=click.FloatRange(1e-3), default=0.5, show_default=True, help="Of trajectory.yaml, rad/s.")
-@click.option("--dwell", type=click.FloatRange(0.6), default=2.0, show_default=True, help="At each station, s.")
+@click.option(
+    "--starts", type=click.IntRange(1, 100), default=2, show_default=True, help="Random starts of the exchange."
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(1e-3),
+    default=0.5,
+    show_default=True,
+    help="Joint speed of trajectory.yaml, rad/s.",
+)
+@click.option(
+    "--dwell", type=click.FloatRange(0.6), default=2.0, show_default=True, help="Standstill at each station, s."
+)
 @click.option(
     "--decide", "report", type=EXISTING, default=None, metavar="REPORT",
     help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
@@ -63,7 +77,7 @@ _DECIDING = 16  # stations, where none are asked for
     "--returns", type=click.IntRange(0, 100), default=RETURNS, show_default=True,
     help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of candidates and starts.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
 @speaking
 def plan_command(
@@ -92,13 +106,15 @@ def plan_command(
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if report is not None:
         if robot is not None or accuracy_mm is not None:
-            raise BadTable("--decide", "goes with no robot and no accuracy", "give REPORT alone: it holds the robot")
+            raise BadTable(
+                "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
+            )
         decide(report, stations or _DECIDING, seed, out, site)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
     if stations is not None and accuracy_mm is not None:
-        raise BadTable("--stations", "goes with no --accuracy-mm", "give one of them")
+        raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
     chain = read_robot(robot, base, tip)
     known = None if measured is None else read_stations(measured, chain)
     request = PlanRequest(

@@ -38,22 +38,37 @@ _SHOWN = 12  # parameters in the terminal
 )  # fmt: skip
 @click.option(
     "--design", "kind", type=click.Choice(DESIGNS), default=None,
-    help="Postures of the indices. Default: l25, and sobol for more than six joints.",
+    help="Design of postures for the indices. Default: l25, or sobol for more than six joints.",
 )  # fmt: skip
-@click.option("--levels", type=click.IntRange(2, 31), default=5, show_default=True, help="Of --design array; a prime.")
-@click.option("--postures", type=click.IntRange(4, 4096), default=64, show_default=True, help="Of --design sobol.")
+@click.option(
+    "--levels", type=click.IntRange(2, 31), default=5, show_default=True, help="Levels of --design array; a prime."
+)
+@click.option(
+    "--postures", type=click.IntRange(4, 4096), default=64, show_default=True, help="Postures of --design sobol."
+)
 @click.option("--length-mm", type=click.FloatRange(0.0), default=0.5, show_default=True, help="Errors of lengths.")
 @click.option("--angle-mrad", type=click.FloatRange(0.0), default=1.0, show_default=True, help="Errors of angles.")
 @click.option("--sizes", "sizes_file", type=EXISTING, default=None, help="YAML of other sizes, {NAME or PATTERN: SI}.")
-@click.option("--base-factor", default=None, metavar="NAME", help="What the others are set against. Default: base/x.")
+@click.option(
+    "--base-factor", default=None, metavar="NAME", help="Parameter that the others are compared with. Default: base/x."
+)
 @click.option("--bins", type=click.IntRange(1, 1000), default=None, help="Intervals of the multi-point weights.")
 @click.option(
     "--measured", "stations", type=EXISTING, default=None, metavar="STATIONS",
-    help="plan.yaml of modcal plan, or a CSV of joint positions: would they see what matters? Default: the design's.",
+    help="plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
+    "Default: the design's.",
 )  # fmt: skip
 @click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
-@click.option("--noise-mm", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Of readings, per axis.")
-@click.option("--noise-mrad", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Of poses, per axis.")
+@click.option(
+    "--noise-mm", type=click.FloatRange(1e-6), default=0.05, show_default=True, help="Noise of positions, per axis."
+)
+@click.option(
+    "--noise-mrad",
+    type=click.FloatRange(1e-6),
+    default=0.05,
+    show_default=True,
+    help="Noise of orientations, per axis.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 @speaking

@@ -29,11 +29,11 @@ _STATIONS = 60
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
     "--at", "later", type=(click.FloatRange(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
-    help="The same, from so many seconds on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
+    help="The same, from the given second on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
 @click.option(
     "--returns", type=click.IntRange(0, 1000), default=RETURNS, show_default=True,
-    help="Of these postures, how many are visited twice, so that the noise floor is known.",
+    help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
 @speaking
 def simulate_command(
@@ -44,10 +44,10 @@ def simulate_command(
     returns: int,
     output: Output,
 ) -> None:
-    """Record an arm (URDF) or a Delta (YAML) that is not as drawn, in MuJoCo, with a tracker that looks at it.
+    """Record an arm (URDF) or a Delta (YAML) that differs from its nominal model, in MuJoCo, with a tracker.
 
-    It visits 60 random postures (-p stations=N), six of them twice. What else it does that its model lacks is
-    said with -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
+    The arm visits 60 random postures (-p stations=N), six of them twice. Unmodelled effects are switched on with
+    -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
     of the node.
     """
     if out.exists():
@@ -80,7 +80,7 @@ def _parameter(text: str) -> tuple[str, Any]:
     name, equals, written = text.partition("=")
     if not equals or name not in SIMULATED_CELL or name in _OF_THE_NODE:
         names = ", ".join(n for n in SIMULATED_CELL if n not in _OF_THE_NODE)
-        raise BadTable(f"-p {text}", "is no NAME=VALUE of the simulated cell", f"names are {names}")
+        raise BadTable(f"-p {text}", "is not a NAME=VALUE of the simulated cell", f"names are {names}")
     parameter = SIMULATED_CELL[name]
     value = _typed(yaml.safe_load(written), parameter)
     if value is None:

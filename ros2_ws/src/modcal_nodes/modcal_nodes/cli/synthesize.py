@@ -30,11 +30,11 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.argument("task_file", type=EXISTING, metavar="TASK")
 @click.option(
     "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
-    help="YAML of the modules there are. Default: the published ones.",
+    help="YAML of the available modules. Default: the published ones.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the search.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the search.")
 @click.option(
-    "--workers", type=click.IntRange(min=1, max=256), default=None, help="Processes. Default: one a processor."
+    "--workers", type=click.IntRange(min=1, max=256), default=None, help="Processes. Default: one per processor."
 )
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 def synthesize_command(

@@ -10,7 +10,7 @@ import click
 TOPICS = (
     click.option(
         "--topic", "topic", multiple=True, metavar="ROLE=NAME",
-        help="The topic that plays a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.",
+        help="The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.",
     ),
     click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
     click.option(

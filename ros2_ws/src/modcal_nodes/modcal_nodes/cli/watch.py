@@ -32,7 +32,7 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
 
 
 @click.command("watch")
-@click.option("--once", is_flag=True, help="Print one snapshot and end.")
+@click.option("--once", is_flag=True, help="Print one snapshot and exit.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for machines.")
 @click.option(
     "--domain", type=click.IntRange(0, 232), default=0, envvar="ROS_DOMAIN_ID", help="Default: ROS_DOMAIN_ID."
@@ -44,11 +44,13 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
     type=click.FloatRange(0.1),
     default=None,
     metavar="SECONDS",
-    help="End after so long; with --once: listen so long.",
+    help="End after this time; with --once: collect messages for this time.",
 )
-@click.option("--every", type=click.FloatRange(0.1, 60.0), default=1.0, show_default=True, help="Seconds of an update.")
+@click.option(
+    "--every", type=click.FloatRange(0.1, 60.0), default=1.0, show_default=True, help="Seconds between updates."
+)
 def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lasting: float | None, every: float) -> None:
-    """Show what the nodes of a cell say of themselves, as long as they run.
+    """Show the status of all nodes of a cell, live.
 
     What every node hears and complains of, which model is trusted, how large its error is and was, what seems to have
     changed, how old corrected poses are, what moves in the gripper's hand, what is recorded. Where the output is no
@@ -99,8 +101,8 @@ def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str
     where = f"/diagnostics of domain {domain}" + (f" below /{namespace.strip('/')}" if namespace else "")
     return (
         where,
-        f"no modcal node heard in {seconds:g} s",
-        "start one, or see that --domain, --namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are those of the cell",
+        f"no message from a modcal node in {seconds:g} s",
+        "start one, or check that --domain, --namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are those of the cell",
     )
 
 

@@ -71,7 +71,9 @@ def robot_namer(rule: str) -> re.Pattern[str] | None:
     try:
         pattern = re.compile(rule)
     except re.error as error:
-        raise BadTable(f"--robot-by {rule}", f"is no pattern: {error}", "give folder, urdf or a pattern") from error
+        raise BadTable(
+            f"--robot-by {rule}", f"is not a valid pattern: {error}", "give folder, urdf or a pattern"
+        ) from error
     if pattern.groups != 1:
         raise BadTable(f"--robot-by {rule}", f"has {pattern.groups} groups, 1 is needed", "put the name in (…)")
     return pattern

@@ -54,7 +54,7 @@ def compare(rows: Sequence[Row], out: Path, refit_base: bool = False, refit_tool
         try:
             found = drift(reference, changes)
         except ModcalError as error:
-            sentence = f"no drift can be told: {error}"
+            sentence = f"no drift can be determined: {error}"
         else:
             sentence = in_words(found)
             drifts += _drift_rows(found, robot, kinematics)

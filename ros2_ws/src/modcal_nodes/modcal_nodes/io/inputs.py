@@ -131,7 +131,7 @@ def _what(said: Any) -> What:
     for what in WHATS:
         if said == what:
             return what
-    raise ValueError(f"{said!r} is none of {', '.join(WHATS)}")
+    raise ValueError(f"{said!r} is not one of {', '.join(WHATS)}")
 
 
 def _distance(data: Mapping[str, Any]) -> AnyDistance:

@@ -73,7 +73,10 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
     one, two = samples.origin, added.origin
     notes = (*one.notes, *two.notes)
     if late:
-        notes = (*notes, f"{name} overlaps the recordings before it in time: its stamps were put {late:.1f} s later.")
+        notes = (
+            *notes,
+            f"{name} overlaps the recordings before it in time: its stamps were shifted {late:.1f} s later.",
+        )
     if cell.own_in_recordings:
         cell = cell.with_move(Move(between(samples, later), cell.own_in_recordings))
     stated = together_stated([_own(one), _own(two)])

@@ -23,7 +23,7 @@ from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
-_NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
+_NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class AccelerationLimits(GuardedNode):
@@ -67,7 +67,7 @@ class AccelerationLimits(GuardedNode):
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
             self._urdf, self._described, self._arm = message.data, None, None
-            self._refusal = "joint_states: not heard yet"
+            self._refusal = "joint_states: not received yet"
             if self._chosen["tip"] or self._names:
                 self._recognise()
 

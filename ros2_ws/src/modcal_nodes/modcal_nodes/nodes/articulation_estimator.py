@@ -53,7 +53,7 @@ class ArticulationEstimator(GuardedNode):
         self._chosen = chosen = values(self, ARTICULATION_ESTIMATOR)
         if chosen["input"] not in (_JOINTS, *_POSES):
             raise BadCommand(
-                f"parameter input {chosen['input']!r}", "is no input", f"use {_JOINTS}, {', '.join(_POSES)}"
+                f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
         follow(self, ARTICULATION_ESTIMATOR, chosen)
         self._tracker = Tracker(TrackerSettings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
@@ -154,7 +154,7 @@ class ArticulationEstimator(GuardedNode):
         """How hard somebody pulls: the force beyond what the sensor showed in the beginning, and the tool's weight."""
         w = wrench_numbers(message)
         if not np.isfinite(w).all():
-            raise BadCommand("wrench", "is not finite", "see to the sensor")
+            raise BadCommand("wrench", "is not finite", "check the sensor")
         R = self._turned
         if R is None:  # the weight turns with the gripper, so where that points must be known, if there is a weight
             if self._load.mass > 0.0:
@@ -170,7 +170,7 @@ class ArticulationEstimator(GuardedNode):
     def _due(self, stamp: float) -> bool:
         """Whether a pose of this time is wanted: not more of them than rate_hz; time that jumps back begins anew."""
         if stamp < self._last - _BACK:
-            self.get_logger().warning("time has jumped back: begins anew")
+            self.get_logger().warning("time has jumped back: the estimate restarts")
             self._forget()
         return stamp - self._last >= 0.999 / self._chosen["rate_hz"]
 
@@ -243,12 +243,12 @@ class ArticulationEstimator(GuardedNode):
             Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
         ]
         if self._chosen["input"] == _JOINTS and self._chain is None:
-            waits = "robot_description: not heard yet: publish it (latched), or set the parameter"
+            waits = "robot_description: not received yet: publish it (latched), or set the parameter"
             lines.append(
-                Status("object", ERROR, self._refusal or (waits if not self._urdf else "waits for joint_states"))
+                Status("object", ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states"))
             )
         elif self._state is None:
-            lines.append(Status("object", WARN, "waits for poses"))
+            lines.append(Status("object", WARN, "waiting for poses"))
         else:
             said = self._state.event or (f"{self._state.kind}, trusted" if self._state.trusted else "not trusted yet")
             lines.append(Status("object", WARN if self._state.event else OK, said, status_values(self._state)))

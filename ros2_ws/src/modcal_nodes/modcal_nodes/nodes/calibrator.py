@@ -50,9 +50,9 @@ _REST = 0.003  # s
 _SOLVE = "solve"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
-_NO_DESCRIPTION = "robot_description: not heard yet: publish it (latched), or set the parameter"
-_NO_JOINTS = "joint_states: not heard yet: start the robot's driver, or remap the topic"
-_NO_TRACKER = "tracker/pose, tracker/point: not heard yet: start the tracker, or remap its topic"
+_NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
+_NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
+_NO_TRACKER = "tracker/pose, tracker/point: not received yet: start the tracker, or remap its topic"
 
 
 class Calibrator(GuardedNode):
@@ -146,7 +146,7 @@ class Calibrator(GuardedNode):
         corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
         self._outputs.model({**self._files, "calibrated.urdf": corrected})
         self._broadcast()
-        self._verdict = "going on with the model that was saved"
+        self._verdict = "continuing with the saved model"
         self._standing = standing_of_json(self._files.get("report.json"))
 
     def _broadcast(self) -> None:
@@ -212,7 +212,7 @@ class Calibrator(GuardedNode):
         self._supervisor.forget()
         self._candidate = None
         self._outputs.no_change()
-        response.success, response.message = True, "recording and candidate forgotten; the trusted model stays"
+        response.success, response.message = True, "recording and candidate cleared; the trusted model stays"
         return response
 
     async def _on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -284,7 +284,7 @@ class Calibrator(GuardedNode):
     def _solved(self, then: int, solved: Solved) -> None:
         """Publish what a solve has found; trust it, if the policy says so."""
         if then != self._buffer.forgotten:
-            self._answer(False, "what it was solved from has been forgotten meanwhile")
+            self._answer(False, "the data it was solved from have been cleared since")
             return
         if self._chosen["out"]:
             write_folder(Path(self._chosen["out"]), solved.files)
@@ -295,7 +295,7 @@ class Calibrator(GuardedNode):
             self._trusted(solved)
         self._verdict = solved.verdict
         if suspected is not None:
-            found = "; ".join(sentence.rstrip(".") for sentence in solved.story) or "nothing that explains it"
+            found = "; ".join(sentence.rstrip(".") for sentence in solved.story) or "no explanation found"
             self._verdict = f"Since something changed: {found}. {solved.verdict}"
         self.get_logger().info(self._verdict)
         self._answer(True, self._verdict)
@@ -369,7 +369,9 @@ class Calibrator(GuardedNode):
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
         if (lacks := self._lacks()) != self._lacked:
             self._lacked = lacks
-            self.get_logger().warning(f"waiting: {lacks}") if lacks else self.get_logger().info("all inputs are heard")
+            self.get_logger().warning(f"waiting: {lacks}") if lacks else self.get_logger().info(
+                "all inputs are received"
+            )
             self._health.publish()
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP

@@ -41,7 +41,7 @@ from modcal_nodes.ros.tf_frames import corrected_frame
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
-_NO_ROBOT_YET = "robot_description: not heard yet: publish it (latched), or set the parameter"
+_NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class Corrector(GuardedNode):
@@ -212,7 +212,9 @@ class Corrector(GuardedNode):
         """Command what brings the target to a desired true pose."""
         robot, joints, chosen = self._commander.robot, self._joints, self._chosen
         if robot is None or joints is None:
-            raise BadCommand("desired_pose", f"nothing is corrected ({self._refusal})", "see to the calibration first")
+            raise BadCommand(
+                "desired_pose", f"no command is corrected ({self._refusal})", "provide a valid calibration first"
+            )
         require_new(message, self._now(), chosen["timeout_s" if chosen["stream"] else "goal_timeout_s"])
         pose = desired_pose(message, robot.farthest)
         joints.require_fresh(self._now(), chosen["timeout_s"])
@@ -229,9 +231,7 @@ class Corrector(GuardedNode):
         self._send(joints.names, setpoint, now)
         self._commander.sent(setpoint, now)
         if unseen := setpoint.command.unseen:
-            self._refusals.refuse(
-                "range", f"{', '.join(unseen)}: commanded to where the calibration has never seen them"
-            )
+            self._refusals.refuse("range", f"{', '.join(unseen)}: commanded outside the range that was calibrated")
 
     def _send(self, names: tuple[str, ...], setpoint: JointSetpoint, now: float) -> None:
         finite(setpoint.q, np.array(setpoint.seconds))
@@ -261,8 +261,8 @@ class Corrector(GuardedNode):
         return [
             subscription_status(self._inputs),
             self._calibration_status(robot) if robot else Status("calibration", ERROR, self._refusal),
-            self._correction_status(robot) if robot else Status("correction", ERROR, "nothing is corrected"),
-            Status("commands", WARN if said else OK, said or "nothing was refused of late", commands),
+            self._correction_status(robot) if robot else Status("correction", ERROR, "no command is corrected"),
+            Status("commands", WARN if said else OK, said or "no recent refusal", commands),
         ]
 
     def _calibration_status(self, robot: CalibratedRobot) -> Status:
@@ -272,7 +272,7 @@ class Corrector(GuardedNode):
         if self._commander.waiting is not None:
             said = f"a new one waits for the stream to pause; {said}".rstrip("; ")
         elif not said and correction.calibration.uncertainty is None:
-            said = "does not say how well it is known, so poses tell of scatter only: calibrate again"
+            said = "has no uncertainty, so poses show scatter only: calibrate again"
         elif not said and correction.unwatched(self._now()):
             said = "was recorded at another time: drifts are held as they were: calibrate again"
         return Status("calibration", WARN if said else OK, said or "in use", facts)
@@ -293,14 +293,14 @@ class Corrector(GuardedNode):
         if silent := self._signals.silent(correction.needs, now):
             said = f"{', '.join(silent)}: silent, the last value is used"
         elif unseen := correction.unseen(at.q):
-            said = f"{', '.join(unseen)}: where the calibration has never seen them; learned curves end before"
+            said = f"{', '.join(unseen)}: outside the range that was calibrated; learned curves end before"
         return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
 
 
 def _settings(chosen: dict[str, Any]) -> CommanderSettings:
     """The core's settings; raises BadTable for a target that there is none of."""
     if chosen["target"] not in ("tip", "tool"):
-        raise BadTable(f"target '{chosen['target']}'", "is neither tip nor tool", "set one of them")
+        raise BadTable(f"target '{chosen['target']}'", "must be tip or tool", "set one of them")
     return CommanderSettings(
         target=chosen["target"],
         stream=chosen["stream"],

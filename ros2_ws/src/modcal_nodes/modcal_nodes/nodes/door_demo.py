@@ -43,7 +43,7 @@ class DoorDemo(GuardedNode):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
-        Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waits for the pull to begin")])
+        Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waiting for the pull to begin")])
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _start(self) -> list[subprocess.Popen[bytes]]:
@@ -92,9 +92,9 @@ class DoorDemo(GuardedNode):
         now = time.monotonic()
         if now - self._begun > self._chosen["patience_s"]:
             said = f"is not open after {self._chosen['patience_s']:g} s"
-            raise NodeEnds(BadCommand(self._chosen["kind"], said, "see what the nodes say, or give it more patience_s"))
+            raise NodeEnds(BadCommand(self._chosen["kind"], said, "check the nodes' output, or allow more patience_s"))
         if any(child.poll() is not None for child in self._children):
-            raise NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "see what it said"))
+            raise NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "check its output"))
         if not self._pulls and now - self._asked > _AGAIN and self._pull.service_is_ready():
             self._asked = now
             self._pull.call_async(Trigger.Request())  # refused until everything has been heard

@@ -203,7 +203,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def close(self) -> None:
         """Let go of what is pulled, and end."""
-        self._end("the node is told to end")
+        self._end("the node is shutting down")
 
     def _end(self, why: str) -> None:
         if self._timer is not None:
@@ -255,7 +255,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         """Begin to pull, from where the arm stands."""
         try:
             self._begin()
-            response.success, response.message = True, "it weighs its tool, then it pulls"
+            response.success, response.message = True, "weighing the tool, then pulling"
         except ModcalError as error:
             response.success, response.message = False, str(error)
         self._health.publish()
@@ -277,11 +277,11 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._operation is not None:
             raise BadCommand("pull", f"it is pulling already ({self._operation.phase})", "call ~/stop first")
         if self._arm is None or self._joints is None:
-            raise BadCommand("robot_description", "not heard yet", "publish it (latched), or set the parameter")
+            raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         now = self._now()
         self._joints.require_fresh(now, self._chosen["timeout_s"])
         if not abs(now - self._arm.sensor.stamp) <= self._chosen["timeout_s"]:
-            raise BadCommand("wrench", "nothing was heard of late", "see that its publisher is alive")
+            raise BadCommand("wrench", "no message was received recently", "check that its publisher is alive")
         if self._chosen["calibrated"]:
             self._measured(now)
         self._operation = Operation(self._arm.chain, task(self._chosen), limits(self._arm.chain, self._chosen))
@@ -298,7 +298,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     def _describe(self, urdf: str) -> None:
         """Know the arm; one that is pulling stays as it is."""
         if self._operation is not None:
-            raise BadCommand("robot_description", "changes while it pulls", "it is taken when the pull is over")
+            raise BadCommand("robot_description", "changes while it pulls", "it is applied when the pull is over")
         self._arm = self._joints = None
         arm = SensedArm.of(urdf, self._chosen)
         self._arm, self._joints = arm, JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper)
@@ -339,7 +339,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         except Exception as error:
             if not self.context.ok():
                 raise
-            self._let_go(f"the pull is given up: {self.faults.note('tick', error)}")
+            self._let_go(f"the pull was aborted: {self.faults.note('tick', error)}")
 
     def _tick_once(self) -> None:
         operation, arm, joints = self._operation, self._arm, self._joints
@@ -372,7 +372,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if not self._chosen["calibrated"]:
             return stamp, pose_and_jacobian(self._arm.chain, self._joints.position)[0]
         if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["timeout_s"]:
-            raise BadCommand("tool_pose", "nothing was heard of late", "start the corrector, or set calibrated: false")
+            raise BadCommand(
+                "tool_pose", "no message was received recently", "start the corrector, or set calibrated: false"
+            )
         return min(stamp, self._tool[0]), self._tool[1]
 
     def _send(self, setpoint: ArmSetpoint, now: float) -> None:
@@ -430,7 +432,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         return [
             subscription_status(self._inputs),
-            Status("inputs", WARN if refused else OK, refused or "nothing was refused of late", trusted),
+            Status("inputs", WARN if refused else OK, refused or "no recent refusal", trusted),
             Status("pull", self._level, self._said, facts),
         ]
 

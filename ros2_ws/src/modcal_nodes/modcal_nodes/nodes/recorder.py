@@ -168,7 +168,10 @@ class Recorder(GuardedNode):
             and time.monotonic() - self._started > patience
         ):
             names = ", ".join(recorder.topic for recorder in trackers)
-            yield "tracker", Complaint(WARN, "nobody", f"no tracker is heard ({names}): start it, or remap its topic")
+            yield (
+                "tracker",
+                Complaint(WARN, "nobody", f"no message from a tracker ({names}): start it, or remap its topic"),
+            )
 
     def _report(self) -> Iterator[Status]:
         yield self._bag_status()
@@ -199,7 +202,7 @@ class Recorder(GuardedNode):
             text = f"{self._free / _MB:.0f} MB free, {minutes:.0f} minutes at this rate; ends at {least:g} MB: {_ROOM}"
             return Status("bag", WARN, text, facts)
         if self.get_clock().ros_time_is_active and not self._now():
-            return Status("bag", WARN, "simulated time has not begun: nobody publishes /clock; stamps are 0", facts)
+            return Status("bag", WARN, "simulated time has not begun: no node publishes /clock; stamps are 0", facts)
         return Status("bag", OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
 
     def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -96,7 +96,7 @@ class SimulatedCell(GuardedNode):
         now = self._time.now()
         behind = now - self._done
         if behind < 0.0 or behind > _LOST * self._factor:
-            self.get_logger().warning(f"the clock jumped by {behind:.3f} s: going on from there")
+            self.get_logger().warning(f"the clock jumped by {behind:.3f} s: continuing from there")
             self._jump(now)
         self._rates.note(now - self._done)
         until = min(now, self._done + _MOST_AT_ONCE * self._factor)
@@ -123,12 +123,12 @@ class SimulatedCell(GuardedNode):
 
     def _restart(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         if not self._time.simulated:
-            answer.message = "the cell's time is not its own: start it with publish_clock"
+            answer.message = "the cell does not publish its own clock: start it with publish_clock"
             return answer
         with self._beat.lock:
             self._time.begin()
             self._jump(-self._time.delay)
-        answer.success, answer.message = True, "time began anew"
+        answer.success, answer.message = True, "time has restarted"
         self.get_logger().info(answer.message)
         return answer
 

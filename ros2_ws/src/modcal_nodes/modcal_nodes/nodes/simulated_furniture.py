@@ -50,7 +50,7 @@ class SimulatedFurniture(GuardedNode):
         chosen = values(self, SIMULATED_FURNITURE)
         file = Path(chosen["urdf"])
         if not file.is_file():
-            raise BadTable(f"urdf '{file}'", "is no file", "set the parameter urdf")
+            raise BadTable(f"urdf '{file}'", "is not a file", "set the parameter urdf")
         text = file.read_text(encoding="utf-8")
         chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
         scene = draw(chain, np.random.default_rng(chosen["seed"]), chosen)
@@ -120,7 +120,7 @@ class SimulatedFurniture(GuardedNode):
             return
         now = self._now()
         if not -_LOST < now - self._done < _LOST:
-            self.get_logger().warning(f"the clock jumped by {now - self._done:.3f} s: going on from there")
+            self.get_logger().warning(f"the clock jumped by {now - self._done:.3f} s: continuing from there")
             self._offset += now - self._done
             self._done = now
             for grid, _ in self._speakers:

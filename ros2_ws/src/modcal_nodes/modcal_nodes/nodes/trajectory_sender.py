@@ -34,7 +34,9 @@ class TrajectorySender(GuardedNode):
         self._chosen = chosen = values(self, TRAJECTORY_SENDER)
         file = Path(chosen["trajectory"])
         if not file.is_file():
-            raise BadTable(f"trajectory '{file}'", "is no file", "set the parameter to the one that modcal plan wrote")
+            raise BadTable(
+                f"trajectory '{file}'", "is not a file", "set the parameter to the one that modcal plan wrote"
+            )
         self._planned = trajectory_from_data(read_yaml(file), str(file))
         self._sent: Trajectory | None = None
         self._at = self._begun = time.monotonic()
@@ -59,7 +61,9 @@ class TrajectorySender(GuardedNode):
         if self._sent is None:
             if lacks := self._lacks():
                 if now - self._begun > patience:
-                    raise NodeEnds(BadCommand("trajectory", f"was not sent: {lacks}", "see to that, and start again"))
+                    raise NodeEnds(
+                        BadCommand("trajectory", f"was not sent: {lacks}", "clear the cause, and start again")
+                    )
                 return
             try:
                 self._send()
@@ -75,16 +79,16 @@ class TrajectorySender(GuardedNode):
             raise SystemExit(0)
         if now - self._at > self._sent.t[-1] + patience:
             worst = int(np.argmax(off))
-            said = f"{off[worst]:.3g} from the last point" if fresh else "is not heard any more"
-            raise NodeEnds(BadCommand(f"joint {self._sent.names[worst]}", said, "see what the controller says"))
+            said = f"{off[worst]:.3g} from the last point" if fresh else "is no longer received"
+            raise NodeEnds(BadCommand(f"joint {self._sent.names[worst]}", said, "check the controller's log"))
 
     def _lacks(self) -> str:
         if missing := self._joints.missing():
-            return f"joint_states does not tell of {', '.join(missing)}"
+            return f"joint_states does not contain {', '.join(missing)}"
         if not abs(self._now() - float(self._joints.stamps.min())) <= self._chosen["timeout_s"]:
-            return "joint_states: nothing was heard of late"
+            return "joint_states: no message was received recently"
         if not self._trajectory.get_subscription_count():
-            return f"nobody listens to {self._trajectory.topic_name}: remap it to the controller's topic"
+            return f"no node subscribes to {self._trajectory.topic_name}: remap it to the controller's topic"
         return ""
 
     def _send(self) -> None:

@@ -276,7 +276,7 @@ class Viewer(GuardedNode):
         calibration = self._robot.correction.calibration
         said = self._refusals.recent("calibration") or self._missing
         if not said and calibration.uncertainty is None:
-            said = "does not say how well it is known, so ellipsoids show scatter only: calibrate again"
+            said = "has no uncertainty, so ellipsoids show scatter only: calibrate again"
         return Status("calibration", WARN if said else OK, said or "in use", {"robot": calibration.robot})
 
     def _view_status(self) -> Status:

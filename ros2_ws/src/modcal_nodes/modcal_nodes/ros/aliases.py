@@ -52,5 +52,5 @@ def said_under_old_name(node: Node, name: str) -> Any:
     value = node.declare_parameter(old, None, ParameterDescriptor(dynamic_typing=True)).value
     node.undeclare_parameter(old)
     if value is not None:
-        node.get_logger().warning(f"parameter {old} is called {name} now; the old name goes with release 0.3")
+        node.get_logger().warning(f"parameter {old} is called {name} now; the old name will be removed in release 0.3")
     return value

@@ -63,7 +63,7 @@ class Faults:
                 self._said[place] = now
         if not quiet:
             log = self._node.get_logger()
-            log.error(f"fault in {said}; what was being handled is left out, the node goes on")
+            log.error(f"fault in {said}; the message being handled is dropped, the node continues")
             log.debug("".join(traceback.format_exception(error)))
         return said
 

@@ -83,5 +83,5 @@ def faults_status(faults: Faults) -> Status:
     if not total:
         return Status("faults", OK, "no callback has failed")
     recent = faults.recent()
-    text = f"{total} callbacks have failed, each cost what it was handling; the last: {faults.last}"
+    text = f"{total} callbacks have failed, each dropped its message; the last: {faults.last}"
     return Status("faults", ERROR if recent else WARN, text, {f"faults of {k}": n for k, n in faults.counts.items()})

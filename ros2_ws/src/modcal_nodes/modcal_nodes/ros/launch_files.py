@@ -51,7 +51,7 @@ def _topic(name: str, topic: str, about: str, *nodes: str, default: str = "") ->
 
 _COMMON = (
     Argument("namespace", "namespace of every node and relative topic"),
-    Argument("use_sim_time", "whether time is from /clock: true or false; empty: as params_file says"),
+    Argument("use_sim_time", "use /clock: true or false; empty: as in params_file"),
     Argument("params_file", "YAML file of parameters, under /** or a node's name; wins over the package's own"),
     Argument("log_level", "debug, info, warn, error or fatal", "info"),
 )
@@ -59,13 +59,13 @@ _HEARD = ("joint_states", "robot_description", "tracker/pose", "tracker/point")
 
 
 def _heard(*nodes: str, topics: tuple[str, ...] = _HEARD) -> tuple[Argument, ...]:
-    return tuple(_topic(t.replace("/", "_"), t, f"topic that {t} is heard on", *nodes) for t in topics)
+    return tuple(_topic(t.replace("/", "_"), t, f"topic that {t} is received on", *nodes) for t in topics)
 
 
 def _arm(*nodes: str) -> tuple[Argument, ...]:
     return (
         _sets("base", "link where the arm begins; empty: the root link", *nodes),
-        _sets("tip", "link where the arm ends; empty: the link behind most joints that are heard", *nodes),
+        _sets("tip", "link where the arm ends; empty: the link behind most published joints", *nodes),
     )
 
 
@@ -79,7 +79,7 @@ LAUNCHES: dict[str, Launch] = {
         (
             *_arm("calibrator"),
             _sets("out", "folder that every result is written to", "calibrator"),
-            _sets("state", "folder that the trusted model and the stations are kept in", "calibrator"),
+            _sets("state", "folder where the trusted model and the stations are kept", "calibrator"),
             _sets("bag", "folder of the bag; must not exist; empty: modcal_ and the time", "recorder", parameter="out"),
             *_heard("calibrator"),
         ),
@@ -90,7 +90,7 @@ LAUNCHES: dict[str, Launch] = {
         ("corrector",),
         (
             _sets("calibration", "folder or file of a calibration; empty: the calibrator's topic", "corrector"),
-            _sets("target", "what poses are of: tip or tool", "corrector"),
+            _sets("target", "frame of the poses: tip or tool", "corrector"),
             _sets("stream", "whether every desired pose is a setpoint: true or false", "corrector"),
             # on purpose not the controller's own topic: an arm moves only where somebody has said so
             _topic("command", "~/joint_trajectory", "topic that commands are sent to", "corrector"),
@@ -115,7 +115,7 @@ LAUNCHES: dict[str, Launch] = {
             *_arm(*_PULL),
             _sets("mode", "admittance or expected", "impedance_setpoint"),
             _sets("calibrated", "whether the tool is where the corrector says: true or false", "impedance_setpoint"),
-            _sets("direction", "believed direction of the pull, seen from the tool: [x, y, z]", "impedance_setpoint"),
+            _sets("direction", "assumed direction of the pull in the tool frame: [x, y, z]", "impedance_setpoint"),
             # on purpose not a controller's own topics: an arm moves only where somebody has said so
             _topic("pose", "~/target_pose", "topic that poses are sent to", "impedance_setpoint"),
             _topic("references", "~/joint_references", "topic that joint references are sent to", "impedance_setpoint"),
@@ -130,7 +130,7 @@ LAUNCHES: dict[str, Launch] = {
         ("viewer",),
         (
             *_arm("viewer"),
-            _sets("arrow_scale", "how much larger all that is off is drawn", "viewer"),
+            _sets("arrow_scale", "magnification of errors", "viewer"),
             *_heard("viewer"),
         ),
         {},
@@ -141,9 +141,11 @@ LAUNCHES: dict[str, Launch] = {
         (
             *_arm("simulated_cell"),
             _sets("urdf", "URDF file of the nominal arm; empty: the package's Panda", "simulated_cell"),
-            _sets("seed", "decides the true arm, the tracker's place and the noise", "simulated_cell"),
+            _sets("seed", "seed of the true arm, the tracker's place and the noise", "simulated_cell"),
             _sets("measurement", "pose or point", "simulated_cell"),
-            _sets("stations", "random postures to visit on its own; 0: wait for joint_trajectory", "simulated_cell"),
+            _sets(
+                "stations", "random postures to visit without commands; 0: wait for joint_trajectory", "simulated_cell"
+            ),
         ),
         {"simulated_cell": {"urdf": "robots/panda.urdf"}},
         {},
@@ -152,7 +154,7 @@ LAUNCHES: dict[str, Launch] = {
         ("simulated_furniture", *_PULL, "door_demo"),
         (
             _sets("kind", "door or drawer", "simulated_furniture", default="door"),
-            _sets("seed", "decides the object, its place and the noise", "simulated_furniture", default="0"),
+            _sets("seed", "seed of the object, its place and the noise", "simulated_furniture", default="0"),
         ),
         {
             "simulated_furniture": {"urdf": "robots/panda.urdf"},
@@ -176,9 +178,9 @@ def nodes(launch: str, chosen: Mapping[str, str], share: Path) -> list[dict[str,
     """
     plan, files = LAUNCHES[launch], [chosen["params_file"]] if chosen["params_file"] else []
     if chosen["log_level"] not in _LEVELS:
-        raise BadTable(f"log_level:={chosen['log_level']}", "is no level", f"use {', '.join(_LEVELS)}")
+        raise BadTable(f"log_level:={chosen['log_level']}", "is not a log level", f"use {', '.join(_LEVELS)}")
     if files and not Path(files[0]).expanduser().is_file():
-        raise BadTable(f"params_file:={files[0]}", "is no file", "give a YAML file")
+        raise BadTable(f"params_file:={files[0]}", "is not a file", "give a YAML file")
     out = []
     for node in plan.nodes:
         given: dict[str, Any] = {}
@@ -228,7 +230,7 @@ def _typed(node: str, name: str, text: str) -> Any:
             return [type(default[0])(value) for value in json.loads(text)]
         return type(default)(text)
     except (TypeError, ValueError) as error:
-        raise BadTable(f"{name}:={text}", f"is no {type(default).__name__}", f"see {node} --help") from error
+        raise BadTable(f"{name}:={text}", f"is not of type {type(default).__name__}", f"see {node} --help") from error
 
 
 def described(launch: str) -> Any:

@@ -35,80 +35,88 @@ RECORDER = {
     "topics": Parameter(
         ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
          "temperature", "wrench"],
-        "Topics to record, relative to the node's namespace, as soon as someone publishes them.",
+        "Topics to record, relative to the node's namespace, each as soon as a publisher exists.",
     ),
     "optional": Parameter(
         ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "temperature", "wrench"],
-        "Those of the topics that may be missing without a word.",
+        "Topics that may be missing without a warning.",
     ),
-    "patience_s": Parameter(5.0, "Seconds after which a topic that is not heard is complained of.", 0.1, 3600.0),
+    "patience_s": Parameter(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
     "min_free_mb": Parameter(
-        200.0, "Free space on the disk below which the bag is closed and the recorder ends [MB].", 0.0, 1e12
+        200.0, "Free space on the disk below which the bag is closed and the recorder exits [MB].", 0.0, 1e12
     ),
 }  # fmt: skip
 
 CALIBRATOR = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
-    "tip": Parameter("", "Link where the arm ends; empty: the link behind most joints that are heard."),
-    "fixed": Parameter([""], "Parameters that must stay as they are, by name, place or pattern."),
+    "tip": Parameter("", "Link where the arm ends; empty: the link behind most published joints."),
+    "fixed": Parameter([""], "Parameters that are not fitted, by name, place or pattern."),
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
-    "out": Parameter("", "Folder that a solve writes its files to; empty: it writes none."),
-    "state": Parameter("", "Folder that the trusted model and the stations are kept in over restarts; empty: nowhere."),
+    "out": Parameter("", "Folder for the files of a solve; empty: none are written."),
+    "state": Parameter("", "Folder where the trusted model and the stations survive restarts; empty: none."),
     "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
-    "seed": Parameter(0, "Of the split into train, explain and held-out.", 0, 2**31 - 1),
+    "seed": Parameter(0, "Seed of the split into train, explain and held-out.", 0, 2**31 - 1),
     "clock_limit_s": Parameter(
         0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
     ),
-    "accept": Parameter("better", "When a result is trusted: better (than what is trusted, surely), or asked."),
-    "first_solve": Parameter(0, "Stations after which the first solve begins by itself; 0: when asked.", 0, 100_000),
-    "after_change": Parameter(
-        20, "Stations since a change after which the diagnosis is opened again; 0: when asked.", 0, 100_000
+    "accept": Parameter("better", "When a result is trusted: better (significantly, than the trusted one), or asked."),
+    "first_solve": Parameter(
+        0, "Stations after which the first solve starts automatically; 0: only on request.", 0, 100_000
     ),
-    "process_noise_places": Parameter([""], "Places that may creep with time: base, tool or joints; empty: none."),
-    "process_noise_m": Parameter(1e-6, "How far they creep in a second, a standard deviation [m].", 0.0, 1e-2),
-    "process_noise_rad": Parameter(1e-6, "How far they turn in a second, a standard deviation [rad].", 0.0, 1e-2),
-    "buffer_s": Parameter(300.0, "Seconds of messages kept as they came; older ones as stations.", 20.0, 3600.0),
-    "max_stations": Parameter(2000, "Stations remembered; of more, the older ones are thinned.", 50, 100_000),
+    "after_change": Parameter(
+        20, "Stations since a change after which the diagnosis is repeated; 0: only on request.", 0, 100_000
+    ),
+    "process_noise_places": Parameter([""], "Places that may drift slowly: base, tool or joints; empty: none."),
+    "process_noise_m": Parameter(1e-6, "Standard deviation of that drift over one second [m].", 0.0, 1e-2),
+    "process_noise_rad": Parameter(1e-6, "Standard deviation of the rotation over one second [rad].", 0.0, 1e-2),
+    "buffer_s": Parameter(300.0, "Seconds of raw messages kept; older ones are kept as stations.", 20.0, 3600.0),
+    "max_stations": Parameter(2000, "Stations kept; beyond that, older ones are thinned.", 50, 100_000),
     "silence_timeout_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
-    "publish_tf": Parameter(False, "Whether trackers and tool of the trusted model go to /tf_static (tf2_msgs)."),
+    "publish_tf": Parameter(
+        False, "Whether trackers and tool of the trusted model are published on /tf_static (tf2_msgs)."
+    ),
 }
 
 CORRECTOR = {
     "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
-    "target": Parameter("tip", "What poses are of: tip (the tip link) or tool (what the tracker saw)."),
+    "target": Parameter("tip", "Frame of the poses: tip (the tip link) or tool (the tracked target)."),
     "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
-    "horizon_s": Parameter(0.1, "Time that a setpoint of a stream is given [s].", 0.005, 2.0),
+    "horizon_s": Parameter(0.1, "Time to reach a setpoint of a stream [s].", 0.005, 2.0),
     "timeout_s": Parameter(0.1, "Age at which joint states and poses of a stream are too old [s].", 0.01, 2.0),
     "goal_timeout_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
-    "joint_speed_rad_s": Parameter(0.5, "Speed of turning joints that no command exceeds [rad/s].", 0.001, 10.0),
-    "joint_speed_m_s": Parameter(0.1, "Speed of sliding joints that no command exceeds [m/s].", 0.0001, 5.0),
-    "tolerance_m": Parameter(1e-6, "Predicted miss above which a pose is refused [m].", 1e-9, 1e-3),
-    "tolerance_rad": Parameter(1e-6, "The same of its orientation [rad].", 1e-9, 1e-2),
+    "joint_speed_rad_s": Parameter(0.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.1, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
+    "tolerance_m": Parameter(1e-6, "Predicted position error above which a pose is refused [m].", 1e-9, 1e-3),
+    "tolerance_rad": Parameter(1e-6, "The same for orientation [rad].", 1e-9, 1e-2),
     "switch_step_rad": Parameter(
-        2e-3, "Largest step of a joint that a new calibration may bring into a stream [rad; m].", 0.0, 0.1
+        2e-3, "Largest joint step that a new calibration may cause in a stream [rad; m].", 0.0, 0.1
     ),
-    "blend_s": Parameter(1.0, "How long such a step takes to come in [s].", 0.0, 60.0),
+    "blend_s": Parameter(1.0, "Time over which such a step is blended in [s].", 0.0, 60.0),
     "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
-    "publish_tf": Parameter(False, "Whether the corrected tip goes to /tf, as TIP_corrected (tf2_msgs)."),
+    "publish_tf": Parameter(False, "Whether the corrected tip is published on /tf, as TIP_corrected (tf2_msgs)."),
 }
 
 ARTICULATION_ESTIMATOR = {
-    "input": Parameter("joint_states", "What shows the handle: joint_states, tool_pose, tracker/pose, tracker/point."),
+    "input": Parameter(
+        "joint_states", "Source of the handle's pose: joint_states, tool_pose, tracker/pose, tracker/point."
+    ),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
-    "tip": Parameter("", "Link that holds the handle; empty: the link behind most joints that are heard."),
+    "tip": Parameter("", "Link that holds the handle; empty: the link behind most published joints."),
     "rate_hz": Parameter(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
     "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
     "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
-    "tolerance_m": Parameter(4e-3, "How well a model must predict to be trusted [m].", 1e-4, 0.05),
-    "lookahead_m": Parameter(0.05, "How far ahead the expected pose is, along the path [m].", 1e-3, 0.5),
-    "still_m": Parameter(3e-3, "What a pulled handle moves by in a second while it counts as stuck [m].", 1e-4, 0.05),
-    "pull_n": Parameter(15.0, "Force beyond that of the beginning from which somebody pulls [N].", 0.5, 500.0),
+    "tolerance_m": Parameter(4e-3, "Prediction error below which a model is trusted [m].", 1e-4, 0.05),
+    "lookahead_m": Parameter(0.05, "Distance of the expected pose ahead along the path [m].", 1e-3, 0.5),
+    "still_m": Parameter(
+        3e-3, "Motion of a pulled handle in one second below which it counts as stuck [m].", 1e-4, 0.05
+    ),
+    "pull_n": Parameter(15.0, "Force above the initial one that counts as a pull [N].", 0.5, 500.0),
     "tool_mass": Parameter(
         0.0,
-        "Mass beyond the force sensor [kg], where poses are upright and wrenches in the gripper; 0: none.",
+        "Mass beyond the force sensor [kg]; needs upright poses and wrenches in the gripper frame; 0: none.",
         0.0,
         100.0,
     ),
@@ -116,52 +124,52 @@ ARTICULATION_ESTIMATOR = {
 
 SIMULATED_CELL = {
     "urdf": Parameter("", "URDF file of the nominal arm."),
-    "delta": Parameter("", "File of a nominal Delta robot, in the URDF's place; empty: none."),
+    "delta": Parameter("", "File of a nominal Delta robot, instead of a URDF; empty: none."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link where the arm ends; empty: the one behind most joints."),
     "seed": Parameter(
-        1, "Decides the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
+        1, "Seed of the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
     ),
     "visit": Parameter(
-        0, "Another number: the same arm, tracker and tool, visited at other postures with other noise.", 0, 2**31 - 1
+        0, "Second seed: same arm, tracker and tool, with other postures and other noise.", 0, 2**31 - 1
     ),
-    "length_std_m": Parameter(5e-4, "How far the true arm's bodies are displaced, per axis [m].", 0.0, 0.1),
-    "angle_std_rad": Parameter(1e-3, "How far the true arm's bodies are turned, per axis [rad].", 0.0, 0.2),
+    "length_std_m": Parameter(
+        5e-4, "Displacement of the true arm's bodies, standard deviation per axis [m].", 0.0, 0.1
+    ),
+    "angle_std_rad": Parameter(1e-3, "Rotation of the true arm's bodies, standard deviation per axis [rad].", 0.0, 0.2),
     "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),
     "noise_rad": Parameter(5e-5, "Noise of one tracker orientation, per axis [rad].", 0.0, 0.1),
     "repeatability_rad": Parameter(
-        0.0, "How far each joint stops from where it says, anew at each arrival [rad; m].", 0.0, 0.01
+        0.0, "Repeatability of each joint at each arrival, standard deviation [rad; m].", 0.0, 0.01
     ),
-    "gear_joint": Parameter("", "Joint whose gear errs, which no model is told; empty: none."),
-    "gear_cycles": Parameter(101.0, "How often that error repeats in a turn of the joint.", 0.0, 1000.0),
-    "gear_amplitude_rad": Parameter(2e-4, "How large it is [rad].", 0.0, 0.01),
+    "gear_joint": Parameter("", "Joint with a gear error that the model does not contain; empty: none."),
+    "gear_cycles": Parameter(101.0, "Periods of that error per turn of the joint.", 0.0, 1000.0),
+    "gear_amplitude_rad": Parameter(2e-4, "Amplitude of that error [rad].", 0.0, 0.01),
     "joint_compliance_rad_per_nm": Parameter(
-        [0.0], "Compliance of the joints [rad/(N m); m/N]: one number for all, or one a joint."
+        [0.0], "Compliance of the joints [rad/(N m); m/N]: one number for all, or one per joint."
     ),
-    "measurement": Parameter("pose", "What the tracker shows: pose or point."),
+    "measurement": Parameter("pose", "Readings of the tracker: pose or point."),
     "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
     "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
-    "publish_effort": Parameter(False, "Whether joint states hold the torques that hold the arm up."),
-    "start_delay_s": Parameter(0.0, "Silence before the first message, for subscribers to be found [s].", 0.0, 60.0),
-    "stations": Parameter(0, "Random postures to visit on its own; 0: wait for joint_trajectory.", 0, 100_000),
-    "returns": Parameter(
-        RETURNS, "Of these, how many are visited twice, so that the noise floor is known; 0: none.", 0, 1000
-    ),
-    "dwell_s": Parameter(0.8, "How long to stand still at each of its own postures [s].", 0.0, 60.0),
-    "travel_s": Parameter(0.5, "How long to travel to each of its own postures [s].", 0.05, 60.0),
-    "repeat": Parameter(False, "Whether to visit as many others after those, for ever."),
+    "publish_effort": Parameter(False, "Whether joint states contain the holding torques as effort."),
+    "start_delay_s": Parameter(0.0, "Delay before the first message, for discovery of subscribers [s].", 0.0, 60.0),
+    "stations": Parameter(0, "Random postures to visit without commands; 0: wait for joint_trajectory.", 0, 100_000),
+    "returns": Parameter(RETURNS, "Number of these visited twice, so that the noise floor is known; 0: none.", 0, 1000),
+    "dwell_s": Parameter(0.8, "Standstill at each random posture [s].", 0.0, 60.0),
+    "travel_s": Parameter(0.5, "Travel time to each random posture [s].", 0.05, 60.0),
+    "repeat": Parameter(False, "Whether to continue with new random postures indefinitely."),
     "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
-    "clock_rate_hz": Parameter(250.0, "How often a simulated second that is done [Hz].", 1.0, 2000.0),
-    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 100.0),
-    "clock_start_s": Parameter(1000.0, "What simulated time begins with [s].", 0.0, 4e9),
+    "clock_rate_hz": Parameter(250.0, "Rate of /clock in simulated time [Hz].", 1.0, 2000.0),
+    "time_factor": Parameter(1.0, "Simulated seconds per real second.", 0.01, 100.0),
+    "clock_start_s": Parameter(1000.0, "Start of simulated time [s].", 0.0, 4e9),
     "temperature_noise_k": Parameter(0.05, "Noise of a temperature [K].", 0.0, 10.0),
     # from here on: may be changed while the cell runs
-    "payload_kg": Parameter(0.0, "A mass at the tip, which nobody is told of [kg].", 0.0, 100.0),
-    "tool_bump_m": Parameter([0.0, 0.0, 0.0], "How far the tool was knocked off, along its axes [m]."),
-    "tool_turn_rad": Parameter([0.0, 0.0, 0.0], "How far it was turned thereby, as a rotation vector [rad]."),
-    "tracker_move_m": Parameter([0.0, 0.0, 0.0], "How far the tracker was displaced, along its axes [m]."),
+    "payload_kg": Parameter(0.0, "Undeclared mass at the tip [kg].", 0.0, 100.0),
+    "tool_bump_m": Parameter([0.0, 0.0, 0.0], "Displacement of the tool, along its axes [m]."),
+    "tool_turn_rad": Parameter([0.0, 0.0, 0.0], "Rotation of the tool, as a rotation vector [rad]."),
+    "tracker_move_m": Parameter([0.0, 0.0, 0.0], "Displacement of the tracker, along its axes [m]."),
     "warm_up_link": Parameter("", "Link that warms up, and whose temperature is published; empty: none."),
-    "warm_up_m": Parameter(0.0, "How much longer that link gets in the end [m].", -0.01, 0.01),
+    "warm_up_m": Parameter(0.0, "Final growth of that link [m].", -0.01, 0.01),
     "warm_up_s": Parameter(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
 }
 
@@ -169,28 +177,28 @@ SIMULATED_FURNITURE = {
     "urdf": Parameter("", "URDF file of the arm; its links must have masses."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
-    "seed": Parameter(0, "Decides the object, its place, the tool's weight and the noise.", 0, 2**31 - 1),
-    "kind": Parameter("", "What is pulled: door, drawer, screw or folding; empty: a door or a drawer, by chance."),
-    "grasp": Parameter("", "How the hand holds the handle: weld (firmly) or ball (it may turn); empty: by chance."),
-    "radius_m": Parameter(-1.0, "Distance of the handle from the hinge [m]; below zero: by chance.", -1.0, 2.0),
-    "friction": Parameter(-1.0, "Dry friction of its joint [N m; N]; below zero: by chance.", -1.0, 200.0),
-    "damping": Parameter(-1.0, "Damping of its joint [N m s/rad; N s/m]; below zero: by chance.", -1.0, 1000.0),
-    "spring": Parameter(-1.0, "Stiffness that closes it [N m/rad; N/m]; below zero: by chance.", -1.0, 1000.0),
-    "mass_kg": Parameter(-1.0, "Mass of what moves [kg]; below zero: by chance.", -1.0, 200.0),
+    "seed": Parameter(0, "Seed of the object, its place, the tool's weight and the noise.", 0, 2**31 - 1),
+    "kind": Parameter("", "Object to pull: door, drawer, screw or folding; empty: a random door or drawer."),
+    "grasp": Parameter("", "Grasp of the handle: weld (rigid) or ball (free to turn); empty: random."),
+    "radius_m": Parameter(-1.0, "Distance of the handle from the hinge [m]; below zero: random.", -1.0, 2.0),
+    "friction": Parameter(-1.0, "Dry friction of its joint [N m; N]; below zero: random.", -1.0, 200.0),
+    "damping": Parameter(-1.0, "Damping of its joint [N m s/rad; N s/m]; below zero: random.", -1.0, 1000.0),
+    "spring": Parameter(-1.0, "Stiffness that closes it [N m/rad; N/m]; below zero: random.", -1.0, 1000.0),
+    "mass_kg": Parameter(-1.0, "Mass of what moves [kg]; below zero: random.", -1.0, 200.0),
     "stop": Parameter(
-        -1.0, "Where it jams for good [rad; m]; 0: it is locked; below zero: only at its own end.", -1.0, 3.0
+        -1.0, "Position at which it jams [rad; m]; 0: locked; below zero: only at its own end.", -1.0, 3.0
     ),
     "servo_stiffness": Parameter(4000.0, "Stiffness of the joints' servos [N m/rad].", 100.0, 1e5),
-    "servo_lag_s": Parameter(0.03, "How far behind a steadily moving reference they stay [s].", 0.005, 0.2),
+    "servo_lag_s": Parameter(0.03, "Lag behind a steadily moving reference [s].", 0.005, 0.2),
     "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
     "wrench_rate_hz": Parameter(250.0, "Rate of the wrist's sensor [Hz].", 10.0, 1000.0),
     "truth_rate_hz": Parameter(100.0, "Rate of ~/contact_force and ~/object_truth [Hz].", 1.0, 1000.0),
     "publish_clock": Parameter(
-        False, "Whether to publish a simulated time on /clock, which waits where the machine does not keep up."
+        False, "Whether to publish a simulated time on /clock, which slows down on a busy machine."
     ),
-    "clock_rate_hz": Parameter(500.0, "How often a simulated second that is done [Hz].", 10.0, 2000.0),
-    "keep_step": Parameter(False, "Whether a simulated time also waits for the next reference, while they come."),
-    "time_factor": Parameter(1.0, "How fast simulated time runs.", 0.01, 10.0),
+    "clock_rate_hz": Parameter(500.0, "Rate of /clock in simulated time [Hz].", 10.0, 2000.0),
+    "keep_step": Parameter(False, "Whether simulated time also waits for the next reference while references arrive."),
+    "time_factor": Parameter(1.0, "Simulated seconds per real second.", 0.01, 10.0),
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
 }
@@ -201,70 +209,74 @@ IMPEDANCE_SETPOINT = {
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
     "calibrated": Parameter(False, "Whether the tool is where tool_pose (the corrector's ~/pose) says it is."),
-    "autostart": Parameter(False, "Whether it configures and activates itself."),
-    "mode": Parameter(
-        "admittance", "admittance (the stack that follows is stiff), or expected (it is compliant itself)."
-    ),
-    "direction": Parameter([0.0, 0.0, -1.0], "Believed direction of the pull, seen from the tool."),
-    "goal": Parameter(0.0, "How far to open it [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
-    "goal_rad": Parameter(1.0472, "How far to open what turns [rad].", 0.01, 3.0),
-    "goal_m": Parameter(0.3, "How far to open what slides [m].", 0.005, 2.0),
-    "exploration_speed_m_s": Parameter(0.03, "Speed of the pull while the way is unknown [m/s].", 0.001, 0.2),
-    "speed_m_s": Parameter(0.06, "Speed once it is known [m/s].", 0.001, 0.5),
-    "max_exploration_m": Parameter(0.25, "Longest way that is gone unknown [m].", 0.01, 1.0),
+    "autostart": Parameter(False, "Whether the node configures and activates itself."),
+    "mode": Parameter("admittance", "admittance (for a stiff controller), or expected (for a compliant controller)."),
+    "direction": Parameter([0.0, 0.0, -1.0], "Assumed direction of the pull, in the tool frame."),
+    "goal": Parameter(0.0, "Opening to reach [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
+    "goal_rad": Parameter(1.0472, "Opening of objects that turn [rad].", 0.01, 3.0),
+    "goal_m": Parameter(0.3, "Opening of objects that slide [m].", 0.005, 2.0),
+    "exploration_speed_m_s": Parameter(0.03, "Speed of the pull while the path is unknown [m/s].", 0.001, 0.2),
+    "speed_m_s": Parameter(0.06, "Speed once the path is known [m/s].", 0.001, 0.5),
+    "max_exploration_m": Parameter(0.25, "Longest motion while the path is unknown [m].", 0.01, 1.0),
     "mass": Parameter([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
     "damping": Parameter([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
     "stiffness": Parameter([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
-    "stack_stiffness": Parameter([3000.0, 200.0], "What a stiff stack is asked for, way and turning [N/m; N m/rad]."),
-    "blend_s": Parameter(0.5, "How long other gains take to come in [s].", 0.0, 10.0),
-    "slowdown_force_n": Parameter(15.0, "Force from which the pace falls [N].", 0.1, 500.0),
-    "slowdown_moment_nm": Parameter(6.0, "The same of the moment [N m].", 0.01, 100.0),
-    "stop_force_n": Parameter(35.0, "Force at which it stands [N].", 0.2, 500.0),
-    "stop_moment_nm": Parameter(14.0, "The same of the moment [N m].", 0.02, 100.0),
-    "max_force_n": Parameter(50.0, "Force at which the pull ends at once [N].", 1.0, 500.0),
-    "max_moment_nm": Parameter(20.0, "The same of the moment [N m].", 0.1, 100.0),
-    "max_speed_m_s": Parameter(0.25, "No setpoint moves the tool faster [m/s].", 0.001, 2.0),
-    "max_acceleration_m_s2": Parameter(2.5, "Nor changes its speed faster [m/s2].", 0.01, 50.0),
-    "max_angular_speed_rad_s": Parameter(1.5, "No setpoint turns the tool faster [rad/s].", 0.01, 10.0),
-    "max_angular_acceleration_rad_s2": Parameter(15.0, "Nor changes that faster [rad/s2].", 0.1, 300.0),
-    "max_displacement_m": Parameter(0.1, "No setpoint lies farther from where the tool is [m].", 0.001, 1.0),
-    "max_rotation_rad": Parameter(0.5, "No setpoint is turned farther from it [rad].", 0.01, 3.0),
-    "joint_speed_rad_s": Parameter(1.5, "Speed of turning joints that no setpoint exceeds [rad/s].", 0.001, 10.0),
-    "joint_speed_m_s": Parameter(0.3, "Speed of sliding joints that no setpoint exceeds [m/s].", 0.0001, 5.0),
-    "joint_acceleration_rad_s2": Parameter(15.0, "How fast that speed may change [rad/s2].", 0.01, 200.0),
-    "joint_acceleration_m_s2": Parameter(3.0, "The same of sliding joints [m/s2].", 0.001, 100.0),
-    "min_gain": Parameter(0.02, "Smallest gain of the joints that is not taken for singular [m; rad].", 1e-4, 1.0),
-    "tool_mass": Parameter(0.0, "Mass beyond the force sensor, where it is known [kg]; 0: only the tare.", 0.0, 100.0),
-    "tool_centre": Parameter([0.0, 0.0, 0.0], "Its centre, in the sensor's frame [m]."),
-    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
-    "wrench_frame": Parameter("", "A link fixed to the tool that wrenches may be in, beside the tool's own."),
-    "wrench_by_tool": Parameter(False, "Whether the sensor says what the tool does, not what is done to it."),
-    "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
-    "servo_lag_s": Parameter(0.03, "How far setpoints that move steadily are ahead of the arm [s].", 0.0, 1.0),
-    "contact_stiffness_n_m": Parameter(
-        15e3, "Stiffness of arm, hand and object at a hard stop, as believed [N/m].", 100.0, 1e6
+    "stack_stiffness": Parameter(
+        [3000.0, 200.0], "Stiffness requested from a stiff controller, translation and rotation [N/m; N m/rad]."
     ),
-    "tare_s": Parameter(0.5, "How long the tool is weighed [s].", 0.1, 10.0),
+    "blend_s": Parameter(0.5, "Time over which new gains are blended in [s].", 0.0, 10.0),
+    "slowdown_force_n": Parameter(15.0, "Force above which the speed is reduced [N].", 0.1, 500.0),
+    "slowdown_moment_nm": Parameter(6.0, "The same for the moment [N m].", 0.01, 100.0),
+    "stop_force_n": Parameter(35.0, "Force at which the speed is zero [N].", 0.2, 500.0),
+    "stop_moment_nm": Parameter(14.0, "The same for the moment [N m].", 0.02, 100.0),
+    "max_force_n": Parameter(50.0, "Force at which the pull is aborted [N].", 1.0, 500.0),
+    "max_moment_nm": Parameter(20.0, "The same for the moment [N m].", 0.1, 100.0),
+    "max_speed_m_s": Parameter(0.25, "Largest speed of the tool's setpoint [m/s].", 0.001, 2.0),
+    "max_acceleration_m_s2": Parameter(2.5, "Largest acceleration of the tool's setpoint [m/s2].", 0.01, 50.0),
+    "max_angular_speed_rad_s": Parameter(1.5, "Largest angular speed of the tool's setpoint [rad/s].", 0.01, 10.0),
+    "max_angular_acceleration_rad_s2": Parameter(
+        15.0, "Largest angular acceleration of the tool's setpoint [rad/s2].", 0.1, 300.0
+    ),
+    "max_displacement_m": Parameter(0.1, "Largest distance of a setpoint from the measured tool [m].", 0.001, 1.0),
+    "max_rotation_rad": Parameter(0.5, "Largest rotation of a setpoint from the measured tool [rad].", 0.01, 3.0),
+    "joint_speed_rad_s": Parameter(1.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": Parameter(0.3, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
+    "joint_acceleration_rad_s2": Parameter(15.0, "Largest acceleration of revolute joints [rad/s2].", 0.01, 200.0),
+    "joint_acceleration_m_s2": Parameter(3.0, "Largest acceleration of prismatic joints [m/s2].", 0.001, 100.0),
+    "min_gain": Parameter(
+        0.02, "Smallest singular value of the Jacobian; below it the posture counts as singular [m; rad].", 1e-4, 1.0
+    ),
+    "tool_mass": Parameter(0.0, "Mass beyond the force sensor, if known [kg]; 0: tare only.", 0.0, 100.0),
+    "tool_centre": Parameter([0.0, 0.0, 0.0], "Centre of that mass in the sensor's frame [m]."),
+    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "wrench_frame": Parameter("", "Another link fixed to the tool in which wrenches may be given."),
+    "wrench_by_tool": Parameter(False, "Whether the sensor reports the wrench exerted by the tool, not on the tool."),
+    "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
+    "servo_lag_s": Parameter(0.03, "Lag of the arm behind steadily moving setpoints [s].", 0.0, 1.0),
+    "contact_stiffness_n_m": Parameter(
+        15e3, "Assumed stiffness of arm, hand and object at a hard stop [N/m].", 100.0, 1e6
+    ),
+    "tare_s": Parameter(0.5, "Duration of the tare [s].", 0.1, 10.0),
     "timeout_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
-    "patience_s": Parameter(1.0, "How long a pull waits for an input that is late before it ends [s].", 0.0, 60.0),
-    "rate_hz": Parameter(250.0, "Setpoints a second [Hz].", 10.0, 1000.0),
-    "horizon_s": Parameter(0.02, "When a trajectory's point is to be reached [s].", 0.001, 1.0),
+    "patience_s": Parameter(1.0, "Time that a pull waits for a late input before it is aborted [s].", 0.0, 60.0),
+    "rate_hz": Parameter(250.0, "Rate of setpoints [Hz].", 10.0, 1000.0),
+    "horizon_s": Parameter(0.02, "Time to reach a trajectory's point [s].", 0.001, 1.0),
 }
 
 ACCELERATION_LIMITS = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
-    "tip": Parameter("", "Link that carries the payload; empty: the link behind most joints that are heard."),
+    "tip": Parameter("", "Link that carries the payload; empty: the link behind most published joints."),
     "payload_kg": Parameter(0.0, "Mass that the arm carries [kg].", 0.0, 1e4),
     "payload_centre_m": Parameter([0.0, 0.0, 0.0], "Its centre of mass in the tip link [m]."),
-    "payload_inertia": Parameter([0.0] * 6, "Its inertia about that: ixx iyy izz ixy ixz iyz [kg m2]."),
+    "payload_inertia": Parameter([0.0] * 6, "Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m2]."),
     "method": Parameter(
         "coupled", "coupled (bounds that hold for all joints at once), or equivalent (each joint by itself)."
     ),
     "torque_share": Parameter(1.0, "Share of every drive's torque that may be used.", 0.01, 1.0),
-    "torque": Parameter([""], "Largest torques that are not the URDF's effort, as joint=value [N m; N]."),
-    "friction": Parameter([""], "Dry friction that is not the URDF's, as joint=value [N m; N]."),
-    "damping": Parameter([""], "Viscous friction that is not the URDF's, as joint=value [N m s/rad; N s/m]."),
+    "torque": Parameter([""], "Largest torques, instead of the URDF's effort, as joint=value [N m; N]."),
+    "friction": Parameter([""], "Dry friction, instead of the URDF's, as joint=value [N m; N]."),
+    "damping": Parameter([""], "Viscous friction, instead of the URDF's, as joint=value [N m s/rad; N s/m]."),
     "rotor": Parameter([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
     "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
     "timeout_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
@@ -274,31 +286,31 @@ ACCELERATION_LIMITS = {
 VIEWER = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: that of the calibration, else the root link."),
-    "tip": Parameter("", "Link where the arm ends; empty: that of the calibration, else behind most joints heard."),
-    "arrow_scale": Parameter(
-        100.0, "How much larger all that is off is drawn: 100 makes 1 mm ten centimetres.", 1.0, 1e5
+    "tip": Parameter(
+        "", "Link where the arm ends; empty: that of the calibration, else the link behind most published joints."
     ),
+    "arrow_scale": Parameter(100.0, "Magnification of errors: at 100, 1 mm is drawn as 10 cm.", 1.0, 1e5),
     "full_colour_m": Parameter(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
-    "stations": Parameter(60, "How many of the last stations are shown.", 1, 1000),
+    "stations": Parameter(60, "Number of latest stations shown.", 1, 1000),
     "timeout_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
-    "rate_hz": Parameter(5.0, "How often the pictures are drawn anew [Hz].", 0.1, 30.0),
+    "rate_hz": Parameter(5.0, "Rate at which markers are redrawn [Hz].", 0.1, 30.0),
 }
 
 
 DOOR_DEMO = {
-    "start": Parameter(True, "Whether it starts the other nodes itself; false: a launch file does."),
-    "kind": Parameter("door", "What is opened: door or drawer."),
-    "seed": Parameter(0, "Decides the object, its place and the noise.", 0, 2**31 - 1),
-    "patience_s": Parameter(90.0, "Seconds after which it gives up.", 5.0, 3600.0),
+    "start": Parameter(True, "Whether the node starts the other nodes; false: a launch file does."),
+    "kind": Parameter("door", "Object to open: door or drawer."),
+    "seed": Parameter(0, "Seed of the object, its place and the noise.", 0, 2**31 - 1),
+    "patience_s": Parameter(90.0, "Time after which the demo is aborted [s].", 5.0, 3600.0),
 }
 
 TRAJECTORY_SENDER = {
     "trajectory": Parameter("", "File of the trajectory, as modcal plan writes it (trajectory.yaml)."),
-    "speed_rad_s": Parameter(0.2, "Speed of the way to the first point [rad/s; m/s].", 0.001, 3.0),
-    "approach_rad": Parameter(0.1, "Farthest that a joint may have to go to the first point [rad; m].", 0.0, 10.0),
-    "tolerance_rad": Parameter(0.01, "How near the last point it has arrived [rad; m].", 1e-5, 0.5),
+    "speed_rad_s": Parameter(0.2, "Speed of the approach to the first point [rad/s; m/s].", 0.001, 3.0),
+    "approach_rad": Parameter(0.1, "Largest joint distance to the first point [rad; m].", 0.0, 10.0),
+    "tolerance_rad": Parameter(0.01, "Tolerance at the last point [rad; m].", 1e-5, 0.5),
     "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
-    "patience_s": Parameter(10.0, "How long it waits for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
+    "patience_s": Parameter(10.0, "Time to wait for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
 }
 
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is

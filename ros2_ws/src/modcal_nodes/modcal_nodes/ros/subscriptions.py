@@ -18,8 +18,8 @@ from modcal_nodes.ros.health import ERROR, OK, WARN, Status
 from modcal_nodes.ros.pending import waiting
 
 _LESS = {
-    QoSPolicyKind.RELIABILITY: "heard with best effort; on a busy network some messages will be lost",
-    QoSPolicyKind.DURABILITY: "heard all the same; what it published before was missed, it should latch",
+    QoSPolicyKind.RELIABILITY: "received with best effort; on a busy network some messages will be lost",
+    QoSPolicyKind.DURABILITY: "received, but messages published before are missed; it should be transient local",
 }
 _AT_ONCE = 100  # messages of one topic before others have their turn
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
@@ -85,7 +85,7 @@ class MonitoredSubscription:
             self._less = self._node.create_timer(0.0, partial(self._settle_for_less, kind), clock=_STEADY)
         elif kind not in _LESS:
             self.incompatible = (
-                f"a publisher's {name} does not match, its messages do not arrive: let both ask for the same"
+                f"a publisher's {name} does not match, its messages do not arrive: use the same setting on both sides"
             )
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
 
@@ -123,8 +123,8 @@ class MonitoredSubscription:
         if self.needed and self.silence > self.patience and not (latched and self.count):
             level = ERROR if self.count == 0 else WARN
             if publishers == 0:
-                return level, f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
-            return level, f"{self.topic}: silent for {self.silence:.0f} s: see that its publisher is alive"
+                return level, f"{self.topic}: no node publishes it: start the driver, or remap the topic"
+            return level, f"{self.topic}: silent for {self.silence:.0f} s: check that its publisher is alive"
         return None
 
 
@@ -133,7 +133,7 @@ def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
     inputs = list(inputs)
     complaints = [complaint for ear in inputs if (complaint := ear.complaint()) is not None]
     level = max((level for level, _ in complaints), default=OK)
-    message = "; ".join(text for _, text in complaints) or "everything that is needed is heard"
+    message = "; ".join(text for _, text in complaints) or "everything that is needed is received"
     counts = {f"messages of {ear.topic}": ear.count for ear in inputs}
     return Status(
         "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in inputs}}
@@ -146,4 +146,4 @@ def tracker_status(hearing: Status, inputs: Iterable[MonitoredSubscription]) -> 
     if hearing.level != OK or any(ear.count for ear in instruments):
         return hearing
     topics = " and ".join(ear.topic for ear in instruments)
-    return Status(hearing.part, WARN, f"nothing heard of the tracker on {topics}", hearing.values)
+    return Status(hearing.part, WARN, f"no message from the tracker on {topics}", hearing.values)

@@ -68,7 +68,7 @@ class Parents:
             raise BadTable(f"frame {frame.child}", "is not one of this package's", "see docs/nodes.md")
         parent = self._of.get(frame.child)
         if parent is not None and parent != frame.parent:
-            said = f"has the parent {parent} already, which somebody else publishes"
+            said = f"has the parent {parent} already, which another node publishes"
             raise BadTable(f"frame {frame.child}", said, "stop that publisher, or set publish_tf: false")
         above, seen = frame.parent, set[str]()
         while above in self._of and above not in seen:

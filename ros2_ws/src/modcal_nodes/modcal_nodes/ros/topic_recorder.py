@@ -182,13 +182,13 @@ class TopicRecorder:
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
-                return Complaint(WARN, UNHEARD, f"{text}: nothing of it is recorded until one comes")
+                return Complaint(WARN, UNHEARD, f"{text}: nothing is recorded until one arrives")
         silence = time.monotonic() - self._last
         if silence > self.patience and self.publishers == 0 and self.needed:
-            text = f"{self.topic}: nobody publishes it: start the driver, or remap the topic"
+            text = f"{self.topic}: no node publishes it: start the driver, or remap the topic"
             return Complaint(WARN, "nobody", text)
         if silence > self.patience and self.publishers and not any(offer.latched for offer in self._inputs):
-            text = f"{self.topic}: silent for {silence:.0f} s: see that its publisher is alive"
+            text = f"{self.topic}: silent for {silence:.0f} s: check that its publisher is alive"
             return Complaint(WARN, "silent", text)
         if self.lost:
             text = f"{self.topic}: {self.lost} messages lost: this machine or the network is too busy"

@@ -34,7 +34,7 @@ def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         print(f"modcal: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     if own:
-        print(f"modcal: {own[0]}: is no argument of {name}: see {name} --help", file=sys.stderr)
+        print(f"modcal: {own[0]}: is not an argument of {name}: see {name} --help", file=sys.stderr)
         return 2
     return None
 
@@ -46,7 +46,10 @@ def help_text(name: str, make: Callable[[], Any]) -> str:
     if parameters := NODES.get(name):
         lines += ["", "Parameters (those marked * may be changed while it runs):"]
         lines += [line for key, parameter in parameters.items() for line in _told(key, parameter)]
-    lines += ["", "Exit code 0: told to stop. 2: unusable parameters, files or disk, one line on stderr. 1: a fault."]
+    lines += [
+        "",
+        "Exit code 0: stopped on request. 2: unusable parameters, files or disk, one line on stderr. 1: a fault.",
+    ]
     return "\n".join(lines)
 
 

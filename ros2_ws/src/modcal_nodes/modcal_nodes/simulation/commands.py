@@ -32,12 +32,14 @@ def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = No
         if len(q) != len(order) or not np.isfinite(q).all():
             raise BadCommand(offender, "has wrong positions", f"give {len(order)} finite numbers")
         if after <= last:
-            raise BadCommand(offender, "comes no later than the one before", "let times rise, from above zero")
+            raise BadCommand(offender, "is not later than the one before", "make times increase from above zero")
         q = q[order]
         if (q < chain.lower).any() or (q > chain.upper).any():
             raise BadCommand(offender, "lies outside the joint limits", "stay within them")
         if start is not None and not passable(chain, start, q):
-            raise BadCommand(offender, "the platform of the Delta does not fit all the way there", "go another way")
+            raise BadCommand(
+                offender, "the platform of the Delta does not fit along the whole path", "choose another path"
+            )
         out.append((after, q))
         last, start = after, q
     return out

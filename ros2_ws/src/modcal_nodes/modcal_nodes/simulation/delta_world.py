@@ -54,7 +54,11 @@ class DeltaWorld(Machine):
 
     def length(self, link: str) -> float:
         """Raises BadRobot: the links of a simulated Delta do not grow."""
-        raise BadRobot(f"link '{link}'", "is one of a Delta, whose links do not grow here", "leave warm_up_link empty")
+        raise BadRobot(
+            f"link '{link}'",
+            "belongs to a Delta, whose links do not grow in this simulation",
+            "leave warm_up_link empty",
+        )
 
     def grow(self, link: str, metres: float) -> None:
         """Raises BadRobot: the links of a simulated Delta do not grow."""
@@ -83,7 +87,7 @@ class DeltaWorld(Machine):
             step *= 0.5
             if step * steps < _SHORTEST:
                 self.data.qpos[:] = kept
-                said = f"its rods come no nearer to the platform than {1e3 * gap:.3g} mm"
+                said = f"its rods miss the platform by at least {1e3 * gap:.3g} mm"
                 raise NotReachable("posture of the simulated Delta", said, "send it where its platform fits")
 
     def _close(self) -> float:
@@ -126,7 +130,7 @@ def require_drivable(delta: Delta) -> None:
     """Raises BadRobot for a Delta that cannot begin with its joints at zero, or as near to it as limits allow."""
     if not reachable(delta, np.clip(np.zeros((1, delta.n)), delta.lower, delta.upper))[0]:
         name = f"delta {', '.join(delta.names)}"
-        raise BadRobot(name, "cannot stand with its joints at zero", "correct its constants or limits")
+        raise BadRobot(name, "has no valid posture with its joints at zero", "correct its constants or limits")
 
 
 def displaced(nominal: Delta, rng: np.random.Generator, length_std: float, angle_std: float) -> Delta:

@@ -181,7 +181,7 @@ def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
     kind = "delta" if chosen["delta"] else "urdf"
     file = Path(chosen[kind])
     if not file.is_file():
-        raise BadTable(f"{kind} '{file}'", "is no file", f"set the parameter {kind}")
+        raise BadTable(f"{kind} '{file}'", "is not a file", f"set the parameter {kind}")
     chain: Mechanism
     if chosen["delta"]:
         text, chain = "", read_delta(file)
@@ -196,7 +196,7 @@ def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
 
 
 def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
-    """Compliance of every joint (n,) from one number for all, or one a joint."""
+    """Compliance of every joint (n,) from one number for all, or one per joint."""
     compliance = np.asarray(given, dtype=float)
     if len(compliance) not in (1, chain.n) or not ((compliance >= 0.0) & (compliance <= 1e-3)).all():
         said = f"1 or {chain.n} numbers from 0 to 0.001 are understood"

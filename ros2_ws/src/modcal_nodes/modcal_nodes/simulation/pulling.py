@@ -111,7 +111,7 @@ class Pulling:
             raise BadCommand(
                 f"joint_references: {worst}",
                 f"is {jump.max():.3g} away from the last one, {_LONGEST_JUMP:g} is the limit",
-                "let references begin where the arm is, and move on in small steps",
+                "start references where the arm is, and move in small steps",
             )
         self._way = None
         self.data.ctrl[:] = q

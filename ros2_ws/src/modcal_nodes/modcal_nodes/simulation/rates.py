@@ -35,5 +35,5 @@ class Rates:
         values["lag [s]"] = f"{self.lag:.4f}"
         late = self.lag > LATE
         self._since, self._counts, self.lag = now, counts, 0.0
-        message = "behind its own clock: lower the rates or time_factor" if late else "speaks in time"
+        message = "behind its own clock: lower the rates or time_factor" if late else "publishes in time"
         return Status("rates", WARN if late else OK, message, values)

@@ -54,10 +54,10 @@ class World(Machine):
     def length(self, link: str) -> float:
         """How long a link is, from its joint to the next one [m]. Raises BadRobot for one that cannot grow."""
         if link not in self._bodies:
-            raise BadRobot(f"link '{link}'", "does not lead to a joint", f"name one of {', '.join(self._bodies)}")
+            raise BadRobot(f"link '{link}'", "does not belong to a joint", f"name one of {', '.join(self._bodies)}")
         length = float(np.linalg.norm(self._at_rest[self._bodies[link]]))
         if length < SHORTEST_LINK:
-            raise BadRobot(f"link '{link}'", "has no length that could grow", "name a longer link")
+            raise BadRobot(f"link '{link}'", "has no length that can grow", "name a longer link")
         return length
 
     def grow(self, link: str, metres: float) -> None:

@@ -58,13 +58,13 @@ def _beside(node: dict[str, Any]) -> Iterator[str]:
         before = f", {1e3 * node['residual_before_m']:.4f} mm before" if "residual_before_m" in node else ""
         yield f"held-out residual {1e3 * node['residual_m']:.4f} mm{before}"
     if node.get("change"):
-        yield f"change: {node['change'].get('sentence', 'not said what')}"
+        yield f"change: {node['change'].get('sentence', 'unknown')}"
     if "estimate" in node:
         values = ", ".join(f"{p['name']} {p['value']:.3g} ± {p['std']:.2g}" for p in node["estimate"])
         yield f"running estimate, farthest off the trusted model [m, rad]: {values}"
     if "delay_ms" in node:
         delay, deviation = node["delay_ms"], 1e3 * node["position_std_m"]
-        yield f"poses come {delay['median']:.1f} ms after their stamps (p99 {delay['p99']:.1f}); std {deviation:.3f} mm"
+        yield f"poses are {delay['median']:.1f} ms late (p99 {delay['p99']:.1f}); std {deviation:.3f} mm"
 
 
 class Changes:

@@ -42,12 +42,12 @@ def all_models() -> tuple[ArticulationModel, ...]:
         if fault := _fault(model):
             raise BadTable(offender, fault, REMEDY)
         if model.name in {one.name for one in known}:
-            raise BadTable(offender, f"kind {model.name} is taken", "choose another name")
+            raise BadTable(offender, f"kind {model.name} is already used", "choose another name")
         known.append(model)
     more = known[len(BUILT_IN) :]
     if (together := sum(model.share for model in more)) >= _MOST_SHARE:
         names = ", ".join(model.name for model in more)
-        raise BadTable(f"articulation models {names}", f"share {together:g} of all that moves", "state smaller shares")
+        raise BadTable(f"articulation models {names}", f"their shares add up to {together:g}", "state smaller shares")
     return tuple(known)
 
 
@@ -61,7 +61,7 @@ def log_shares(models: Iterable[ArticulationModel]) -> dict[Kind, float]:
 def axis_model(kind: Kind) -> AxisModel:
     """The joint type about one axis of this name. Raises BadRobot where there is none."""
     if kind not in AXES:
-        raise BadRobot(f"joint {kind}", f"is none of {', '.join(AXES)}", "name one of them")
+        raise BadRobot(f"joint {kind}", f"is not one of {', '.join(AXES)}", "name one of them")
     return AXES[kind]
 
 
@@ -75,7 +75,7 @@ def _fault(model: ArticulationModel) -> str:
     """What a model does not state as it must; empty where it does."""
     name: Any = getattr(model, "name", None)
     if not isinstance(name, str) or not name.isidentifier():
-        return f"its name {name!r} is no word"
+        return f"its name {name!r} is not a single word"
     try:
         share = float(model.share)
     except (AttributeError, TypeError, ValueError) as error:

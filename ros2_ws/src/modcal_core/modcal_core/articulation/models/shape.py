@@ -20,7 +20,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 
 FARTHEST = 5.0  # standard deviations of its prior: no value is tried beyond
-REMEDY = "mend the package that brings it, or uninstall it"
+REMEDY = "fix the package that provides it, or uninstall it"
 _UNITS = ("rad", "m", "1")
 
 
@@ -74,7 +74,7 @@ class PathShape(ABC):
                 return f"the prior of {word} is {mean:g} ± {std:g}"
         if not (all(map(math.isfinite, ends)) and ends[0] < ends[1]):
             return f"its configurations lie between {ends[0]:g} and {ends[1]:g}"
-        return "" if self.unit in _UNITS else f"its unit {self.unit!r} is none of {', '.join(_UNITS)}"
+        return "" if self.unit in _UNITS else f"its unit {self.unit!r} is not one of {', '.join(_UNITS)}"
 
     @property
     def offender(self) -> str:
@@ -106,7 +106,7 @@ class PathShape(ABC):
         R = out[:, :3, :3]
         off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max() > 1e-6 or np.linalg.det(R).min() < 0.0
         if off or np.abs(out[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-9:
-            raise self._refused("pose", values, "is no rigid transform")
+            raise self._refused("pose", values, "is not a rigid transform")
         return out
 
     def checked_path(self, values: Array, count: int) -> tuple[Array, Array]:
@@ -124,7 +124,7 @@ class PathShape(ABC):
         except Exception as error:  # whatever a package may do
             raise self._refused("begin", None, f"raises {type(error).__name__} ({error})") from error
         if not given or any(v.shape != (self.size,) or not np.isfinite(v).all() for v in given):
-            raise self._refused("begin", None, f"is no list of {self.size} finite numbers each")
+            raise self._refused("begin", None, f"is not a list of {self.size} finite numbers each")
         mean, std = self.prior
         return [np.clip(v, mean - FARTHEST * std, mean + FARTHEST * std) for v in given]
 

@@ -10,7 +10,7 @@ NAME = "outliers"
 
 def sentence(entry: ReportEntry) -> str:
     """How many stations."""
-    return f"{entry.sizes['stations'][0]:.0f} stations are plainly wrong and were left out"
+    return f"{entry.sizes['stations'][0]:.0f} stations are gross outliers and were left out"
 
 
 FAMILY = Family(NAME, no_candidates, sentence=sentence)

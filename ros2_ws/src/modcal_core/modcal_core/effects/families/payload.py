@@ -79,7 +79,7 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
 def sentence(entry: ReportEntry) -> str:
     """When a load came, or what is carried beyond the description."""
     if "at" in entry.sizes:
-        return f"{entry.place} deflects under a load that came at one moment (stamp {entry.sizes['at'][0]:.1f} s)"
+        return f"{entry.place} deflects under a load that was added at one moment (stamp {entry.sizes['at'][0]:.1f} s)"
     carried = entry.sizes.get("payload")
     more = f", and carries about {carried[0]:.2g} kg more than the description states" if carried else ""
     return compliance.sentence(entry) + more

@@ -45,8 +45,8 @@ def sentence(entry: ReportEntry) -> str:
     if not joints:
         return said
     return (
-        f"either {said}, or {joints[0]} errs with its position: "
-        "the stations before and after differ in it, and posture and time cannot be told apart"
+        f"either {said}, or {joints[0]} has an error that depends on its position: "
+        "the stations before and after differ in it, so posture and time cannot be distinguished"
     )
 
 

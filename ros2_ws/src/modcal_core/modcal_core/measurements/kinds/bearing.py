@@ -32,7 +32,7 @@ class Bearing(Kind):
     counts_as = POINT  # the scale is left to what is expected of the arm
     least = 6
     blind = (
-        "Bearings have no scale: the lengths of the arm as drawn, a known distance or another instrument give it; and "
+        "Bearings have no scale: the nominal lengths of the arm, a known distance or another instrument give it; and "
         "one station alone sees nothing along its line."
     )
 

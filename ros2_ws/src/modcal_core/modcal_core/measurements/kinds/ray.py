@@ -55,7 +55,7 @@ class Ray(Kind):
     least = 10
     blind = (
         "A range sensor on the gripper sees along the plane's normal only: shifts in the plane and turns about its "
-        "normal are open, and nothing is said of the tool point, only of the ray."
+        "normal are open, and the tool point is not observable, only the ray."
     )
 
     def start(self) -> Array:

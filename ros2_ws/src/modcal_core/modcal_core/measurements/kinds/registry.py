@@ -35,7 +35,7 @@ def kinds() -> dict[str, Kind]:
         if not isinstance(kind, Kind):
             raise BadTable(where, f"names a {type(kind).__name__}", "name a Kind")
         if kind.name in out or kind.topic in {k.topic for k in out.values()}:
-            raise BadTable(where, "its name or topic is taken", "choose others")
+            raise BadTable(where, "its name or topic is already used", "choose others")
         if len(kind.name) > _LONGEST:
             raise BadTable(where, f"name of {len(kind.name)} letters", f"use at most {_LONGEST}")
         if kind.message not in MESSAGES:
