@@ -27,7 +27,7 @@ _MOSTLY = 0.5  # share of the squares: most of what is left
 _TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
 _DRAWS = 200  # of stations; the lowest hundredth is two of them
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
-# six axes through the corners of an icosahedron: their outer products span all covariances of three components
+# six axes through the corners of an icosahedron, whose outer products span all covariances of three components
 _AXES = np.array([[0, 1, 1.618034], [0, 1, -1.618034], [1, 1.618034, 0], [1, -1.618034, 0], [1.618034, 0, 1],
                   [-1.618034, 0, 1]]) / 1.902113  # fmt: skip
 
