@@ -14,6 +14,7 @@ from modcal_core.verdict.contributions import Contribution, contributions, mean_
 from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.one_joint import one_joint
 from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.two_groups import two_groups
@@ -62,6 +63,8 @@ def judge(
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
         reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
+    if not reasons:  # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
+        reasons = (*_reasons("predictable", _one_joint(case, stated)),)
     told = known.position is not None and (known.rotation is not None or not angles)
     status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
     return Verdict(
@@ -144,6 +147,13 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
 
 def _two_groups(case: Case) -> Iterator[str]:
     found = two_groups(case)
+    if found is not None:
+        yield found.sentence
+
+
+def _one_joint(case: Case, stated: Stated | None) -> Iterator[str]:
+    """A joint that scatters by far more than the others, unless it was stated what this arm does not repeat."""
+    found = None if stated is not None and stated.rms_mm is not None else one_joint(case)
     if found is not None:
         yield found.sentence
 

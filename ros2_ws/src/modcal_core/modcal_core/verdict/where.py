@@ -11,7 +11,7 @@ from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.channels import disagreeing_channel
 from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.verdict.case import Case, derivatives, weights
-from modcal_core.verdict.status import MOST_REJECTED
+from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
 
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
@@ -31,8 +31,8 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
     fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
-    seen = any(reason.kind == "predictable" for reason in judged.reasons)
-    share = judged.predictable_both.share if seen and judged.predictable_both is not None else 1.0
+    both = judged.predictable_both
+    share = both.share if both is not None and both.lower99 > MOST_PREDICTABLE else 1.0
     least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
     found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
     named = " ".join(judged.open_because)

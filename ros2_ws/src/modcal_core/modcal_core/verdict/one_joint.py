@@ -1,0 +1,138 @@
+"""One joint that scatters by far more than the others do: a loose encoder, coupling or brake.
+
+Its error goes with nothing, so no regressor predicts it, and returns take it for what the arm does not repeat. But it
+lies along the motion of that joint, and joints of one arm are much alike. The scatter of each is estimated by the
+method of moments (variance components; Henderson 1953): the outer product r rᵀ of a station's residual is on average
+the sum of v vᵀ times a variance, over the joints' motions v and over what an instrument and a loose target scatter
+along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.linearise import RowView
+from modcal_core.effects.effect import place_index
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.robots.chain import Chain
+from modcal_core.verdict.case import Case, weights
+
+_MOST = 300  # samples, for time; more are thinned evenly
+_LEAST = 30  # samples; a variance is known to a quarter by these
+_LEAST_JOINTS = 3  # of one kind, that a joint is compared with
+_MOSTLY = 0.5  # share of the squares: most of what is left
+_TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
+_DRAWS = 200  # of stations; the lowest hundredth is two of them
+_FARTHEST = 5.0  # times the median size; no sample may rule alone
+# six axes through the corners of an icosahedron, whose outer products span all covariances of three components
+_AXES = np.array([[0, 1, 1.618034], [0, 1, -1.618034], [1, 1.618034, 0], [1, -1.618034, 0], [1.618034, 0, 1],
+                  [-1.618034, 0, 1]]) / 1.902113  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OneJoint:
+    """name: of the joint. scatter: its RMS, and others: what that of each other joint is surely below [rad or m].
+    turns: whether it is revolute. share: of the squared error that it makes.
+    """
+
+    name: str
+    scatter: float
+    others: float
+    turns: bool
+    share: float
+
+    @property
+    def sentence(self) -> str:
+        """For a person."""
+        unit = "mrad" if self.turns else "mm"
+        return (
+            f"Joint {self.name} scatters by {1e3 * self.scatter:.2g} {unit} RMS and each of the others by less than "
+            f"{1e3 * self.others:.2g} {unit} ({self.share:.0%} of the squared error). See its encoder, coupling and "
+            "brake, and whether it stands still when readings are taken; if the arm is like that, state its "
+            "repeatability."
+        )
+
+
+def one_joint(case: Case) -> OneJoint | None:
+    """The joint that most of what a case leaves is the scatter of, None where there is none."""
+    rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
+    rows = rows[~case.samples.moving[rows]]
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
+    chain = case.model.chain
+    if len(rows) < _LEAST or not isinstance(chain, Chain) or not is_direct(case.samples.kinds):
+        return None
+    residual, motions, more = _parts(case, chain, rows)
+    whole = max(float(np.sum(residual**2)), 1e-300)
+    along = np.sum(motions * residual, axis=1) ** 2 / np.maximum(np.sum(motions**2, axis=1), 1e-300)
+    if along.sum(axis=1).max() < _MOSTLY * whole:  # no more than that can be any joint's
+        return None
+    directions = np.concatenate([motions, more])
+    products = np.einsum("jcn,kcn->njk", directions, directions) ** 2
+    seen = np.einsum("jcn,cn->nj", directions, residual) ** 2
+    variance = _variances(products.sum(axis=0), seen.sum(axis=0))[: chain.n]
+    share = variance * np.sum(motions**2, axis=(1, 2)) / whole
+    j = int(np.argmax(share))
+    alike = [k for k in range(chain.n) if k != j and chain.revolute[k] == chain.revolute[j]]
+    if share[j] < _MOSTLY or len(alike) < _LEAST_JOINTS:
+        return None
+    if variance[j] < _TIMES**2 * float(np.median(variance[alike])):
+        return None
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_DRAWS):
+        some = rng.integers(len(rows), size=len(rows))
+        drawn.append(_variances(products[some].sum(axis=0), seen[some].sum(axis=0)))
+    others = np.percentile(np.array(drawn)[:, alike], 97.5, axis=0).max()
+    if np.percentile(np.array(drawn)[:, j], 1.0) <= others:
+        return None
+    sizes = np.sqrt([variance[j], others])
+    return OneJoint(chain.names[j], float(sizes[0]), float(sizes[1]), bool(chain.revolute[j]), float(share[j]))
+
+
+def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Array]:
+    """The residual (6, N), the motions of the joints (n, 6, N) and other directions of scatter (k, 6, N), whitened."""
+    samples = case.samples.select(rows)
+    view = RowView.of(case.model, samples, case.model.drivers(samples))
+    weight = weights(case.spread, samples)
+    N = len(samples)
+
+    def spread_out(row: Array) -> Array:
+        out = np.zeros((6, N))
+        out[:3], out[3:, view.pose] = row[: 3 * N].reshape(3, N), row[3 * N :].reshape(3, -1)
+        return out * weight
+
+    residual = np.zeros((6, N))
+    residual[:3], residual[3:, view.pose] = view.position, view.rotation
+    residual *= weight
+    size = np.linalg.norm(residual, axis=0)
+    residual *= np.minimum(1.0, _FARTHEST * float(np.median(size)) / np.maximum(size, 1e-300))
+    axes = [
+        (place_index(name, chain), 5 if turns else 2) for name, turns in zip(chain.names, chain.revolute, strict=True)
+    ]
+    motions = np.stack([spread_out(view.unit_column(*where)) for where in axes])
+    target = [spread_out(view.unit_column(chain.tool_place, d)) for d in range(3)]
+    sight = view.reading / max(float(np.abs(view.reading).max()), 1e-9)
+    instrument = []
+    for part in (slice(0, 3), slice(3, 6)):
+        for axis in _AXES:
+            along = np.zeros((6, N))
+            along[part] = axis[:, None]
+            instrument.append(along * weight)
+    for errs in (sight, *(np.cross(sight.T, axis).T for axis in np.eye(3))):  # of a distance, of angles
+        out = np.zeros((6, N))
+        out[:3] = errs
+        instrument.append(out * weight)
+    return residual, motions, np.stack([*target, *instrument])
+
+
+def _variances(products: Array, seen: Array) -> Array:
+    """Variances that are not negative, by least squares over all elements of the outer products."""
+    from scipy.optimize import nnls  # slow to import
+
+    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    G = products / np.outer(size, size)
+    L = np.linalg.cholesky(G + 1e-9 * np.eye(len(G)))
+    return np.asarray(nnls(L.T, np.linalg.solve(L, seen / size))[0] / size)

@@ -1,0 +1,60 @@
+"""A joint that scatters by far more than the others is named; what an instrument or all joints scatter is not."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.stated import Stated
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(33, 140)
+
+
+def said(samples: Samples, cell: Cell | None = None) -> str:
+    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
+    return " ".join(result.report.judged.open_because)
+
+
+def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples:
+    """Readings of joints that stand elsewhere than reported by these deviations [rad], another time another way."""
+    q = made.samples.q + np.array(sizes) * np.random.default_rng(4).normal(size=made.samples.q.shape)
+    moved = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(q), kind)
+    noise = made.samples.position - made.exact.position
+    return replace(moved, position=moved.position + noise)
+
+
+@pytest.mark.parametrize("joint", [0, 2])
+def test_a_loose_encoder_is_named(made: Recorded, joint: int) -> None:
+    sizes = [1e-5] * 6
+    sizes[joint] = 4e-4
+    samples = scattered(made, sizes)
+    text = said(samples)
+    size = re.search(rf"Joint {ur10().names[joint]} scatters by (0\.\d+) mrad RMS", text)
+    assert size, text
+    assert 0.3 < float(size[1]) < 0.45  # the worst stations are rejected
+    known = Cell(stated=Stated(repeatability_mm=0.5, repeatability_deg=0.03, instrument_mm=0.09, instrument_deg=0.005))
+    assert "scatters" not in said(samples, known)
+
+
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_joints_that_are_alike_are_not(made: Recorded, kind: str) -> None:
+    assert "scatters" not in said(scattered(made, [3e-4, 1e-4, 1e-4, 1e-4, 2e-4, 1e-4], kind))
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_a_tracker_that_scatters_to_one_side_is_no_joint(made: Recorded, across: bool) -> None:
+    """Along one axis, and by its angle about one: much as the first joint of an arm that works on one side."""
+    p = made.samples.position
+    side = np.cross(p, [0.0, 0.0, 1.0]) if across else np.tile([0.0, 1.0, 0.0], (len(p), 1))
+    off = 3e-4 * np.random.default_rng(5).normal(size=(len(p), 1)) * side
+    assert "scatters" not in said(replace(made.samples, position=p + off))
