@@ -12,8 +12,8 @@ from modcal_nodes.cli.main import VERBS, modcal
 
 INTRODUCTION = """# The command line
 
-`modcal --help` lists the verbs, and `modcal VERB --help` says of one what stands here. Every verb ends with exit code 0
-when it is done; 2 when the input cannot be used, with one line on stderr that says what offends, the limit and the
+`modcal --help` lists the verbs, and `modcal VERB --help` prints the same as this page. Every verb ends with exit code 0
+on success; 2 when the input cannot be used, with one line on stderr that says what offends, the limit and the
 remedy, and nothing written (`modcal fleet` excepted, which writes what could be done); 130 when it was interrupted; 1
 when modcal itself is at fault, with a traceback.
 

@@ -52,7 +52,7 @@ def test_everything_that_happens_in_a_cell_at_once(c: Cell, tmp_path: Path, capf
     assert dropped["readings that are not finite"] == 1
     assert dropped["readings without a target (a quaternion of zeros)"] == 1
     assert dropped["messages: it holds names without positions"] == 60
-    assert dropped["messages: they are no sensor_msgs/msg/JointState"] == 1
+    assert dropped["messages: they are not of type sensor_msgs/msg/JointState"] == 1
     said = " ".join(capfd.readouterr().out.split())
     for words in ("in 1 of 59 messages", "without a target", "names without positions", "2 different contents"):
         assert words in said

@@ -189,7 +189,7 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
         by_mcap("ros2msg", "my_msgs/msg/Node", f"Node next\n{SEPARATOR}MSG: my_msgs/Node\nNode next\n", bytes(40)), [], GOOD
     ),
     "a malformed message on another topic": (
-        by_mcap("ros2msg", IMU, definition(IMU)[0], bytes(9)), [], "40 messages on /other were left out: they are no sensor_msgs/msg/Imu"
+        by_mcap("ros2msg", IMU, definition(IMU)[0], bytes(9)), [], "40 messages on /other were left out: they are not of type sensor_msgs/msg/Imu"
     ),
     "the tracker under a name of its own, the only one": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/vrpn/tool/pose")]), [],
@@ -208,7 +208,7 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
     ),
     "two such topics, one of them ignored": (
         with_others(lambda c: [*without(c), *forms.readings(c, "/left/pose"), *forms.readings(c, "/right/pose")]),
-        ["--ignore", "/right/pose"], "/left/pose (PoseStamped) is taken for tracker/pose",
+        ["--ignore", "/right/pose"], "/left/pose (PoseStamped) is used as tracker/pose",
     ),
     "a topic that is not there is stated": (
         with_others(plain), ["--topic", "tracker/pose=/vrpn/pose"],
@@ -247,7 +247,7 @@ FORMS: dict[str, tuple[Make, list[str], str]] = {
         with_others(gripper), [], "40 messages on /joint_states were left out: it holds names without positions"
     ),
     "one joint state that was cut": (
-        with_others(spoiled_joint_state), [], "1 messages on /joint_states were left out: they are no sensor_msgs/msg/JointState"
+        with_others(spoiled_joint_state), [], "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState"
     ),
     "one joint position that is NaN": (
         with_others(nan_joint), [], "/joint_states: no finite position of elbow_joint in 1 of 40 messages, first at 1700000014.000 s: left out"

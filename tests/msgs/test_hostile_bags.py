@@ -112,7 +112,7 @@ def test_a_malformed_message_costs_itself(tmp_path: Path, data: bytes) -> None:
     kind = "sensor_msgs/msg/Imu"
     bag = bag_with(tmp_path / "bag.mcap", [("/imu", kind, definition(kind)[0], data)])
     said = " ".join(joints_of(bag).warnings)
-    assert "5 messages on /imu were left out: they are no sensor_msgs/msg/Imu." in said
+    assert "5 messages on /imu were left out: they are not of type sensor_msgs/msg/Imu." in said
 
 
 def index_offsets(data: bytes) -> list[int]:

@@ -45,7 +45,7 @@ def test_what_the_readings_contradict_is_not_used_and_said(recording: Recording,
     """Too small by invention, or ten millimetres out of a default: a floor made of it would call anything good."""
     own = own_statement(stating(recording, factor * TRUE_M), NAMES)
     assert own.stated == Stated()
-    assert "not used, for its readings scatter by" in own.notes[0]
+    assert "not used, because its readings scatter by" in own.notes[0]
 
 
 def test_what_cannot_be_compared_is_not_used_and_said() -> None:
@@ -61,7 +61,7 @@ def test_nothing_stated_nothing_said(recording: Recording) -> None:
 def test_prepare_hands_it_on_and_a_persons_word_is_stronger(recording: Recording) -> None:
     prepared = prepare(stating(recording, TRUE_M), ur10())
     assert prepared.stated.instrument_mm == pytest.approx(1e3 * TRUE_M)
-    assert any("bears it out" in note for note in prepared.notes)
+    assert any("agrees with it" in note for note in prepared.notes)
     assert Stated(instrument_mm=0.5).over(prepared.stated).instrument_mm == 0.5
 
 

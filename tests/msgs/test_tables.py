@@ -90,7 +90,7 @@ def test_other_conventions(folder: Path) -> None:
     ("changes", "said"),
     [
         ({"joints": {"columns": {"a": "j1"}}}, "joints: 'unit' is not stated"),
-        ({"joints": {"unit": "grad", "columns": {"a": "j1"}}}, "unit: 'grad' is none of rad, deg"),
+        ({"joints": {"unit": "grad", "columns": {"a": "j1"}}}, "unit: 'grad' is not one of rad, deg"),
         ({"joints": {"unit": "rad", "columns": {"a": "j9"}}}, "cubes.csv: has no column j9: columns are time, j1"),
         ({"joints": {"unit": "rad", "columns": {"a": "time", "b": "note"}}}, "has no column note"),
         ({"pose": {"frame": "t", "unit": "mm", "position": ["x", "y", "z"]}}, "angle convention is not stated"),

@@ -1,4 +1,4 @@
-"""One root for everything modcal refuses, so that a caller can catch it and a person can act on it."""
+"""One base class for everything that modcal refuses, so that a caller can catch it and a person can act on it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def plain(text: str) -> str:
 
 
 class ModcalError(Exception):
-    """Refusal in one line: what offends, which limit it breaks, and what to do about it.
+    """A refusal in one line: the offending input, the limit that it violates, and the remedy.
 
     Attributes hold the three parts; ``str(error)`` joins them into the line that the command prints on stderr.
     """
@@ -38,11 +38,11 @@ class ModcalError(Exception):
 
 
 class BadRecording(ModcalError):
-    """A recording that cannot be used: empty, silent, in the wrong unit, or not of this robot."""
+    """A recording that cannot be used: empty, without messages, in the wrong unit, or of another robot."""
 
 
 class BadTable(ModcalError):
-    """A table, mapping or calibration file that does not say what it must."""
+    """A table, mapping or calibration file with missing or invalid content."""
 
 
 def refusing(read: Callable[P, T]) -> Callable[P, T]:
@@ -64,7 +64,7 @@ def refusing(read: Callable[P, T]) -> Callable[P, T]:
 
 
 class BadRobot(ModcalError):
-    """A robot description that cannot be used: a link that is not there, a tree that does not connect."""
+    """A robot description that cannot be used: a missing link, a tree that is not connected."""
 
 
 class NotEnoughData(ModcalError):
@@ -76,7 +76,7 @@ class NotRepresentable(ModcalError):
 
 
 class NotPlannable(ModcalError):
-    """A wish that no set of stations meets: nothing is visible, or the accuracy is finer than the arm repeats."""
+    """A requirement that no stations meet: nothing is visible, or the accuracy is finer than the repeatability."""
 
 
 class NotReachable(ModcalError):
@@ -101,11 +101,11 @@ class NotReachable(ModcalError):
 
 
 class BadCommand(ModcalError):
-    """A wish that an arm must not follow as it stands: not a pose, in no known frame, too old, or too far at once."""
+    """A command that an arm must not follow: not a pose, in an unknown frame, too old, or too far in one step."""
 
 
 class MissingDriver(ModcalError):
-    """Something that a calibration depends on and that nobody says: a temperature, an effort, a signal."""
+    """An input that a calibration depends on is missing: a temperature, an effort, a signal."""
 
 
 class Overloaded(ModcalError):

@@ -58,7 +58,7 @@ def calibrate(
     gives the same split. cell: what is known of the surroundings and stated of arm and instrument. fixed: parameters or
     places that stay as they are, such as ``tool``. geometry_only: look for no effects. block: stations that the split
     keeps together; None: decided by the data. tolerance_mm: the error allowed, of the statistic tolerance_of ("mean",
-    "rms", "p95" or "max"), which the report then judges. progress: is told of each stage.
+    "rms", "p95" or "max"), which the report then judges. progress: called with each stage.
 
     Raises ModcalError: BadRecording for samples that cannot be of this robot or in these units, NotEnoughData for too
     few of them, BadTable for what is stated and cannot be.

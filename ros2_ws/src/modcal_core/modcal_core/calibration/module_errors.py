@@ -1,4 +1,4 @@
-"""What physical modules are off by, learned over the assemblies they were in.
+"""Errors of physical modules, learned over the assemblies that contained them.
 
 A constant M_k between two joints is a product of pieces: ways through modules, and pairs of flanges. Behind each stands
 a small error exp(e), so to first order

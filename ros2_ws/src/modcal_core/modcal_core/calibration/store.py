@@ -265,9 +265,9 @@ def _require_consistent(
     models = {"nominal": nominal, "calibrated": calibrated, "geometric": geometric}
     for name, model in models.items():
         if type(model.chain) is not type(nominal.chain) or model.chain.names != nominal.chain.names:
-            raise ValueError(f"{name}belongs to a different arm than nominal")
+            raise ValueError(f"{name} belongs to a different arm than nominal")
         if model.frames != nominal.frames:
-            raise ValueError(f"{name}has different frames than nominal")
+            raise ValueError(f"{name} has different frames than nominal")
     if not np.isfinite(seen).all() or seen.shape != (2, len(nominal.chain.names)):
         raise ValueError("seen has two finite numbers for each joint")
     if not all(np.isfinite(value) for _, value, _, _ in parameters):

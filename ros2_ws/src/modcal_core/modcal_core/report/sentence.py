@@ -71,7 +71,7 @@ def _size_mm(report: Report) -> str:
         return f"{after.rms:.3f} mm RMS"
     rejected, them = ("rejected one", "it") if count == 1 else (f"{count} rejected", "them")
     if not report.counts_rejected:
-        return f"{after.rms:.3f} mm RMS withoutthe {rejected} among these, {out.with_mm:.3f} mm with {them}"
+        return f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
     without = "" if out.without_mm is None else f", {out.without_mm:.3f} mm without"
     return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
 

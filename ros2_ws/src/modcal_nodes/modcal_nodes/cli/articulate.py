@@ -82,9 +82,9 @@ def articulate_command(
     out: Path | None,
     output: Output,
 ) -> None:
-    """Say how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
+    """Identify how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
 
-    Models of installed packages are weighed too; what moves like one of them has no URDF.
+    Models of installed packages are compared too; they have no URDF.
 
     BAG is a bag with tracker poses or points, or joint states of the arm that holds the handle; or a text file with
     x y z, or x y z qx qy qz qw, in every line [m].

@@ -50,7 +50,7 @@ _UNLIKELY = 1e-4
 def assemble_command(
     spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output
 ) -> None:
-    """Make a robot of SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
+    """Build a robot from SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
     named = [m.serial for m in assembly.modules if m.serial]
@@ -86,7 +86,7 @@ def assemble_command(
 
 @click.group("modules")
 def modules_command() -> None:
-    """What physical modules are off by, learned over the assemblies they were in."""
+    """Errors of physical modules, learned over the assemblies that contained them."""
 
 
 @modules_command.command("learn")
@@ -109,7 +109,7 @@ def learn_command(
     tf: str | None,
     output: Output,
 ) -> None:
-    """Learn from BAG, a recording of the assembly SPEC, what its modules (by serial number) are off by."""
+    """Learn from BAG, a recording of the assembly SPEC, the errors of its modules (by serial number)."""
     assembly, library = read_assembly(spec, library_file)
     if not any(m.serial for m in assembly.modules):
         raise BadTable(str(spec), "no module has a serial number", "write serial: behind the modules to be known again")

@@ -64,7 +64,7 @@ def export_command(
     """Write the kinematics of SOURCE as a table, or as a URDF without bodies.
 
     SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
-    are read back and must give the same poses. What a table cannot hold is said, and noted in it.
+    are read back and must give the same poses. What a table cannot represent is reported, and noted in it.
     """
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")

@@ -84,7 +84,7 @@ def fleet_command(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Calibrate every recording in BAGS (bags, folders that hold some, patterns) and hold each robot's together.
+    """Calibrate every recording in BAGS (bags, folders that hold some, patterns) and compare the results of each robot.
 
     Writes a folder for each, fleet.parquet with a row for each, and drift.parquet. A second call does only what is
     missing or has changed. Exit 2 when some could not be calibrated; all others are then written nevertheless.

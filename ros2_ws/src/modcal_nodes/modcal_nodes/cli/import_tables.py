@@ -33,7 +33,7 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 )
 @speaking
 def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, output: Output) -> None:
-    """Turn CSV tables into a bag, as MAPPING (a YAML file) says.
+    """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
     takes.

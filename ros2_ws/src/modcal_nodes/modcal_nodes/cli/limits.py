@@ -96,11 +96,11 @@ def limits_command(
     output: Output,
     **by_joint: tuple[str, ...],
 ) -> None:
-    """Say how hard each joint may be accelerated, without any drive giving more than it can.
+    """Compute how fast each joint may accelerate within the torque of its drive.
 
-    SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are taken.
+    SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
 
-    Of each joint: the inertia it moves, what gravity, friction and speed take of its torque, and bounds of its
+    For each joint: the inertia it moves, the torque that gravity, friction and speed need, and bounds of its
     acceleration: by itself (equivalent), with all others within theirs (coupled), and one set for all postures
     (constant).
     """

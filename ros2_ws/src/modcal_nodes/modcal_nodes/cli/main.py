@@ -28,7 +28,7 @@ VERBS = {
     "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
     "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
     "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
-    "import": ("import_tables", "import_command", "Turn CSV tables into a bag, or a kinematic table into a URDF."),
+    "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
     "repair": ("repair", "repair_command", "Repair a truncated bag."),
     "assemble": ("assemble", "assemble_command", "Build a robot description from a list of modules."),

@@ -102,7 +102,7 @@ def plan_command(
     out: Path | None,
     output: Output,
 ) -> None:
-    """Choose the stations from which ROBOT (a URDF, or a YAML table) is best calibrated, or that decide a doubt."""
+    """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if report is not None:
         if robot is not None or accuracy_mm is not None:

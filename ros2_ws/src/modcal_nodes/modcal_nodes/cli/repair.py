@@ -18,9 +18,9 @@ from modcal_nodes.cli.console import Output, speaking
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="The new bag. Default: BAG_repaired.")
 @speaking
 def repair_command(bag: Path, out: Path | None, output: Output) -> None:
-    """Make a whole bag of BAG, which was cut: killed recorder, full disk, lost power.
+    """Repair BAG, which was truncated: killed recorder, full disk, power failure.
 
-    Every whole message is kept as it is. BAG itself is not touched; if nothing is wrong with it, nothing is written.
+    Every whole message is kept as it is. BAG itself is not changed; if it is intact, nothing is written.
     """
     if out is None:
         place = bag.resolve()

@@ -94,7 +94,7 @@ def sensitivity_command(
     out: Path | None,
     output: Output,
 ) -> None:
-    """Say which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
+    """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     chain = read_robot(robot, base, tip)
     closed = _closed_chain(chain, parameters, tool, reading)
     sizes = sizes_of(closed, 1e-3 * length_mm, 1e-3 * angle_mrad, _tolerances(sizes_file))

@@ -52,8 +52,8 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
 def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lasting: float | None, every: float) -> None:
     """Show the status of all nodes of a cell, live.
 
-    What every node hears and complains of, which model is trusted, how large its error is and was, what seems to have
-    changed, how old corrected poses are, what moves in the gripper's hand, what is recorded. Where the output is no
+    Inputs and warnings of every node, which model is trusted, how large its error is and was, suspected
+    changes, how old corrected poses are, what the gripper moves, what is recorded. Where the output is not a
     terminal, a line is written only when something gets better or worse. Ctrl-C ends it.
     """
     heard, console = Heard(namespace), Terminal(markup=False)
