@@ -196,5 +196,6 @@ def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Gener
         recording = read_bag(path, layouts)
         assert sum(len(track.stamps) for track in recording.joints) == 19
         assert (
-            "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState." in recording.warnings
+            "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState."
+            in recording.warnings
         )

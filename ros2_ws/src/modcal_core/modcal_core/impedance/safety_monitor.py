@@ -173,7 +173,9 @@ class SafetyMonitor:
                 raise BadCommand(what, "its stamp is not finite", "check its publisher")
             if not abs(now - stamp) <= limits.timeout:
                 age, limit = abs(now - stamp), limits.timeout
-                raise LateInput(what, f"is {age:.3g} s off, {limit:g} s is the limit", "check that its publisher is alive")
+                raise LateInput(
+                    what, f"is {age:.3g} s off, {limit:g} s is the limit", "check that its publisher is alive"
+                )
         for name in self.chain.names:
             if not math.isfinite(sensors.joints.get(name, math.nan)):
                 raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")

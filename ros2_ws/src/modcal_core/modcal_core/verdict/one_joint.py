@@ -96,7 +96,7 @@ def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Ar
     """The residual (6, N), the motions of the joints (n, 6, N) and other directions of scatter (k, 6, N), whitened."""
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
-    weight = weights(case.spread, samples)
+    weight = weights(case.noise, samples)
     N = len(samples)
 
     def spread_out(row: Array) -> Array:

@@ -115,7 +115,7 @@ class SimulatedCell(GuardedNode):
         self._done = until
 
     def _jump(self, now: float) -> None:
-        """Go on at another time, the arm as it is; postures of its own begin anew when time went back."""
+        """Go on at another time, the arm as it is; postures of its own begin again when time moves backwards."""
         self._plant.jump(self._done, now)
         for grid in (self._joint_grid, self._tracker_grid, self._temperature_grid, self._clock_grid):
             grid.start(now)

@@ -95,7 +95,7 @@ class Plant:
             self._program.extend(legs, done)
 
     def jump(self, before: float, now: float) -> None:
-        """Go on at another time, the arm as it is; postures of its own begin anew when time went back."""
+        """Go on at another time, the arm as it is; postures of its own begin again when time moves backwards."""
         here, missed = self._program.at(before), self._miss.at(before)
         if now < before:
             self._program, self._miss = Program(here), Program(missed)
