@@ -32,10 +32,10 @@ from rich.table import Table  # noqa: E402
 
 from modcal_core.calibration.adjoint import identify_twists  # noqa: E402
 from modcal_core.calibration.cell import Cell, fit_cell  # noqa: E402
-from modcal_core.calibration.module_errors import learn  # noqa: E402
-from modcal_core.calibration.recording_evidence import recording_evidence  # noqa: E402
 from modcal_core.modules.assembly import Assembly  # noqa: E402
+from modcal_core.modules.errors import learn  # noqa: E402
 from modcal_core.modules.poe import chain_of  # noqa: E402
+from modcal_core.modules.recording_evidence import recording_evidence  # noqa: E402
 
 ASSEMBLIES = (1, 2, 3, 5, 8, 12)  # after so many the next one is looked at
 

@@ -9,12 +9,12 @@ import pytest
 from cells import record, ur10
 from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.consistency import Disagreement, disagreement
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.consistency import Disagreement, disagreement
 
 CHAIN = ur10()
 LATER = np.arange(80) >= 45

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.regimes import Move, find_regimes, moves_of
 from modcal_core.calibration.score import errors
 from modcal_core.effects.effect import is_move
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.regimes.find import Move, find_regimes, moves_of
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 COUNT = 160

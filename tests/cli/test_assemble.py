@@ -11,10 +11,10 @@ import yaml
 from modules.arms import LIBRARY, five_joints
 from modules.workshop import Arm, Made, shelf_of
 
-from modcal_core.calibration.module_store import twists_from_data
 from modcal_core.geometry import se3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.error_store import twists_from_data
 from modcal_core.modules.library_data import published_text
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.spec import assembly_to_data

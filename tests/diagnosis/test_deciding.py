@@ -11,12 +11,12 @@ import yaml
 from cells import record, samples_of, ur10
 from robots.test_kinematics import urdf
 
-from modcal_core.calibration.deciding import propose
 from modcal_core.calibration.store import to_data
 from modcal_core.files import to_yaml
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.planning.deciding import propose
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias

@@ -15,31 +15,33 @@ import pytest
 
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 
-# A room may import from itself and from those before it; `top` are the files beside the rooms, where the loop stands.
-_FLOORS = (
+# A layer may import from itself and from those before it; `top` are the files beside the layers, where the loop stands.
+_LAYERS = (
     "errors",
     "files",
     "geometry",
     "robots",
-    "modules",
     "measurements",
     "effects",
     "calibration",
+    "plausibility",
+    "regimes",
+    "modules",
     "diagnosis",
     "online",
 )
 _ALSO = {"errors", "files", "geometry", "robots", "measurements"}
-ROOMS: dict[str, set[str]] = {room: set(_FLOORS[: i + 1]) for i, room in enumerate(_FLOORS)}
-ROOMS["correction"] = ROOMS["calibration"] | {"correction"}
-ROOMS["planning"] = ROOMS["calibration"] | {"planning"}
-ROOMS["articulation"] = _ALSO | {"articulation"}
-ROOMS["impedance"] = _ALSO | {"articulation", "impedance"}
-ROOMS["verdict"] = ROOMS["diagnosis"] | {"verdict"}
-ROOMS["report"] = {*ROOMS, "report", "top"}
-ROOMS["top"] = {*ROOMS, "top"}
+LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
+LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
+LAYERS["planning"] = LAYERS["calibration"] | {"planning"}
+LAYERS["articulation"] = _ALSO | {"articulation"}
+LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
+LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
+LAYERS["report"] = {*LAYERS, "report", "top"}
+LAYERS["top"] = {*LAYERS, "top"}
 
 MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
-# What each room of the core may import from outside, beyond NumPy, SciPy and the standard library ...
+# What each layer of the core may import from outside, beyond NumPy, SciPy and the standard library ...
 _PARSERS = {"lxml", "urdf_parser_py"}
 OUTSIDE = {"robots/urdf": _PARSERS, "articulation/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
@@ -103,22 +105,22 @@ def imports_of(package: str, place: str) -> list[Import]:
     return list(imports(files(package)[place].read_text(), inside))
 
 
-def room_of(place: str) -> str:
+def layer_of(place: str) -> str:
     first = Path(place).parts[0]
-    return first.removesuffix(".py") if first.removesuffix(".py") in ROOMS else "top"
+    return first.removesuffix(".py") if first.removesuffix(".py") in LAYERS else "top"
 
 
-def target_room(module: str) -> str:
+def target_layer(module: str) -> str:
     parts = module.split(".")
-    return parts[1] if len(parts) > 1 and parts[1] in ROOMS else "top"
+    return parts[1] if len(parts) > 1 and parts[1] in LAYERS else "top"
 
 
-def rooms_broken(place: str, found: list[Import]) -> list[str]:
-    allowed = ROOMS[room_of(place)]
+def layers_broken(place: str, found: list[Import]) -> list[str]:
+    allowed = LAYERS[layer_of(place)]
     return [
         f"{place}:{i.line} imports {i.module}"
         for i in found
-        if i.module.split(".")[0] == "modcal_core" and target_room(i.module) not in allowed
+        if i.module.split(".")[0] == "modcal_core" and target_layer(i.module) not in allowed
     ]
 
 
@@ -135,13 +137,13 @@ def outsiders(place: str, found: list[Import]) -> list[str]:
     ]
 
 
-def test_every_folder_of_the_core_is_a_known_room() -> None:
-    assert {Path(p).parts[0] for p in files("modcal_core") if "/" in p} <= set(ROOMS)
+def test_every_folder_of_the_core_is_a_known_layer() -> None:
+    assert {Path(p).parts[0] for p in files("modcal_core") if "/" in p} <= set(LAYERS)
 
 
 # Each rule looks at every file and names all that break it.
 def test_core_imports_point_downwards() -> None:
-    broken = {place: rooms_broken(place, imports_of("modcal_core", place)) for place in files("modcal_core")}
+    broken = {place: layers_broken(place, imports_of("modcal_core", place)) for place in files("modcal_core")}
     assert len(broken) > 100
     assert not [line for lines in broken.values() for line in lines]
 
@@ -248,10 +250,10 @@ def test_importing_the_core_loads_no_ros() -> None:
 
 def test_the_rules_catch_what_they_forbid() -> None:
     upwards = "from modcal_core.calibration.identify import identify"
-    assert rooms_broken("robots/chain.py", list(imports(upwards, "modcal_core.robots")))
-    assert rooms_broken("robots/chain.py", list(imports("from ..loop import fit", "modcal_core.robots")))
-    assert rooms_broken("geometry/se3.py", list(imports("from modcal_core import robots", "modcal_core.geometry")))
-    assert not rooms_broken("loop.py", list(imports(upwards, "modcal_core")))
+    assert layers_broken("robots/chain.py", list(imports(upwards, "modcal_core.robots")))
+    assert layers_broken("robots/chain.py", list(imports("from ..loop import fit", "modcal_core.robots")))
+    assert layers_broken("geometry/se3.py", list(imports("from modcal_core import robots", "modcal_core.geometry")))
+    assert not layers_broken("loop.py", list(imports(upwards, "modcal_core")))
     assert outsiders("report/figures.py", list(imports("import matplotlib", "modcal_core.report")))
     assert not outsiders("report/figures.py", list(imports("def draw():\n    import matplotlib", "modcal_core.report")))
     assert outsiders("loop.py", list(imports("def f():\n    from sensor_msgs.msg import JointState", "modcal_core")))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, refit_cell, with_frames
-from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
@@ -13,6 +12,7 @@ from modcal_core.calibration.split import hold_out_all, split
 from modcal_core.calibration.store import Calibration
 from modcal_core.diagnosis.locate import frozen, located
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.conventions import proved
 from modcal_core.report.notes import moved_note, unseen_note
 from modcal_core.report.report import Report, Step
 from modcal_core.verdict.case import frozen_case

@@ -15,7 +15,6 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.change_points import sharpened
-from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identifiability import identifiability
@@ -23,8 +22,6 @@ from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.moves import identify_moved
-from modcal_core.calibration.plausibility import require_plausible
-from modcal_core.calibration.regimes import find_regimes, moves_of
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
@@ -35,6 +32,9 @@ from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.conventions import proved
+from modcal_core.plausibility.require import require_plausible
+from modcal_core.regimes.find import find_regimes, moves_of
 from modcal_core.report.findings import findings
 from modcal_core.report.notes import instrument_notes
 from modcal_core.report.report import Report, Step

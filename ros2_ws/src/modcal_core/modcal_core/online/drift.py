@@ -26,7 +26,6 @@ from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.plausibility import LIMIT_OF_REACH
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import exact_samples
@@ -36,6 +35,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.movable import Movable, movables
+from modcal_core.plausibility.require import LIMIT_OF_REACH
 from modcal_core.robots.mechanism import is_serial_arm
 
 WEEK = 604800.0  # s

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.plausibility import LIMIT_OF_REACH
 from modcal_core.calibration.score import Errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.require import LIMIT_OF_REACH
 
 
 def instrument_notes(fit: Fit) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case, weights
 
 _MOST = 300  # samples, for time; more are thinned evenly
@@ -62,7 +63,7 @@ def one_joint(case: Case) -> OneJoint | None:
     rows = rows[~case.samples.moving[rows]]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
     chain = case.model.chain
-    if len(rows) < _LEAST or not isinstance(chain, Chain) or not is_direct(case.samples.kinds):
+    if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
     residual, motions, more = _parts(case, chain, rows)
     whole = max(float(np.sum(residual**2)), 1e-300)

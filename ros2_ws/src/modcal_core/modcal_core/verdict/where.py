@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.channels import disagreeing_channel
-from modcal_core.calibration.consistency import disagreement
 from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
+from modcal_core.plausibility.channels import disagreeing_channel
+from modcal_core.plausibility.consistency import disagreement
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict

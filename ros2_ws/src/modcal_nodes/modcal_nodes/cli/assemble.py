@@ -11,16 +11,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.calibration.module_errors import ModuleError, ModuleErrors, learn, surprise
-from modcal_core.calibration.module_store import store_from_data, store_to_data, twists_from_data, with_recording
-from modcal_core.calibration.recording_evidence import recording_evidence
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.error_store import store_from_data, store_to_data, twists_from_data, with_recording
+from modcal_core.modules.errors import ModuleError, ModuleErrors, learn, surprise
 from modcal_core.modules.incidence import incidence_of
 from modcal_core.modules.library import JOINT, Library
 from modcal_core.modules.picture import picture
 from modcal_core.modules.poe import chain_of, module_frames
+from modcal_core.modules.recording_evidence import recording_evidence
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.urdf import urdf_of
 from modcal_core.preprocess import prepare

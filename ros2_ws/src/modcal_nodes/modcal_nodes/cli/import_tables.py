@@ -66,8 +66,8 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
 
     Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
     """
-    from modcal_core.calibration.conventions import proved  # brings SciPy along, which kinematic tables do without
     from modcal_core.measurements.stations import cut_stations
+    from modcal_core.plausibility.conventions import proved  # brings SciPy along, which kinematic tables do without
 
     try:
         chain = described(recording, None, None, None, None).mechanism

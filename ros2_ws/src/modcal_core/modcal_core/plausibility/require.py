@@ -13,10 +13,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.channels import disagreeing_channel, wrong_description
-from modcal_core.calibration.consistency import disagreement
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.mistakes import (
+from modcal_core.calibration.score import errors
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.measurements.other_joints import moving_beside
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
+from modcal_core.plausibility.consistency import disagreement
+from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
     left_handed,
@@ -26,11 +30,7 @@ from modcal_core.calibration.mistakes import (
     of_several_joints,
     of_units,
 )
-from modcal_core.calibration.score import errors
-from modcal_core.calibration.screening import most_likely
-from modcal_core.errors import BadRecording, ModcalError
-from modcal_core.measurements.other_joints import moving_beside
-from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.screening import most_likely
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors

@@ -28,7 +28,6 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
 from modcal_core.calibration.score import errors, outlying, squared_residuals
-from modcal_core.calibration.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
@@ -39,6 +38,7 @@ from modcal_core.geometry.twists import error_values
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.posture_order import explained_by_posture
 from modcal_core.measurements.samples import Samples
+from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 

@@ -17,7 +17,6 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import Parameter
-from modcal_core.calibration.plausibility import require_plausible
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
@@ -27,6 +26,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library import Library
 from modcal_core.modules.poe import chain_of
+from modcal_core.plausibility.require import require_plausible
 from modcal_core.robots.chain import Chain
 
 _FARTHEST, _MOST_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named

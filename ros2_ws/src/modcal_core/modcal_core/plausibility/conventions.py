@@ -20,7 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.calibration.mistakes import (
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
     of_axes,
@@ -28,10 +32,6 @@ from modcal_core.calibration.mistakes import (
     of_rotations,
     of_units,
 )
-from modcal_core.errors import BadRecording
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 

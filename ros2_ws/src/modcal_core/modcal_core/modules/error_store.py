@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.module_errors import Key, ModuleErrors, learn
-from modcal_core.calibration.recording_evidence import RecordingEvidence
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.errors import Key, ModuleErrors, learn
 from modcal_core.modules.library import Library
+from modcal_core.modules.recording_evidence import RecordingEvidence
 from modcal_core.modules.spec import assembly_from_data, assembly_to_data
 
 FORMAT = 1  # of the file

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place
-from modcal_core.calibration.mistakes import Mistake
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 

@@ -5,7 +5,7 @@ a small error exp(e), so to first order
 
     δ_k = Σ_pieces Ad(T_tail)⁻¹ e_piece,        T_tail: the product of the pieces behind it within M_k,
 
-and each recording tells a part of δ (:mod:`~modcal_core.calibration.recording_evidence`). A *module* error belongs to a
+and each recording tells a part of δ (:mod:`~modcal_core.modules.recording_evidence`). A *module* error belongs to a
 serial number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are
 taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a
 number, are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares
@@ -26,13 +26,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.calibration.distributions import beyond_chi2
-from modcal_core.calibration.recording_evidence import RecordingEvidence
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.library import Library, ModuleTolerance
 from modcal_core.modules.poe import TO_AXIS, Piece, pieces
+from modcal_core.modules.recording_evidence import RecordingEvidence
 
 Key = tuple[str, str]  # serial number, part of the module
 _ROUNDS = 3  # the exact product is put in again; a second round changes nanometres

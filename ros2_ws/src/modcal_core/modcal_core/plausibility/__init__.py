@@ -1,0 +1,1 @@
+"""Whether a recording and a description can belong together: conventions, units, joints, single channels."""

@@ -1,0 +1,1 @@
+"""Stretches of a recording in which base or tool stood elsewhere."""
