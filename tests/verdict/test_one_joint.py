@@ -29,8 +29,8 @@ def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples
     """Readings of joints that stand elsewhere than reported by these deviations [rad], another time another way."""
     q = made.samples.q + np.array(sizes) * np.random.default_rng(4).normal(size=made.samples.q.shape)
     moved = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(q), kind)
-    noise = made.samples.position - made.exact.position
-    return replace(moved, position=moved.position + noise)
+    noise = made.samples.reading - made.exact.reading
+    return replace(moved, reading=moved.reading + noise)
 
 
 @pytest.mark.parametrize("joint", [0, 2])
@@ -54,7 +54,7 @@ def test_joints_that_are_alike_are_not(made: Recorded, kind: str) -> None:
 @pytest.mark.parametrize("across", [False, True])
 def test_a_tracker_that_scatters_to_one_side_is_no_joint(made: Recorded, across: bool) -> None:
     """Along one axis, and by its angle about one: much as the first joint of an arm that works on one side."""
-    p = made.samples.position
+    p = made.samples.reading
     side = np.cross(p, [0.0, 0.0, 1.0]) if across else np.tile([0.0, 1.0, 0.0], (len(p), 1))
     off = 3e-4 * np.random.default_rng(5).normal(size=(len(p), 1)) * side
-    assert "scatters" not in said(replace(made.samples, position=p + off))
+    assert "scatters" not in said(replace(made.samples, reading=p + off))
