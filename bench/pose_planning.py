@@ -31,7 +31,7 @@ from planning.studies import Arm  # noqa: E402
 from modcal_core.planning.criteria import CRITERIA, criterion  # noqa: E402
 from modcal_core.planning.exchange import best_candidate  # noqa: E402
 from modcal_core.planning.ground import Ground, random_accuracies, survey  # noqa: E402
-from modcal_core.planning.plan import chosen_stations, least_stations  # noqa: E402
+from modcal_core.planning.plan import chosen_stations, min_stations  # noqa: E402
 from modcal_core.robots.chain import Chain  # noqa: E402
 from modcal_core.robots.urdf import read_chain  # noqa: E402
 
@@ -118,7 +118,7 @@ def main() -> int:
     for name, chain in robots().items():
         for reading in ("point", "pose"):
             there = survey(chain, hall(), np.random.default_rng(8), reading)
-            least = least_stations(len(there.parameters), reading)
+            least = min_stations(len(there.parameters), reading)
             for count in (least, int(1.5 * least), 3 * least):
                 print(compared(name, there, reading, count, "accuracy", chosen.arms), flush=True)
             if name == "UR10" and reading == "point":

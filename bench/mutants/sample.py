@@ -220,7 +220,7 @@ GUARDS = _all(
     ("speed_governor.GovernorSettings.share", "the gentler of two limits", "max(min(left), 0.0)", "max(max(left), 0.0)"),
     ("commands.JointInput.receive", "positions beyond the upper limit pass",
      "if not ((q >= self._lower[column]) & (q <= self._upper[column])).all():", "if not (q >= self._lower[column]).all():"),
-    ("commands.JointsHeard.require_fresh", "the freshest joint counts", "int(np.argmax(age))", "int(np.argmin(age))"),
+    ("commands.JointInput.require_fresh", "the freshest joint counts", "int(np.argmax(age))", "int(np.argmin(age))"),
     ("commands.require_new", "wishes from the future pass", "abs(now - stamp) <= stale:", "now - stamp <= stale:"),
     ("commands.desired_pose", "quaternions of any length", "abs(length - 1.0) > _UNIT", "False"),
     ("checks._require_joint", "degrees are not refused", "if largest <= limit:", "if True:"),
