@@ -43,7 +43,7 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 from modcal_core.calibration.store import Calibration  # noqa: E402
-from modcal_core.correction.conditions import Conditions  # noqa: E402
+from modcal_core.correction.arm_state import ArmState  # noqa: E402
 from modcal_core.correction.correction import Correction  # noqa: E402
 from modcal_core.errors import BadRecording  # noqa: E402
 from modcal_msgs_py.mcap_walk import McapFile  # noqa: E402
@@ -278,7 +278,7 @@ def _deviations(one: Calibration, other: Calibration) -> float:
     both = Correction(one), Correction(other)
     n, worst = both[0].chain.n, 0.0
     for q in np.random.default_rng(0).uniform(-2.0, 2.0, (100, n)):
-        at = Conditions(0.0, q, np.zeros(n), np.zeros(n), np.full(n, np.nan), ())
+        at = ArmState(0.0, q, np.zeros(n), np.zeros(n), np.full(n, np.nan), ())
         apart = both[0].pose(q, at)[:3, 3] - both[1].pose(q, at)[:3, 3]
         # without the scatter of the arm, which is no error of the calibration
         var = [np.diag(c.covariance(q, at))[:3] - c.calibration.noise.position**2 for c in both]

@@ -30,8 +30,8 @@ from planning.studies import Arm  # noqa: E402
 
 from modcal_core.planning.criteria import CRITERIA, criterion  # noqa: E402
 from modcal_core.planning.exchange import best_candidate  # noqa: E402
-from modcal_core.planning.ground import Ground, random_accuracies, survey  # noqa: E402
 from modcal_core.planning.plan import chosen_stations, min_stations  # noqa: E402
+from modcal_core.planning.posture_pool import PosturePool, random_accuracies, survey  # noqa: E402
 from modcal_core.robots.chain import Chain  # noqa: E402
 from modcal_core.robots.urdf import read_chain  # noqa: E402
 
@@ -49,7 +49,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def compared(name: str, there: Ground, reading: str, count: int, which: str, arms: int) -> str:
+def compared(name: str, there: PosturePool, reading: str, count: int, which: str, arms: int) -> str:
     """One row: both errors, their ratio with its interval, and what was foretold."""
     chain, where = there.model.chain, there.free_q[:WHERE]
     best = chosen_stations(there, count, criterion(which, there.workspace.gamma), 2, np.random.default_rng(1))
@@ -69,7 +69,7 @@ def compared(name: str, there: Ground, reading: str, count: int, which: str, arm
     )
 
 
-def same_at_random(there: Ground, model: float) -> str:
+def same_at_random(there: PosturePool, model: float) -> str:
     """How many random stations are foretold to leave as little."""
     rng = np.random.default_rng(3)
     for count in range(10, len(there.q), 2):
@@ -79,7 +79,7 @@ def same_at_random(there: Ground, model: float) -> str:
     return f"more than {len(there.q)}"
 
 
-def updates(there: Ground) -> str:
+def updates(there: PosturePool) -> str:
     """Time of one exchange's look at all candidates, against determinants of the whole matrices."""
     good = criterion("d", there.workspace.gamma)
     H = np.eye(there.rows.J.shape[2]) + there.rows.information(np.arange(30))

@@ -9,8 +9,8 @@ import pytest
 from cells import record, ur10
 from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.agreeing import Disagreement
 from modcal_core.calibration.channels import disagreeing_channel, wrong_description
+from modcal_core.calibration.consistency import Disagreement
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.runs import chance_of_run, runs_of
-from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.evaluation import evaluate
@@ -109,7 +109,7 @@ def test_the_shipped_model_rejects_what_the_scored_one_does(made: Recorded) -> N
     wrong = result.report.wrong
     assert wrong.sum() == 20
     choice = choose_parameters(result.scored.start, views_of(samples))
-    alone = ship(samples.select(~wrong), ur10(), choice, Cell(), None, result.scored, np.zeros(COUNT - 20, bool))
+    alone = finalise(samples.select(~wrong), ur10(), choice, Cell(), None, result.scored, np.zeros(COUNT - 20, bool))
     np.testing.assert_allclose(alone.calibrated.T_tip_tool, result.calibration.calibrated.T_tip_tool, atol=1e-9)
 
 

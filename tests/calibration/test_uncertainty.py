@@ -11,10 +11,10 @@ from calibration.test_effects import started
 from cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
@@ -81,7 +81,7 @@ def calibration() -> Calibration:
     choice = choose_parameters(
         Model(ur10(), ("tracker",), np.eye(4)[None], se3.transform(p=[0.1, 0.1, 0.1])), views_of(made.samples)
     )
-    return ship(made.samples, ur10(), choice, Cell())
+    return finalise(made.samples, ur10(), choice, Cell())
 
 
 def test_it_survives_its_file(calibration: Calibration) -> None:

@@ -11,14 +11,14 @@ from cells import NOISE_M, NOISE_RAD, samples_of, slider_arm, ur10
 
 from modcal_core.calibration.canonical import least_change, passing_directions
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import Deviations, apply_deviations
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.compensation import compensate
-from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect
@@ -63,9 +63,9 @@ def calibration_of(model: Model, chain: Chain | None = None) -> Calibration:
     return Calibration(nominal, model, model.with_effects(()), seen, watched=(T0, T0 + 300.0))
 
 
-def moment(q: Array, rng: np.random.Generator) -> Conditions:
+def moment(q: Array, rng: np.random.Generator) -> ArmState:
     """Conditions under which every effect has something to act on."""
-    return Conditions(
+    return ArmState(
         T0 + 170.0,
         q,
         rng.uniform(-1, 1, len(q)),
@@ -75,7 +75,7 @@ def moment(q: Array, rng: np.random.Generator) -> Conditions:
     )
 
 
-def as_samples(q: Array, at: Conditions) -> Samples:
+def as_samples(q: Array, at: ArmState) -> Samples:
     samples = samples_of(ur10(), q[None], np.eye(4)[None])
     return replace(
         samples, stamps=np.array([at.stamp]), velocity=at.velocity[None], approach=at.approach[None], signals=at.signals
@@ -163,13 +163,13 @@ def test_covariance_is_right_over_many_recordings() -> None:
             R=T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((100, 3))),
         )
         scored = identify(replace(truth, chain=chain), samples, choice.parameters)
-        made = ship(samples, chain, choice, Cell(), inertias(), scored)
+        made = finalise(samples, chain, choice, Cell(), inertias(), scored)
         correction = Correction(made)
         noise = np.diag([made.noise.position**2] * 3 + [made.noise.rotation**2] * 3)
         assert made.noise.position == pytest.approx(NOISE_M, rel=0.3)
         for target in ("tip", "tool"):
             for posture in here:
-                at = Conditions.at_rest(posture, T0 + 50.0, np.ones(6))
+                at = ArmState.at_rest(posture, T0 + 50.0, np.ones(6))
                 A, B = exact.pose(posture, at, target), correction.pose(posture, at, target)  # type: ignore[arg-type]
                 e = np.r_[A[:3, 3] - B[:3, 3], so3.log(A[:3, :3] @ B[:3, :3].T)]
                 known = correction.covariance(posture, at, target) - noise  # type: ignore[arg-type]
@@ -208,7 +208,7 @@ def test_a_command_brings_the_true_pose(target: str, frame: str, rng: np.random.
 
 def test_what_cannot_be_is_refused(rng: np.random.Generator) -> None:
     correction = Correction(calibration_of(true_model(started("gear"))))
-    at = Conditions.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
+    at = ArmState.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
     with pytest.raises(NotReachable, match="misses it by"):
         compensate(correction, se3.transform(p=[2.0, 0.0, 0.5]), at.q, at)
     with pytest.raises(BadTable, match="frame 'elsewhere'"):
@@ -225,7 +225,7 @@ def test_what_cannot_be_is_refused(rng: np.random.Generator) -> None:
 def test_both_tolerances_must_be_met(tolerances: tuple[float, float]) -> None:
     """No command is as near as the one that is asked for here, in rotation or in position."""
     correction = Correction(calibration_of(true_model(started("gear"))))
-    at = Conditions.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
+    at = ArmState.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
     desired = correction.pose(at.q + 0.05, at.arriving(at.q + 0.05), "tip", "")
     compensate(correction, desired, at.q, at)
     with pytest.raises(NotReachable, match="misses it by"):
@@ -248,7 +248,7 @@ def test_drifts_are_not_continued_for_ever_and_not_before_they_were_seen(rng: np
     for name in ("ramp", "settling"):
         correction = Correction(calibration_of(true_model(started(name))))
         at = {
-            t: correction.pose(q, Conditions.at_rest(q, t), "tool", "tracker")
+            t: correction.pose(q, ArmState.at_rest(q, t), "tool", "tracker")
             for t in (5.0, T0, T0 + 300.0, T0 + 600.0, T0 + 1e6)
         }
         assert np.array_equal(at[5.0], at[T0]), "a clock that began at zero"
@@ -275,8 +275,8 @@ def test_efforts_follow_the_weight_to_where_the_arm_goes(rng: np.random.Generato
     q, there = rng.uniform(-1, 1, (2, 6))
     load = Correction(calibration_of(true_model(by_load)))
     assert model.arm is not None
-    weight = Conditions.at_rest(q, T0).samples(ur10(), q[None], model.arm)
+    weight = ArmState.at_rest(q, T0).samples(ur10(), q[None], model.arm)
     torque = model.drivers(weight).gravity[:, 5, 0]
-    at = replace(Conditions.at_rest(q, T0), effort=-torque)
+    at = replace(ArmState.at_rest(q, T0), effort=-torque)
     T = Correction(calibration_of(model)).pose(there, at)
-    assert np.abs(T - load.pose(there, Conditions.at_rest(there, T0))).max() < 1e-12
+    assert np.abs(T - load.pose(there, ArmState.at_rest(there, T0))).max() < 1e-12

@@ -10,8 +10,8 @@ from calibration.test_effects import started
 from cells import ur10
 from correction.test_compensation import STEEP, calibration_of, true_model
 
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.commander import CalibratedRobot, Commander, CommanderSettings
-from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
 from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
@@ -84,11 +84,11 @@ def test_a_commander_changes_calibration_in_a_stream_without_a_jump() -> None:
     commander = Commander(settings)
     first, second = robot(1e-4, 2e-4), robot(-1e-4, 1e-4)
     assert commander.use(first, 0.0)
-    wish = first.correction.pose(AT, Conditions.at_rest(AT, 0.0))
+    wish = first.correction.pose(AT, ArmState.at_rest(AT, 0.0))
     sent = []
     for k in range(100):
         now = 100.0 + 0.01 * k
-        at = Conditions.at_rest(AT, now)
+        at = ArmState.at_rest(AT, now)
         if k == 20:
             assert not commander.use(second, now), "it must wait for a setpoint"
         commander.change_over(at, now)
@@ -98,7 +98,7 @@ def test_a_commander_changes_calibration_in_a_stream_without_a_jump() -> None:
     assert commander.robot is second
     assert np.abs(np.diff(sent, axis=0)).max() < 2e-5
     assert np.abs(sent[-1] - sent[0]).max() > 5e-5
-    reached = second.correction.pose(sent[-1], Conditions.at_rest(sent[-1], 101.0))
+    reached = second.correction.pose(sent[-1], ArmState.at_rest(sent[-1], 101.0))
     assert np.abs(reached - wish).max() < 1e-9
 
 
@@ -108,17 +108,17 @@ def test_a_commander_keeps_to_limits_that_only_the_description_knows() -> None:
     assert commander.robot is not None
     for beyond, allowed in ((0.005, True), (0.02, False)):
         there = AT + beyond
-        wish = commander.robot.correction.pose(there, Conditions.at_rest(there, 0.0))
+        wish = commander.robot.correction.pose(there, ArmState.at_rest(there, 0.0))
         if allowed:
-            assert np.abs(commander.setpoint(wish, "", Conditions.at_rest(AT, 0.0), 0.0).q - there).max() < 1e-6
+            assert np.abs(commander.setpoint(wish, "", ArmState.at_rest(AT, 0.0), 0.0).q - there).max() < 1e-6
         else:
             with pytest.raises(BadCommand, match="shoulder_pan_joint"):
-                commander.setpoint(wish, "", Conditions.at_rest(AT, 0.0), 0.0)
+                commander.setpoint(wish, "", ArmState.at_rest(AT, 0.0), 0.0)
 
 
 def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
     commander = Commander(CommanderSettings(stream=True))
-    at = Conditions.at_rest(AT, 0.0)
+    at = ArmState.at_rest(AT, 0.0)
     with pytest.raises(BadCommand, match="no command is corrected"):
         commander.setpoint(np.eye(4), "", at, 0.0)
     commander.use(robot(1e-4, 2e-4), 0.0)
@@ -126,9 +126,9 @@ def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
         commander.setpoint(se3.transform(p=[1.5, 1.0, 0.9]), "", at, 0.0)
     straight = np.array([0.3, -1.2, 0.0, -0.8, 1.1, 0.2])
     assert commander.robot is not None
-    wish = commander.robot.correction.pose(straight, Conditions.at_rest(straight, 0.0))
+    wish = commander.robot.correction.pose(straight, ArmState.at_rest(straight, 0.0))
     with pytest.raises((BadCommand, NotReachable)):
-        commander.setpoint(wish, "", Conditions.at_rest(straight + 1e-4, 0.0), 0.0)
+        commander.setpoint(wish, "", ArmState.at_rest(straight + 1e-4, 0.0), 0.0)
 
 
 def test_a_robot_must_be_the_one_that_was_calibrated() -> None:

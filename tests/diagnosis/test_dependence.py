@@ -10,7 +10,7 @@ from cells import Recorded, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
-from modcal_core.diagnosis.memory import play
+from modcal_core.diagnosis.hysteresis import play
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

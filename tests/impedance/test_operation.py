@@ -274,7 +274,7 @@ def test_a_clock_that_goes_back_ends_it() -> None:
     still.until("explore")
     still.tick()
     still.now -= 5.0
-    still.sensor.forget()
+    still.sensor.reset()
     assert isinstance(still.tick(), Stop)
 
 

@@ -14,7 +14,7 @@ from impedance.toy import PANDA, PERIOD, READY, T_READY, limits
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.safety_monitor import ArmSetpoint, Late, SafetyMonitor, SensorReadings
+from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, SafetyMonitor, SensorReadings
 from modcal_core.robots.kinematics import body_jacobian, forward
 
 LIMITS = limits(speed=0.25, acceleration=2.5)
@@ -97,7 +97,7 @@ def test_what_is_bad_does_not_and_the_guard_shuts(name: str) -> None:
     guard = opened()
     with pytest.raises(BadCommand, match=said) as refused:
         guard.check(spoil_wish(setpoint(READY)), spoil_heard(sensors(10.004)), 10.004)
-    late = isinstance(refused.value, Late)
+    late = isinstance(refused.value, LateInput)
     assert late == (name in ("old joints", "joints of the future", "old wrench"))
     if late:  # only late: it goes on
         guard.check(setpoint(READY), sensors(10.008), 10.008)

@@ -75,7 +75,7 @@ def test_a_tare_takes_off_what_is_there_and_known_weight_goes_along(rng: np.rand
             k += 1
         assert 0.01 * (k - 1) >= 0.5
         sensor.load = tare.load(T0[:3, :3], known)
-        sensor.forget_past()
+        sensor.reset_past()
         sensor.receive("tool", hung(T1[:3, :3]), 9.0, 9.0, 1.0)
         left[name] = np.linalg.norm(sensor.on_tool(T1)[:3])
     assert left["known"] < 0.3

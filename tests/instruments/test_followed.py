@@ -12,7 +12,7 @@ from instruments.test_recovery import THEODOLITES, TRACKER, WIRES, read
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.correction import Correction
 from modcal_core.loop import calibrate
 from modcal_core.online.live import Live
@@ -43,6 +43,6 @@ def test_positions_are_followed_and_the_rest_is_passed_over() -> None:
     # the tracker says most; the others can only add to what it knows of the arm
     q = worlds.postures(ur10(), 1, rng)[0]
     none = np.zeros(6)
-    now = Conditions(float(new.stamps[-1]), q, none, none, np.full(6, np.nan))
+    now = ArmState(float(new.stamps[-1]), q, none, none, np.full(6, np.nan))
     size = {name: float(np.trace(Correction(c).covariance(q, now)[:3, :3])) for name, c in made.items()}
     assert 0.5 * size["alone"] < size["mixed"] < 1.2 * size["alone"]

@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.correction import Correction
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -35,7 +35,7 @@ ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatu
 
 
 def truth(made: Any, q: Array, target: str = "tip", frame: str = "") -> Array:
-    return Correction(made).pose(np.asarray(q), Conditions.at_rest(q, 1.7e9), target, frame)  # type: ignore[arg-type]
+    return Correction(made).pose(np.asarray(q), ArmState.at_rest(q, 1.7e9), target, frame)  # type: ignore[arg-type]
 
 
 def near(T: Array, metres: float, turn: float = 0.0) -> Array:
@@ -202,7 +202,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         settled = None
         for k in range(20, 400):
             course.append(one(first, k))
-            T = expected.pose(course[-1], Conditions.at_rest(course[-1], 1.7e9))
+            T = expected.pose(course[-1], ArmState.at_rest(course[-1], 1.7e9))
             wanted = truth(first, AWAY + 1e-3 * math.sin(0.05 * k))
             settled = k if settled is None and np.abs(T - wanted).max() < 1e-9 else settled
             if settled is not None and k > settled + 5:

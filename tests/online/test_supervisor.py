@@ -124,7 +124,7 @@ def test_to_forget_leaves_what_is_trusted() -> None:
     supervisor.trust(calibrated())
     feed(supervisor, later(30, bump=BUMP))
     assert supervisor.state == SUSPECTED
-    supervisor.forget()
+    supervisor.reset()
     assert supervisor.state == TRUSTED
     assert supervisor.trusted is calibrated()
 

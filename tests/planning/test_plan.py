@@ -54,8 +54,8 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
         site = site_from_data({**HALL, "noise": {**HALL["noise"], "position_m": size}}, "hall")
         found = plan(ur10(), site, PlanRequest(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))
         assert found.accuracy.p95 <= wished
-        assert (clearance(found.ground.spheres, site, found.q) >= 0.0).all()
-        assert visible(found.ground.spheres, site, found.q).all()
+        assert (clearance(found.pool.spheres, site, found.q) >= 0.0).all()
+        assert visible(found.pool.spheres, site, found.q).all()
         assert found.accuracy.rms**2 == pytest.approx(found.accuracy.model**2 + found.accuracy.repeat**2)
         counts.append(len(found.q))
     assert counts[0] < counts[1]
@@ -78,9 +78,9 @@ def test_what_is_measured_already_counts() -> None:
     first[:, 3:] = [0.2, 0.4, -0.3]
     request = PlanRequest(stations=6, candidates=100, starts=1, besides=first)
     found = plan(ur10(), site, request, np.random.default_rng(9))
-    alone = found.ground.workspace
-    assert found.ground.known is not None
-    before = alone.accuracy(found.ground.known.covariance(np.arange(30)))
+    alone = found.pool.workspace
+    assert found.pool.known is not None
+    before = alone.accuracy(found.pool.known.covariance(np.arange(30)))
     assert found.accuracy.model < 0.2 * before.model
     assert found.accuracy.model < np.median([a.model for a in found.random])
     assert found.indices.rank == 27
@@ -101,13 +101,13 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
 
 def test_fixed_parameters_are_not_planned_for() -> None:
     request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
-    names = [p.name for p in plan(ur10(), hall(), request, np.random.default_rng(5)).ground.parameters]
+    names = [p.name for p in plan(ur10(), hall(), request, np.random.default_rng(5)).pool.parameters]
     assert names
     assert not [name for name in names if name.startswith(("tool/", "wrist_"))]
 
 
 @pytest.mark.parametrize(
-    ("wish", "kind", "words"),
+    ("request", "kind", "words"),
     [
         (PlanRequest(), BadTable, "neither a number of stations nor an accuracy"),
         (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 23"),

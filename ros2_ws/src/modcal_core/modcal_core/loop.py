@@ -17,6 +17,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.conventions import proved
 from modcal_core.calibration.distances_together import contradicted_together
+from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
@@ -26,7 +27,6 @@ from modcal_core.calibration.plausibility import require_plausible
 from modcal_core.calibration.regimes import find_regimes, moves_of
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
-from modcal_core.calibration.shipping import ship
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, split
 from modcal_core.calibration.store import Calibration
@@ -40,12 +40,12 @@ from modcal_core.report.notes import instrument_notes
 from modcal_core.report.report import Report, Step
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
-from modcal_core.verdict.absurd import long_tool, sane_inertias
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import rejection
+from modcal_core.verdict.sanity import long_tool, sane_inertias
 from modcal_core.verdict.status import judge
 from modcal_core.verdict.where import with_places
 
@@ -110,7 +110,7 @@ def calibrate(
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = ship(samples, chain, choice, cell, inertias, final, wrong, regimes)
+    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     left = {

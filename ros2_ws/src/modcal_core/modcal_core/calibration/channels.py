@@ -17,8 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.agreeing import ANGLE, OF_REACH, Disagreement
 from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place, turns_left
+from modcal_core.calibration.consistency import ANGLE, OF_REACH, Disagreement
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

@@ -1,7 +1,7 @@
 """Base and tool of readings in closed form, many recordings at a time: ``R ≈ Y A X`` and ``p ≈ Y (A x) + t``.
 
 Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool. :mod:`conventions`
-compares readings as they are with readings corrected by it, :mod:`agreeing` finds the stations that agree.
+compares readings as they are with readings corrected by it, :mod:`consistency` finds the stations that agree.
 """
 
 from __future__ import annotations

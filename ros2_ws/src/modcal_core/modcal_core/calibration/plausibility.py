@@ -2,7 +2,7 @@
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
 times is named. When none does, one channel of the recording may not go along with the rest
-(:mod:`channels`), or only a part of the stations, or one joint (:mod:`agreeing`); else the robot or the pairing as a
+(:mod:`channels`), or only a part of the stations, or one joint (:mod:`consistency`); else the robot or the pairing as a
 whole is wrong.
 """
 
@@ -12,9 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.channels import disagreeing_channel, wrong_description
+from modcal_core.calibration.consistency import disagreement
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.mistakes import (
     Mistake,

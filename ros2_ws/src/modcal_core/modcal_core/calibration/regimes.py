@@ -58,26 +58,26 @@ _ALTERNATING = 8  # rounds of base and tool, each in closed form
 
 
 def find_regimes(
-    samples: Samples, chain: Mechanism, cell: Cell, inertias: Inertias | None = None, told: Sequence[Move] = ()
+    samples: Samples, chain: Mechanism, cell: Cell, inertias: Inertias | None = None, stated: Sequence[Move] = ()
 ) -> Model | None:
     """A nominal model with base, tool and steps about where the regimes have them, to begin fits from; None for none.
 
-    told: moves that are known of.
+    stated: moves that are known of.
     """
     places = _movable(samples, cell)
     if not places:
         return None
-    told = [move for move in told if samples.stamps.min() < move.at < samples.stamps.max()]
+    stated = [move for move in stated if samples.stamps.min() < move.at < samples.stamps.max()]
     if len(samples) > _MOST:
         samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST).astype(int)))
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     geometric = identify(nominal.model, samples, choice.parameters, cell.distances, tolerance=_TOLERANCE)
-    if not told and not _suspicious(geometric, samples):
+    if not stated and not _suspicious(geometric, samples):
         return None
     search = _Search(nominal.model, samples, choice.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
-    moves = search.decided([Move(at, "both") for at in cuts], tuple(told))
+    moves = search.decided([Move(at, "both") for at in cuts], tuple(stated))
     return search.start(moves) if moves else None
 
 
@@ -197,22 +197,22 @@ class _Search:
         """The fit of arm and moves, or of others' effects, to these samples."""
         return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
 
-    def decided(self, moves: list[Move], told: tuple[Move, ...]) -> list[Move]:
+    def decided(self, moves: list[Move], stated: tuple[Move, ...]) -> list[Move]:
         """The moves that do better on unseen stations than none, each of what it must be of."""
-        moves = [m for m in moves if not any(self._same(m.at, t.at) for t in told)]
+        moves = [m for m in moves if not any(self._same(m.at, t.at) for t in stated)]
         both = tuple(self.places) == ("base", "tool") or len(self.places) == 2
         if not both:
             only = _place(next(iter(self.places)))
             moves = [replace(m, what=only) for m in moves]
-        score = _Score(self, sorted([*moves, *told], key=lambda m: m.at))
+        score = _Score(self, sorted([*moves, *stated], key=lambda m: m.at))
         if moves and (score.needless(moves) or score.has_rival(moves)):
-            score = _Score(self, list(told))
-        for move in score.own(told) if both else ():
+            score = _Score(self, list(stated))
+        for move in score.own(stated) if both else ():
             score.simplify(move)
-        for move in score.own(told):
+        for move in score.own(stated):
             if score.needless([move]):
                 score.leave_out([move])
-        own = score.own(told)
+        own = score.own(stated)
         if own and score.has_rival(own):
             score.leave_out(own)
         return list(score.moves)
@@ -271,9 +271,9 @@ class _Score:
         self.moves = [best[1] if m == move else m for m in self.moves]
         self.now = best[2]
 
-    def own(self, told: Sequence[Move]) -> list[Move]:
+    def own(self, stated: Sequence[Move]) -> list[Move]:
         """The moves that were found, not told."""
-        return [move for move in self.moves if move not in told]
+        return [move for move in self.moves if move not in stated]
 
     def needless(self, moves: Sequence[Move]) -> bool:
         """Whether it does as well without these moves."""

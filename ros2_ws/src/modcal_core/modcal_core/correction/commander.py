@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.compensation import Command, compensate
-from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction, Target
 from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand
@@ -91,14 +91,14 @@ class Commander:
     def drop(self) -> None:
         """Correct nothing from now on."""
         self.robot = self.waiting = self._wish = None
-        self._stream.forget()
+        self._stream.reset()
 
     def paused(self, now: float) -> None:
         """Let a calibration that waits take part if nothing streams any more."""
         if self.waiting is not None and not self._stream.running(now):
             self.robot, self.waiting = self.waiting, None
 
-    def change_over(self, at: Conditions, now: float) -> None:
+    def change_over(self, at: ArmState, now: float) -> None:
         """Let a calibration that waits take part: at once where nothing streams, else from where the stream is.
 
         Raises ModcalError, and lets it wait on, when the stream would jump.
@@ -110,7 +110,7 @@ class Commander:
             self._stream.take_over(command.q, now, self.settings.switch_step, self.settings.blend)
         self.robot, self.waiting = self.waiting, None
 
-    def setpoint(self, desired: Array, frame: str, at: Conditions, now: float) -> JointSetpoint:
+    def setpoint(self, desired: Array, frame: str, at: ArmState, now: float) -> JointSetpoint:
         """The setpoint for a desired true pose (4, 4) in a frame, "" for the base link, from the posture ``at.q``.
 
         Raises ModcalError for what the arm must not follow.
@@ -134,7 +134,7 @@ class Commander:
         if self.settings.stream:
             self._stream.given(setpoint.q, now)
 
-    def _solve(self, robot: CalibratedRobot, desired: Array, frame: str, at: Conditions, wide: bool) -> Command:
+    def _solve(self, robot: CalibratedRobot, desired: Array, frame: str, at: ArmState, wide: bool) -> Command:
         settings = self.settings
         rng = np.random.default_rng(_SEED) if wide else None
         command = compensate(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.correction import Correction, Target
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
@@ -48,7 +48,7 @@ def compensate(
     correction: Correction,
     desired: Array,
     seed: Array,
-    at: Conditions,
+    at: ArmState,
     target: Target = "tip",
     frame: str = "",
     rng: np.random.Generator | None = None,
@@ -100,7 +100,7 @@ def _without_effects(correction: Correction, desired: Array, target: Target, fra
 
 
 def _linearised(
-    correction: Correction, desired: Array, q: Array, at: Conditions, target: Target, frame: str
+    correction: Correction, desired: Array, q: Array, at: ArmState, target: Target, frame: str
 ) -> tuple[Array, Array]:
     """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n)."""
     postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
@@ -114,7 +114,7 @@ def _improved(
     q: Array,
     error: Array,
     J: Array,
-    at: Conditions,
+    at: ArmState,
     target: Target,
     frame: str,
 ) -> tuple[Array, Array, Array] | None:

@@ -20,7 +20,7 @@ import numpy as np
 from modcal_core.calibration.canonical import passing_directions
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import JOINTS, READING, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver
@@ -59,7 +59,7 @@ class Correction:
         """Whether the effects depend on what the actuators exert."""
         return any(part.startswith("effort:") for e in self.model.effects for part in e.driver.split(","))
 
-    def require(self, at: Conditions) -> None:
+    def require(self, at: ArmState) -> None:
         """Raises MissingDriver unless everything is known that the effects depend on."""
         heard = {track.name for track in at.signals if len(track.stamps)}
         for name in self.needs:
@@ -74,11 +74,11 @@ class Correction:
                 "make the driver publish it, or calibrate without it",
             )
 
-    def pose(self, q: Array, at: Conditions, target: Target = "tip", frame: str = "") -> Array:
+    def pose(self, q: Array, at: ArmState, target: Target = "tip", frame: str = "") -> Array:
         """True pose (4, 4) of tip or tool at reported positions q (n,); in the base link, or in a tracker frame."""
         return self.poses(q[None], at, target, frame)[0]
 
-    def poses(self, postures: Array, at: Conditions, target: Target = "tip", frame: str = "") -> Array:
+    def poses(self, postures: Array, at: ArmState, target: Target = "tip", frame: str = "") -> Array:
         """The same for many postures (N, n) under the same conditions, (N, 4, 4). Raises BadTable: unknown frame."""
         around = self._around(postures, at)
         twists, _ = motion(self._of_arm, around)
@@ -99,7 +99,7 @@ class Correction:
             raise BadTable(f"frame '{frame}'", f"the calibration knows {known}", "give a pose in one of these")
         return self.model.T_frame_base[self.model.frames.index(frame)]
 
-    def joints(self, q: Array, at: Conditions) -> Array:
+    def joints(self, q: Array, at: ArmState) -> Array:
         """Where the joints truly stand when they report q (n,): with what effects turn them about their own axes."""
         twists, _ = motion(self._of_arm, self._around(q[None], at))
         out = np.array(q, dtype=float)
@@ -108,7 +108,7 @@ class Correction:
                 out[place] += twist[5 if self.chain.revolute[place] else 2, 0]
         return out
 
-    def covariance(self, q: Array, at: Conditions, target: Target = "tip") -> Array:
+    def covariance(self, q: Array, at: ArmState, target: Target = "tip") -> Array:
         """Covariance (6, 6) of a pose in the base link: x y z [m], turns about its x y z [rad].
 
         The calibration's, through the Jacobian, and on top of it how the arm scattered about the model when it was
@@ -152,7 +152,7 @@ class Correction:
         timed = any(e.driver == "time" for e in (*self._of_arm, *self._of_tool, *self._of_cell))
         return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
-    def _around(self, postures: Array, at: Conditions) -> Drivers:
+    def _around(self, postures: Array, at: ArmState) -> Drivers:
         signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
         samples = replace(at, signals=signals).samples(self.chain, postures, self._arm)
         return Drivers(samples, self._arm)

@@ -14,8 +14,8 @@ import numpy as np
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.score import errors, outlying
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.commander import finite
-from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.correction import Correction
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -69,10 +69,10 @@ def residuals(model: Model, samples: Samples, noise: NoiseModel) -> Residuals:
     return Residuals(expected[finite], miss[finite], outlying(model, noise, samples)[finite])
 
 
-def conditions_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> Conditions:
+def arm_state_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> ArmState:
     """The moment at which one sample (a row) was taken, with what was heard of everything else."""
     row = sample.q[0], sample.velocity[0], sample.approach[0], sample.effort[0]
-    return Conditions(float(sample.stamps[0]), *row, signals)
+    return ArmState(float(sample.stamps[0]), *row, signals)
 
 
 def joint_axes(chain: Chain, q: Array) -> tuple[Array, Array]:
@@ -104,7 +104,7 @@ def ellipsoid(covariance: Array, deviations: float = DEVIATIONS) -> tuple[Array,
     return directions, deviations * np.sqrt(np.maximum(variances, 0.0))
 
 
-def tool_ellipsoid(correction: Correction, at: Conditions, deviations: float = DEVIATIONS) -> tuple[Array, Array]:
+def tool_ellipsoid(correction: Correction, at: ArmState, deviations: float = DEVIATIONS) -> tuple[Array, Array]:
     """Pose (4, 4) in the base link, and half axes (3,) [m], of the ellipsoid about the predicted tool.
 
     Raises MissingDriver where an effect depends on what is not known at this moment, BadCommand where it comes out

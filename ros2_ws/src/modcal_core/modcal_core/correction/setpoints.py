@@ -113,6 +113,6 @@ class SetpointStream:
         """Note that this setpoint (n,) was sent."""
         self._last = (now, q)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew."""
         self._last = self._offset = None

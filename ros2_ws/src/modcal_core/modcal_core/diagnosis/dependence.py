@@ -17,7 +17,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
-from modcal_core.diagnosis.memory import last_moves, moments_on_base, play, slipped
+from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, play, slipped
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name

@@ -21,7 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Impedance
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
-from modcal_core.impedance.safety_monitor import ArmSetpoint, Late, Limits, SafetyMonitor, SensorReadings
+from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.impedance.speed_governor import ForcePrediction, SpeedGovernor
 from modcal_core.impedance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
@@ -48,10 +48,10 @@ class Operation:
         """For an arm (chain to the tool that is measured)."""
         self.chain, self.task, self.limits = chain, task, limits
         self.phase = "tare"
-        self.guard = SafetyMonitor(chain, limits)
-        self.follower = SetpointFilter(chain, limits)
+        self.monitor = SafetyMonitor(chain, limits)
+        self.setpoint_filter = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
-        self.pace = SpeedGovernor(task.governor)
+        self.governor = SpeedGovernor(task.governor)
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
@@ -59,7 +59,7 @@ class Operation:
         self.expected = np.eye(4)
         self._pull: Exploration | None = None
         self._tare = Tare(task.tare_s)
-        self._walk: tuple[PathCheck, Array] | None = None
+        self._path_check: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
         self._walked_from = 0.0
         self._untrusted = 0.0
@@ -81,7 +81,7 @@ class Operation:
     def stop(self, why: str) -> Stop:
         """End it now, whatever it does; what is let go says why it was."""
         why = self._why or why
-        self.guard.close(why)
+        self.monitor.close(why)
         self._stop = self._stop or Stop(False, why, self._opened())
         return self._stop
 
@@ -111,7 +111,7 @@ class Operation:
             if self.phase == "tare":
                 return self._weigh(now, T_base_tool, sensor, joints)
             return self._go_on(now, T_base_tool, sensor, joints, state)
-        except Late as error:
+        except LateInput as error:
             return self._wait(str(error), now)
         except ModcalError as error:
             return self.stop(str(error))
@@ -150,9 +150,9 @@ class Operation:
                 return self.stop("tare: the arm is moving: hold it still before the pull")
             return Wait("taring the wrench: the arm stands still for a moment")
         sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.gravity)
-        sensor.forget_past()
-        self.follower.begin(joints.q, T)
-        self.guard.open(T, joints.q, now)
+        sensor.reset_past()
+        self.setpoint_filter.begin(joints.q, T)
+        self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
         self.expected = T
         self._enter("explore", now)
@@ -167,16 +167,16 @@ class Operation:
         if not 0.0 < h <= 5.0 * self.limits.period:  # the first, or after a pause: from rest
             if h <= 0.0:
                 raise BadCommand("clock", "moved backwards or stopped", "restart the node")
-            self.follower.rest()
+            self.setpoint_filter.rest()
             self.impedance.halt()
-            self.pace.stand(now)
+            self.governor.stand(now)
             h = self.limits.period
         age = max(now - joints.stamp, now - sensor.stamp)
         self._heed(age, h)
         self.force = sensor.on_tool(T, self.task.gravity)
         self._delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + self.task.servo_lag
-        self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.pace.braking)
-        refused = self.guard.too_much(self.force)
+        self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.governor.braking)
+        refused = self.monitor.overload(self.force)
         if refused is not None and self.phase != "release":
             self._let_go(str(refused), now)
         self._tell[self.phase](h, T, state)
@@ -190,11 +190,11 @@ class Operation:
             goal = self.impedance.command(self.expected)
         else:
             goal = self.expected
-        self.follower.step(goal, h, self._posture())
+        self.setpoint_filter.step(goal, h, self._posture())
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
         heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
-        return self.guard.check(self._setpoint(), heard, now)
+        return self.monitor.check(self._setpoint(), heard, now)
 
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
@@ -204,7 +204,7 @@ class Operation:
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
             self._enter("check", now)
-        elif self.pace.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
+        elif self.governor.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
         elif pull.way > self.task.max_exploration:
             said = state.event or "no model predicts it"
@@ -230,7 +230,7 @@ class Operation:
         assert course is not None
         if state.model is not None and state.trusted and state.model is not course.model:
             self._believe(state.model, T)
-        if self._walk is not None:
+        if self._path_check is not None:
             done = self._look(1)
             if done is not None and not done.whole:
                 self._let_go(f"the arm cannot move it to the goal: {done.why}", now)
@@ -243,24 +243,24 @@ class Operation:
         wanted = self.task.speed if state.trusted else self.task.exploration_speed
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
-        wanted *= min(1.0, max(0.0, 2.0 - self.follower.lag(self._goal_now()) / 0.005))
+        wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
         ds = self._go(wanted, h)
         self.expected = course.advance(ds)
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
         if left <= -_SURELY * course.way:
-            self.expected = self.follower.pose
+            self.expected = self.setpoint_filter.pose
             self._enter("arrive", now)
         elif self._untrusted > 0.05:
             self._let_go(f"it moves differently than before ({state.event or 'no model predicts it'})", now)
-        elif self.pace.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
+        elif self.governor.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
             self._let_go(f"it stopped moving: {self._pushed()}, open to {self._said(T)}", now)
 
     def _arrive(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand where the goal was reached."""
-        slow = float(np.abs(self.follower.velocity).max()) <= _STOOD
+        slow = float(np.abs(self.setpoint_filter.velocity).max()) <= _STOOD
         if slow or self._last + h - self._since > _STAND_PATIENCE:
             self._stop = Stop(True, f"open to {self._said(T)}", self._opened(T))
-            self.guard.close(self._stop.why)
+            self.monitor.close(self._stop.why)
 
     def _release(self, h: float, T: Array, state: ObjectModel) -> None:
         """Expect the tool where it is: a servo that is sent where its arm already is holds against nothing.
@@ -279,15 +279,15 @@ class Operation:
 
     def _go(self, wanted: float, h: float) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it."""
-        sight = self.pace.in_sight(math.sqrt(self.force[:3] @ self.force[:3]), self._delay)
-        return self.pace.step(min(wanted / self._caution, sight), self._foreseen, h)
+        sight = self.governor.in_sight(math.sqrt(self.force[:3] @ self.force[:3]), self._delay)
+        return self.governor.step(min(wanted / self._caution, sight), self._foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now
 
     def _let_go(self, why: str, now: float) -> None:
         self._why = why
-        self.guard.allow_release(now)
+        self.monitor.allow_release(now)
         self._enter("release", now)
 
     def _believe(self, model: JointModel, T: Array) -> None:
@@ -305,18 +305,18 @@ class Operation:
             self.impedance.expect(before, self.expected)
         goal = self.course.pose(self.course.goal_at)
         way, turn = speeds(self._checked, goal)
-        if self._walk is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
-            path = self.course.path(np.linalg.inv(self.follower.offset))
-            self._walk = PathCheck(self.chain, path, self.follower.q, gain=1.5 * self.limits.gain), goal
+        if self._path_check is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
+            path = self.course.path(np.linalg.inv(self.setpoint_filter.offset))
+            self._path_check = PathCheck(self.chain, path, self.setpoint_filter.q, gain=1.5 * self.limits.gain), goal
             self._walked_from = self.course.opened(self.course.at)
 
     def _look(self, steps: int) -> Reach | None:
         """Go on looking along the way; what was found when it is done."""
-        assert self._walk is not None
-        walk, goal = self._walk
+        assert self._path_check is not None
+        walk, goal = self._path_check
         done = walk.advance(steps)
         if done is not None:
-            self.reached, self._checked, self._walk = done, goal, None
+            self.reached, self._checked, self._path_check = done, goal, None
         return done
 
     def _posture(self) -> Array | None:
@@ -331,7 +331,7 @@ class Operation:
         return self.impedance.command(self.expected) if self.task.mode == "admittance" else self.expected
 
     def _setpoint(self) -> ArmSetpoint:
-        follower, task = self.follower, self.task
+        follower, task = self.setpoint_filter, self.task
         if task.mode == "admittance":
             stiffness = np.repeat(np.array(task.stack), 3)
         else:

@@ -95,7 +95,7 @@ class SensorReadings:
     wrench_stamp: float
 
 
-class Late(BadCommand):
+class LateInput(BadCommand):
     """An input that is too old: nothing may be said now, but a moment later again."""
 
 
@@ -149,7 +149,7 @@ class SafetyMonitor:
                 self._check_sensors(sensors, now)
                 self._check_form(setpoint)
                 self._last = self._check_motion(setpoint, sensors, now, self._last)
-        except Late:
+        except LateInput:
             raise
         except BadCommand as error:
             self.tripped = str(error)
@@ -173,7 +173,9 @@ class SafetyMonitor:
                 raise BadCommand(what, "its stamp is not finite", "check its publisher")
             if not abs(now - stamp) <= limits.timeout:
                 age, limit = abs(now - stamp), limits.timeout
-                raise Late(what, f"is {age:.3g} s off, {limit:g} s is the limit", "check that its publisher is alive")
+                raise LateInput(
+                    what, f"is {age:.3g} s off, {limit:g} s is the limit", "check that its publisher is alive"
+                )
         for name in self.chain.names:
             if not math.isfinite(sensors.joints.get(name, math.nan)):
                 raise BadCommand(f"joint_states of {name}", "are missing or not finite", "publish every joint")
@@ -184,10 +186,10 @@ class SafetyMonitor:
             said = f"is in frame '{sensors.wrench_frame}', not '{self.tool_frame}'"
             raise BadCommand("wrench", said, "transform it first")
         _require_finite("wrench", sensors.wrench, (6,))
-        if (refused := self.too_much(sensors.wrench)) is not None:
+        if (refused := self.overload(sensors.wrench)) is not None:
             raise refused
 
-    def too_much(self, wrench: Array) -> BadCommand | None:
+    def overload(self, wrench: Array) -> BadCommand | None:
         """What is said of a force and moment (6,) on the tool that lie beyond their limits; None of any other."""
         force, moment = _norm(wrench[:3]), _norm(wrench[3:])
         if not force <= self.limits.force:

@@ -119,7 +119,7 @@ class LowPass:
             self._last = stamp, self._last[1] + (value - self._last[1]) * (h / (self.lag + h))
         return self._last[1]
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew."""
         self._last = None
 
@@ -167,7 +167,7 @@ class WrenchSensor:
         if stamp < self.stamp:
             raise BadCommand("wrench", "came after a newer one", "use one publisher that sends in order")
         if frame != self._frame:
-            self._filter.forget()
+            self._filter.reset()
         self._frame, self.stamp, self._raw = frame, stamp, self._sign * w
 
     @property
@@ -195,11 +195,11 @@ class WrenchSensor:
         )
         return self.force
 
-    def forget_past(self) -> None:
+    def reset_past(self) -> None:
         """Smooth from now on only: what was known of the tool before has changed."""
-        self._filter.forget()
+        self._filter.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew, at whatever time it is now; what is known of the tool stays."""
         self.stamp, self._frame = -math.inf, ""
-        self._filter.forget()
+        self._filter.reset()

@@ -116,7 +116,7 @@ class Supervisor:
         self.candidate = None
         self._wait = self.policy.after_change
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Forget the candidate and what was suspected; what is trusted stays."""
         self.candidate = None
         self.stations = 0

@@ -18,7 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
 from modcal_core.planning.exchange import Exchange, exchange
-from modcal_core.planning.ground import CANDIDATES, Ground, random_accuracies, survey
+from modcal_core.planning.posture_pool import CANDIDATES, PosturePool, random_accuracies, survey
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.route import Route, route
 from modcal_core.planning.rows import StationRows, station_rows
@@ -66,7 +66,7 @@ class Plan:
     """
 
     request: PlanRequest
-    ground: Ground
+    pool: PosturePool
     q: Array
     route: Route
     accuracy: Accuracy
@@ -85,36 +85,36 @@ def plan(chain: Chain, site: Site, request: PlanRequest, rng: np.random.Generato
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
     if request.stations is None and request.accuracy is None:
         raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")
-    ground = survey(chain, site, rng, request.reading, request.fixed, request.candidates, request.besides)
-    good = criterion(request.criterion, ground.workspace.gamma)
-    measured = 0 if ground.known is None else len(ground.known)
-    least = max(min_stations(len(ground.parameters), request.reading) - measured, 1)
+    pool = survey(chain, site, rng, request.reading, request.fixed, request.candidates, request.besides)
+    good = criterion(request.criterion, pool.workspace.gamma)
+    measured = 0 if pool.known is None else len(pool.known)
+    least = max(min_stations(len(pool.parameters), request.reading) - measured, 1)
     curve: tuple[tuple[int, Accuracy], ...] = ()
     if request.stations is None:
-        count, curve = _how_many(ground, request, good, least, rng)
+        count, curve = _how_many(pool, request, good, least, rng)
     else:
         count = request.stations
-        _require(count, least, len(ground.q))
-    best = chosen_stations(ground, count, good, request.starts, rng)
+        _require(count, least, len(pool.q))
+    best = chosen_stations(pool, count, good, request.starts, rng)
     if request.stations is None:  # the quick search that said how many does not refine
         for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
-            other = chosen_stations(ground, fewer, good, 1, rng)
+            other = chosen_stations(pool, fewer, good, 1, rng)
             if _measure(other.accuracy, request) > _requested(request):
                 break
             best = other
-        while _measure(best.accuracy, request) > _requested(request) and len(best.q) < len(ground.q):
-            best = chosen_stations(ground, min(len(best.q) + 1, len(ground.q)), good, 1, rng)
+        while _measure(best.accuracy, request) > _requested(request) and len(best.q) < len(pool.q):
+            best = chosen_stations(pool, min(len(best.q) + 1, len(pool.q)), good, 1, rng)
     count = len(best.q)
-    way = through(ground, best.q, request.returns)
-    information = best.rows.information(np.arange(count)) + (0.0 if ground.given is None else ground.given)
+    way = through(pool, best.q, request.returns)
+    information = best.rows.information(np.arange(count)) + (0.0 if pool.given is None else pool.given)
     return Plan(
         request,
-        ground,
+        pool,
         best.q[way.order],
         way,
         best.accuracy,
         observability(information, count + measured),
-        tuple(random_accuracies(ground, count, rng)),
+        tuple(random_accuracies(pool, count, rng)),
         best.values,
         curve,
     )
@@ -130,33 +130,31 @@ class Chosen:
     values: tuple[float, ...]
 
 
-def chosen_stations(ground: Ground, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
+def chosen_stations(pool: PosturePool, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
     """The best set of so many stations: by exchange, then refined."""
-    found = exchange(ground.rows, count, good, rng, starts, given=ground.given)
-    q, rows, value = refined(ground, found, good, rng)
-    accuracy = ground.accuracy(rows)
+    found = exchange(pool.rows, count, good, rng, starts, given=pool.given)
+    q, rows, value = refined(pool, found, good, rng)
+    accuracy = pool.accuracy(rows)
     return Chosen(q, rows, accuracy, (*found.starts, value))
 
 
 def refined(
-    ground: Ground, found: Exchange, good: Criterion, rng: np.random.Generator
+    pool: PosturePool, found: Exchange, good: Criterion, rng: np.random.Generator
 ) -> tuple[Array, StationRows, float]:
     """Stations (k, n) near those that were found and better, what they tell, and the criterion.
 
     Round by round every station gets candidates around it, allowed and seen, and the exchange goes on among these.
     """
-    chain, site, count = ground.model.chain, ground.site, len(found.chosen)
-    q, value = ground.q[found.chosen], found.value
-    rows = ground.rows.of(found.chosen)
+    chain, site, count = pool.model.chain, pool.site, len(found.chosen)
+    q, value = pool.q[found.chosen], found.value
+    rows = pool.rows.of(found.chosen)
     for size in _REFINED:
         moved = np.repeat(q, _MOVED, axis=0)
         moved = np.clip(moved + size * rng.standard_normal(moved.shape), chain.lower, chain.upper)
-        moved = moved[clearance(ground.spheres, site, moved) >= 0.0]
-        moved = np.concatenate([q, moved[visible(ground.spheres, site, moved)]])
-        more = station_rows(
-            ground.model, ground.parameters, moved, ground.reading, site.noise, ground.rows.joint_variance
-        )
-        better = exchange(more, count, good, rng, begin=np.arange(count), given=ground.given)
+        moved = moved[clearance(pool.spheres, site, moved) >= 0.0]
+        moved = np.concatenate([q, moved[visible(pool.spheres, site, moved)]])
+        more = station_rows(pool.model, pool.parameters, moved, pool.reading, site.noise, pool.rows.joint_variance)
+        better = exchange(more, count, good, rng, begin=np.arange(count), given=pool.given)
         q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
     return q, rows, value
 
@@ -167,13 +165,13 @@ def min_stations(parameters: int, reading: str) -> int:
     return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
 
 
-def through(ground: Ground, q: Array, returns: int = 0) -> Route:
+def through(pool: PosturePool, q: Array, returns: int = 0) -> Route:
     """The way through these stations, coming back to some of them, free of touching by the spheres."""
 
     def free(postures: Array) -> np.ndarray:
-        return np.asarray(clearance(ground.spheres, ground.site, postures) >= 0.0)
+        return np.asarray(clearance(pool.spheres, pool.site, postures) >= 0.0)
 
-    return route(q, free, ground.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)), returns)
+    return route(q, free, pool.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)), returns)
 
 
 def _require(count: int, least: int, there: int) -> None:
@@ -197,12 +195,12 @@ def _measure(accuracy: Accuracy, request: PlanRequest) -> float:
 
 
 def _how_many(
-    ground: Ground, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
+    pool: PosturePool, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
 ) -> tuple[int, tuple[tuple[int, Accuracy], ...]]:
     """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
-    most = min(_MOST, len(ground.q))
-    _require(least, least, len(ground.q))
-    floor = ground.workspace.accuracy(np.zeros((len(ground.parameters),) * 2))
+    most = min(_MOST, len(pool.q))
+    _require(least, least, len(pool.q))
+    floor = pool.workspace.accuracy(np.zeros((len(pool.parameters),) * 2))
     if _measure(floor, request) >= _requested(request):
         raise NotPlannable(
             f"{request.measure} of {1e3 * _requested(request):.3g} mm",
@@ -213,8 +211,8 @@ def _how_many(
 
     def enough(count: int) -> bool:
         if count not in tried:
-            chosen = exchange(ground.rows, count, good, rng, *_QUICK, given=ground.given).chosen
-            tried[count] = ground.accuracy(ground.rows.of(chosen))
+            chosen = exchange(pool.rows, count, good, rng, *_QUICK, given=pool.given).chosen
+            tried[count] = pool.accuracy(pool.rows.of(chosen))
         return _measure(tried[count], request) <= _requested(request)
 
     low, high = least, least

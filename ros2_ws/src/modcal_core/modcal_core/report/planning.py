@@ -32,10 +32,10 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
     indices = plan.indices
     return {
         "modcal_plan": 1,
-        "joints": list(plan.ground.model.chain.names),
+        "joints": list(plan.pool.model.chain.names),
         "reading": plan.request.reading,
         "criterion": plan.request.criterion,
-        "parameters": [p.name for p in plan.ground.parameters],
+        "parameters": [p.name for p in plan.pool.parameters],
         "expected_mm": _sizes(plan.accuracy),
         "random_expected_mm": _sizes(random),
         "ratio_to_random": {
@@ -48,9 +48,9 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
         },
         "tried": [{"stations": n, **_sizes(a)} for n, a in plan.curve],
         "postures": {
-            "candidates": len(plan.ground.q),
-            "share_free": plan.ground.shares[0],
-            "share_of_these_seen": plan.ground.shares[1],
+            "candidates": len(plan.pool.q),
+            "share_free": plan.pool.shares[0],
+            "share_of_these_seen": plan.pool.shares[1],
         },
         "blocked_ways": [int(i) + 1 for i in plan.route.blocked],
         "returns": [[first + 1, second + 1] for first, second in plan.route.returns],
@@ -88,12 +88,12 @@ def sentences(plan: Plan) -> list[str]:
         f"{k} stations drawn at random from the same postures would leave {1e3 * random.model:.3f} mm where these "
         f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / random.model:.2f}."
     )
-    free, seen = plan.ground.shares
+    free, seen = plan.pool.shares
     said = f"{free:.0%} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {seen:.0%}."))
-    if plan.ground.site.floor is None:
+    out.append(said + ("." if plan.pool.site.tracker is None else f"; of these the tracker sees {seen:.0%}."))
+    if plan.pool.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
-    P = len(plan.ground.parameters)
+    P = len(plan.pool.parameters)
     if plan.indices.rank < P:
         out.append(f"These stations show {plan.indices.rank} of {P} parameters: the others keep their nominal values.")
     if plan.route.blocked:
@@ -105,7 +105,7 @@ def sentences(plan: Plan) -> list[str]:
 def to_csv(plan: Plan) -> str:
     """Joint positions [rad, m], one station a row, under the joints' names."""
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in plan.q)
-    return ",".join(plan.ground.model.chain.names) + "\n" + rows
+    return ",".join(plan.pool.model.chain.names) + "\n" + rows
 
 
 def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]:
@@ -130,7 +130,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
             stand(here)
         now += dwell
         stand(stops[-1])
-    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
+    return {"joint_names": list(plan.pool.model.chain.names), "points": points}
 
 
 def _duration(seconds: float) -> dict[str, int]:
@@ -157,9 +157,9 @@ def _drawn(plan: Plan) -> Figure:
     """Where the target stands at the stations, from above and from the side, among all that could be chosen."""
     from matplotlib.figure import Figure
 
-    ground, tracker = plan.ground, plan.ground.site.tracker
-    origin = ground.model.T_frame_base[0][:3, 3]
-    could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (ground.q, plan.q))
+    pool, tracker = plan.pool, plan.pool.site.tracker
+    origin = pool.model.T_frame_base[0][:3, 3]
+    could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
     drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
     for axes, (i, j) in zip(drawn.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
         axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"], label="could be chosen")

@@ -25,8 +25,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves
-from modcal_core.verdict.few import Few
 from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
+from modcal_core.verdict.sparse import SparseRegressor
 from modcal_core.verdict.verdict import Share
 
 _MOST = 500  # samples; a longer recording is thinned evenly
@@ -88,7 +88,7 @@ def predictable(case: Case) -> Predictable:
             columns = (columns if keep.all() else columns[keep]) / size[keep, None]
             tests.append(Ridge.of(group.name, columns, baseline))
     for name, waves in single_waves(case.model, samples, weight):
-        few = Few.of(name, waves, baseline, project, _LEAST_NEW)
+        few = SparseRegressor.of(name, waves, baseline, project, _LEAST_NEW)
         tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 

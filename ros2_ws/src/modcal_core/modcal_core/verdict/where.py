@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.agreeing import disagreement
 from modcal_core.calibration.channels import disagreeing_channel
+from modcal_core.calibration.consistency import disagreement
 from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_REJECTED

@@ -11,7 +11,7 @@ from modcal_core.calibration.deciding import Proposal, propose
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.files import to_yaml, write_folder
-from modcal_core.planning.ground import allowed
+from modcal_core.planning.posture_pool import allowed
 from modcal_core.planning.site import Site
 from modcal_nodes.cli.console import console
 from modcal_nodes.io.inputs import read_calibration

@@ -12,8 +12,8 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
-from modcal_core.planning.ground import CANDIDATES
 from modcal_core.planning.plan import Plan, PlanRequest, plan
+from modcal_core.planning.posture_pool import CANDIDATES
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data

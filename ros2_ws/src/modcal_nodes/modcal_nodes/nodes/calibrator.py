@@ -209,7 +209,7 @@ class Calibrator(GuardedNode):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._buffer.clear()
-        self._supervisor.forget()
+        self._supervisor.reset()
         self._candidate = None
         self._outputs.no_change()
         response.success, response.message = True, "recording and candidate cleared; the trusted model stays"

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.commander import (
     CalibratedRobot,
     Commander,
@@ -22,7 +23,6 @@ from modcal_core.correction.commander import (
     corrected_urdf,
     finite,
 )
-from modcal_core.correction.conditions import Conditions
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements.approach import Approach
 from modcal_msgs_py.commands import JointInput, desired_pose, fill_pose, require_new
@@ -186,7 +186,7 @@ class Corrector(GuardedNode):
             self._correct(self._commander.robot, self._joints, self._conditions(self._joints, now))
             self._last = now
 
-    def _correct(self, robot: CalibratedRobot, joints: JointInput, at: Conditions) -> None:
+    def _correct(self, robot: CalibratedRobot, joints: JointInput, at: ArmState) -> None:
         """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
@@ -243,11 +243,11 @@ class Corrector(GuardedNode):
         self._trajectory.publish(message)
         self._counts["commands"] += 1
 
-    def _conditions(self, joints: JointInput, now: float) -> Conditions:
+    def _conditions(self, joints: JointInput, now: float) -> ArmState:
         needs = self._commander.robot.correction.needs if self._commander.robot else ()
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
-        return Conditions(now, *at, self._signals.tracks(needs))
+        return ArmState(now, *at, self._signals.tracks(needs))
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds

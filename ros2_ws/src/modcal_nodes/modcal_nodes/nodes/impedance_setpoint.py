@@ -312,7 +312,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             now = self._now()
             stamp = seconds(message.header.stamp) or now
             if self._arm.sensor.stamp > now + self._chosen["timeout_s"]:  # the clock was set back
-                self._arm.sensor.forget()
+                self._arm.sensor.reset()
             self._arm.sensor.receive(
                 message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["timeout_s"]
             )

@@ -15,8 +15,8 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.commander import CalibratedRobot
-from modcal_core.correction.conditions import Conditions
 from modcal_core.correction.picture import tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.so3 import Array
@@ -248,14 +248,14 @@ class Viewer(GuardedNode):
         around = self._around_stations
         self._ellipsoids.publish(drawing.uncertainty_picture(self._frame, around, present, scale, _LIFETIME))
 
-    def _present(self, joints: JointInput) -> Conditions:
+    def _present(self, joints: JointInput) -> ArmState:
         """The moment that is now; raises BadCommand for joints that are not known now."""
         now = self._now()
         joints.require_fresh(now, self._chosen["timeout_s"])
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         needs = self._robot.correction.needs if self._robot else ()
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
-        return Conditions(now, *at, self._signals.tracks(needs))
+        return ArmState(now, *at, self._signals.tracks(needs))
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.correction.conditions import Conditions
+from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import Residuals, conditions_of, known_to, residuals
+from modcal_core.correction.picture import Residuals, arm_state_of, known_to, residuals
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.estimator import joined
@@ -25,7 +25,7 @@ class Judged:
 
     calibrated: Residuals
     nominal: Residuals
-    moments: tuple[Conditions, ...]
+    moments: tuple[ArmState, ...]
     strangers: tuple[str, ...]
 
 
@@ -68,7 +68,7 @@ class Stations:
         samples = replace(known_to(calibration.calibrated, joined(list(self._kept))), signals=signals)
         if not len(samples):
             return Judged(_NOTHING, _NOTHING, (), strangers)
-        moments = tuple(conditions_of(samples.select(np.array([i])), signals) for i in range(len(samples)))
+        moments = tuple(arm_state_of(samples.select(np.array([i])), signals) for i in range(len(samples)))
         for at in moments:
             correction.require(at)
         models, noise = (calibration.calibrated, calibration.nominal), calibration.noise

@@ -24,7 +24,7 @@ from modcal_core.robots.urdf_inertias import Inertias
 _MOST_KEPT = 200  # postures that a calibration remembers
 
 
-def ship(
+def finalise(
     samples: Samples,
     chain: Mechanism,
     choice: ParameterChoice,

@@ -17,7 +17,7 @@ from modcal_core.robots.mechanism import gravity_wrench
 
 
 @dataclass(frozen=True)
-class Conditions:
+class ArmState:
     """One moment of an arm.
 
     stamp: [s]. q: where the joints were reported (n,), which efforts belong to. velocity: (n,) [rad/s, m/s]. approach:
@@ -35,17 +35,17 @@ class Conditions:
     @classmethod
     def at_rest(
         cls, q: ArrayLike, stamp: float, approach: ArrayLike | None = None, signals: tuple[SignalTrack, ...] = ()
-    ) -> Conditions:
+    ) -> ArmState:
         """An arm that stands still at q (n,), with nothing known of its efforts."""
         q = np.array(q, dtype=float)
         came = np.zeros(len(q)) if approach is None else np.array(approach, dtype=float)
         return cls(stamp, q, np.zeros(len(q)), came, np.full(len(q), np.nan), signals)
 
-    def arriving(self, q: Array) -> Conditions:
+    def arriving(self, q: Array) -> ArmState:
         """The moment of arrival at q (n,), straight from here: at rest, each joint from the side it comes from."""
         way = q - self.q
         approach = np.where(np.abs(way) > TRAVEL, np.sign(way), self.approach)
-        return Conditions(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
+        return ArmState(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
 
     def samples(self, chain: Chain, postures: Array, arm: NominalArm) -> Samples:
         """Samples of postures (N, n) under these conditions, for a model to predict.

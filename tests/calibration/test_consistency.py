@@ -9,7 +9,7 @@ import pytest
 from cells import record, ur10
 from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.agreeing import Disagreement, disagreement
+from modcal_core.calibration.consistency import Disagreement, disagreement
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

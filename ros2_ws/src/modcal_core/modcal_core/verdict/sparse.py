@@ -47,7 +47,7 @@ class _Written:
 
 
 @dataclass(frozen=True)
-class Few:
+class SparseRegressor:
     """Least squares on the few of many columns of unit length that go best with the other folds, a number of them at a
     time (sure independence screening; Fan & Lv 2008).
     """
@@ -58,7 +58,9 @@ class Few:
     trained: Trained
 
     @classmethod
-    def of(cls, name: str, waves: Waves, baseline: Baseline, project: Projection, least_new: float) -> Few | None:
+    def of(
+        cls, name: str, waves: Waves, baseline: Baseline, project: Projection, least_new: float
+    ) -> SparseRegressor | None:
         """name: of the columns, for a person. least_new: share of a column's length that the parameters must leave.
 
         None where they leave nothing.

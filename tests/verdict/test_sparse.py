@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from modcal_core.verdict.features import Waves
-from modcal_core.verdict.few import Few
 from modcal_core.verdict.ridge import Baseline, Layout, Projection
+from modcal_core.verdict.sparse import SparseRegressor
 
 N = 30
 
@@ -24,7 +24,7 @@ def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -
     U = 10.0 * layout.flat(rng.normal(size=(parameters, 6, N)))
     full = layout.flat(waves.written(np.arange(22)) * seen)
     seen_only = Waves(tuple(u * seen for u in waves.motions), waves.numbers)
-    few = Few.of("", seen_only, Baseline(U, layout), Projection(U), 0.02)
+    few = SparseRegressor.of("", seen_only, Baseline(U, layout), Projection(U), 0.02)
     assert few is not None
     np.testing.assert_allclose(seen_only.squares(), np.sum(full**2, axis=1), rtol=1e-12)
 

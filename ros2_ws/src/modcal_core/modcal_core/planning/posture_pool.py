@@ -33,7 +33,7 @@ _RANDOM = 20  # random sets that a plan is compared with
 
 
 @dataclass(frozen=True)
-class Ground:
+class PosturePool:
     """What there is to choose from.
 
     model: with its one frame at the tracker. q: allowed and seen postures (N, n). rows: what they tell. workspace:
@@ -72,7 +72,7 @@ def survey(
     fixed: tuple[str, ...] = (),
     candidates: int = CANDIDATES,
     besides: Array | None = None,
-) -> Ground:
+) -> PosturePool:
     """The postures that are allowed and seen, and what each would tell. Raises NotPlannable where there are none.
 
     reading: ``point`` or ``pose``. fixed: parameters that are not fitted. candidates: how many postures.
@@ -115,7 +115,7 @@ def survey(
     known = None
     if besides is not None:
         known = station_rows(model, parameters, besides, reading, site.noise, rows.joint_variance)
-    return Ground(
+    return PosturePool(
         model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares, known
     )
 
@@ -163,9 +163,9 @@ def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Chain:
     return replace(chain, lower=lower, upper=upper)
 
 
-def random_accuracies(ground: Ground, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
+def random_accuracies(pool: PosturePool, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
     """What as many stations would give that are drawn from the same postures."""
-    return [ground.accuracy(ground.rows.of(rng.choice(len(ground.q), count, replace=False))) for _ in range(sets)]
+    return [pool.accuracy(pool.rows.of(rng.choice(len(pool.q), count, replace=False))) for _ in range(sets)]
 
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
