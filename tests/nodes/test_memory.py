@@ -49,7 +49,7 @@ def test_readings_stay_with_the_joint_states_of_their_time(order: str) -> None:
     memory = Buffer(1e4)
     for k, ((topic, kind), message) in enumerate(ORDERS[order]):
         memory.add(topic, kind, message, 1e4 + k)
-    pieces = memory.heard().recordings
+    pieces = memory.collected().recordings
     assert [list(piece.joints[0].stamps) for piece in pieces] == [list(FIRST), list(SECOND)]
     assert [list(piece.readings[0].stamps) for piece in pieces] == [list(FIRST), list(SECOND)]
 
@@ -61,7 +61,7 @@ def test_a_trackers_own_clock_makes_no_pieces() -> None:
     both = zip(joint_states(t), poses(np.r_[t[:500], t[500:] - 2000.0]), strict=True)
     for (topic, kind), message in chain.from_iterable(both):
         memory.add(topic, kind, message, 1e4)
-    (piece,) = memory.heard().recordings
+    (piece,) = memory.collected().recordings
     assert len(piece.joints[0].stamps) == len(piece.readings[0].stamps) == 1500
 
 
@@ -71,7 +71,7 @@ def test_two_trackers_with_clocks_of_their_own_make_no_pieces() -> None:
     for messages in zip(joint_states(t), poses(t, "one"), poses(t - 500.0, "two"), strict=True):
         for (topic, kind), message in messages:
             memory.add(topic, kind, message, 1e4)
-    (piece,) = memory.heard().recordings
+    (piece,) = memory.collected().recordings
     assert [len(reading.stamps) for reading in piece.readings] == [100, 100]
 
 
@@ -80,9 +80,9 @@ def test_pieces_end_when_they_are_long() -> None:
     for (topic, kind), message in joint_states(5000.0 + np.arange(50.0)):
         memory.add(topic, kind, message, 1e4)
     assert memory.pieces == 1  # the second may have readings to come
-    assert [len(piece.joints[0].stamps) for piece in memory.heard().recordings] == [21, 21, 8]
+    assert [len(piece.joints[0].stamps) for piece in memory.collected().recordings] == [21, 21, 8]
     memory.condensed(1, None)
-    assert [len(piece.joints[0].stamps) for piece in memory.heard().recordings] == [21, 8]
+    assert [len(piece.joints[0].stamps) for piece in memory.collected().recordings] == [21, 8]
 
 
 @pytest.mark.parametrize("offset", [0.0, -2000.0, 2000.0], ids=["one clock", "tracker behind", "tracker ahead"])
@@ -92,7 +92,7 @@ def test_readings_that_come_late_are_not_lost_where_a_long_piece_ends(offset: fl
     bursts = zip(np.split(t, 6), np.split(t + offset, 6), strict=True)
     for (topic, kind), message in chain.from_iterable((*joint_states(a), *poses(b)) for a, b in bursts):
         memory.add(topic, kind, message, 1e4)
-    pieces = memory.heard().recordings
+    pieces = memory.collected().recordings
     assert sum(len(reading.stamps) for piece in pieces for reading in piece.readings) == 300
     if not offset:
         for piece in pieces:
