@@ -88,7 +88,7 @@ def test_what_a_bag_does_not_say_is_counted(tmp_path: Path, capfd: pytest.Captur
 
 
 CASES = {
-    "payload that the posture cannot hold": (["--payload", "60"], "joint elbow_joint: gravity, friction and speed take .* of the 150 N m"),
+    "payload that the posture cannot hold": (["--payload", "60"], "joint elbow_joint: gravity, friction and speed need .* of the 150 N m"),
     "payload of less than nothing": (["--payload", "-1"], "payload: mass: -1 kg is not 0 or more"),
     "payload inertia of no body": (["--payload", "1", "--inertia", "1", "1", "3", "0", "0", "0"], "payload: inertia: .* is not physical"),
     "joint that is not there": (["--at", "elbow=1"], "--at elbow: is not a joint of this arm: name one of shoulder_pan_joint"),

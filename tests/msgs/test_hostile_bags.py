@@ -211,7 +211,7 @@ def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind:
     began = time.process_time()
     recording = read_bag(path)
     assert time.process_time() - began < 2.0
-    assert f"{count} messages on /joint_states were left out: they are no {kind}." in recording.warnings
+    assert f"{count} messages on /joint_states were left out: they are not of type {kind}." in recording.warnings
 
 
 @pytest.mark.parametrize("stated", ["[]", "3", "[3]", "['']", "{a: b}", "null", "['../../etc/passwd']", "[no.mcap]",

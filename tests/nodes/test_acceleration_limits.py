@@ -217,7 +217,7 @@ def test_no_bounds_where_they_would_be_a_guess(tmp_path: Path) -> None:
         arm.recovers()
         arm.q = np.zeros(6)  # stretched out
         assert arm.set("payload_kg", 60.0)[0]
-        arm.says(ERROR, "gravity, friction and speed take")
+        arm.says(ERROR, "gravity, friction and speed need")
         arm.nothing_comes()
 
 

@@ -221,7 +221,7 @@ def test_too_heavy_a_payload_is_said_with_the_joint() -> None:
     w = window(chain, with_payload(inertias, chain, Payload.checked(40.0)), drives, q)
     assert not w.held()[0]
     with pytest.raises(
-        Overloaded, match=r"joint shoulder_lift_joint: gravity, friction and speed take .* of the 330 N m"
+        Overloaded, match=r"joint shoulder_lift_joint: gravity, friction and speed need .* of the 330 N m"
     ):
         w.box()
 
