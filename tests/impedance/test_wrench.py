@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from modcal_core.errors import BadCommand, NotEnoughData
+from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.wrench import DOWN, Load, LowPass, Tare, WrenchSensor, estimate_load
+from modcal_core.impedance.wrench import DOWN, Load, LowPass, Tare, WrenchSensor
 
 LOAD = Load(1.3, np.array([0.01, -0.02, 0.06]), np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3]))
 
@@ -37,27 +37,6 @@ def test_sign_of_a_sensor_that_says_what_the_tool_does() -> None:
     sensor = WrenchSensor([("tool", np.eye(4))], sign=-1.0)
     sensor.receive("tool", [0, 0, 5, 0, 0, 0], 1.0, 1.0, 0.1)
     assert np.allclose(sensor.on_tool(np.eye(4)), [0, 0, -5, 0, 0, 0])
-
-
-def test_weight_and_offset_are_told_apart(rng: np.random.Generator) -> None:
-    R = Rotation.random(6, rng=rng).as_matrix()
-    w = np.array([hung(r) for r in R])
-    found = estimate_load(w, R)
-    assert found.mass == pytest.approx(LOAD.mass, abs=1e-9)
-    assert np.allclose(found.centre, LOAD.centre, atol=1e-9)
-    assert np.allclose(found.bias, LOAD.bias, atol=1e-9)
-    noisy = estimate_load(w + 0.05 * rng.normal(size=w.shape) * [1, 1, 1, 0.02, 0.02, 0.02], R)
-    assert noisy.mass == pytest.approx(LOAD.mass, abs=0.03)
-    other = Rotation.random(rng=rng).as_matrix()
-    assert np.abs(noisy.wrench(other) - hung(other))[:3].max() < 0.25
-
-
-def test_turning_about_gravity_alone_tells_no_weight(rng: np.random.Generator) -> None:
-    R = Rotation.from_rotvec(np.linspace(0.0, 2.0, 8)[:, None] * [0, 0, 1]).as_matrix()
-    with pytest.raises(NotEnoughData, match="gravity hardly changes"):
-        estimate_load(np.array([hung(r) for r in R]), R)
-    with pytest.raises(NotEnoughData):
-        estimate_load(np.zeros((2, 6)), np.array([np.eye(3)] * 2))
 
 
 def test_a_tare_takes_off_what_is_there_and_known_weight_goes_along(rng: np.random.Generator) -> None:

@@ -6,7 +6,7 @@ and an offset that drifts,
 
     w = F_sensor + b + m (g, c × g),        g: gravity in the axes of the sensor, c: centre of mass,
 
-of which b, and m and c where they are not known, are found while nothing touches, or as it is touched at rest: a tare.
+of which b is found at rest, before anything is touched: a tare. m and c are stated; what is not, the tare takes for b.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadCommand, NotEnoughData
-from modcal_core.geometry import so3
+from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 
 DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])  # m/s², in a base that stands upright
-_LEAST_MASS_SPREAD = 0.2  # smallest singular value of unit gravity directions that tells an offset from a weight
 
 
 @dataclass(frozen=True)
@@ -43,31 +41,6 @@ class Load:
         out[:3] += g
         out[3:] += (c[1] * g[2] - c[2] * g[1], c[2] * g[0] - c[0] * g[2], c[0] * g[1] - c[1] * g[0])
         return out
-
-
-def estimate_load(wrenches: ArrayLike, rotations: ArrayLike, down: Array = DOWN) -> Load:
-    """The load, offset included, from wrenches (n, 6) at rest with the sensor turned n ways (n, 3, 3), at least 3.
-
-    Linear least squares: w = b + (m g, m c × g). Raises NotEnoughData where the turns do not tell weight from offset.
-    """
-    w, R = np.asarray(wrenches, dtype=float), np.asarray(rotations, dtype=float)
-    g = np.swapaxes(R, -1, -2) @ down
-    spread = np.linalg.svd((g - g.mean(axis=0)) / np.linalg.norm(down), compute_uv=False) if len(g) > 2 else np.zeros(1)
-    # one more direction of turning is needed to see all of the centre
-    if len(g) < 3 or spread[1] < _LEAST_MASS_SPREAD:
-        raise NotEnoughData(
-            "weight of the tool",
-            f"{len(g)} readings in which gravity hardly changes direction in the tool frame",
-            "hold the tool still in three or more directions, 30° and more apart, about two axes",
-        )
-    n = len(g)
-    A = np.zeros((n, 6, 10))  # m, m c, b
-    A[:, :3, 0] = g
-    A[:, 3:, 1:4] = -so3.hat(g)  # c × g = −g × c
-    A[:, :, 4:] = np.eye(6)
-    found = np.linalg.lstsq(A.reshape(6 * n, 10), w.reshape(-1), rcond=None)[0]
-    mass = float(found[0])
-    return Load(mass, found[1:4] / mass if mass > 1e-3 else np.zeros(3), found[4:])
 
 
 class Tare:

@@ -121,14 +121,6 @@ def _origins_with(assembly: Assembly, library: Library, errors: Mapping[tuple[st
     return np.stack(M)
 
 
-def joint_frames(assembly: Assembly, library: Library) -> Array:
-    """T_1 … T_n, the joints' input frames in the base, joints at zero, and T_{n+1}, the tip, (n + 1, 4, 4) [m]."""
-    T = [np.eye(4)]
-    for M in origins(assembly, library):
-        T.append(T[-1] @ M)
-    return np.stack(T[1:])
-
-
 def twists(frames: Array, revolute: np.ndarray) -> Array:
     """ξ_1 … ξ_n (n, 6) of joints whose axes are z of these frames (n, 4, 4): (p × ω, ω), or (ω, 0) where they slide."""
     w, p = frames[:, :3, 2], frames[:, :3, 3]
