@@ -85,7 +85,7 @@ def errors(model: Model, samples: Samples) -> Errors:
 
 
 def outlying(model: Model, noise: NoiseModel, samples: Samples) -> np.ndarray:
-    """True for samples so far outside this spread that a fit would have rejected them, (N,)."""
+    """True for samples so far outside this noise that a fit would have rejected them, (N,)."""
     return _scores(errors(model, samples), samples, noise, bool(model.instruments)) > REJECT_Z
 
 
@@ -97,7 +97,7 @@ def typical_scatter(samples: Samples) -> tuple[float, float]:
 
 
 def squared_residuals(e: Errors, samples: Samples, noise: NoiseModel, finest: float = 0.0) -> Array:
-    """Squares of each sample's error, (N,), in variances: of this spread, no less than the finest, and of the reading's
+    """Squares of each sample's error, (N,), in variances: of this noise, no less than the finest, and of the reading's
     own scatter.
     """
     known_p = np.nan_to_num(samples.sigma_position)

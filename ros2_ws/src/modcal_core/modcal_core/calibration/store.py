@@ -54,7 +54,7 @@ class Calibration:
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
     depend on. typical: for each effect what it was on average, where a recording may lack its driver.
-    scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the spread; 0
+    scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
     """
 
