@@ -73,7 +73,7 @@ class Groups:
 
 
 def robust_noise(position: Array, rotation: Array, groups: Groups | None = None) -> NoiseModel:
-    """The spread of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
+    """The noise of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
 
     def one(r: Array, dimensions: int = 3) -> float:
         usual = float(np.sqrt(median_chi2(dimensions)))

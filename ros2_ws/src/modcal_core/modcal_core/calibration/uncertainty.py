@@ -47,7 +47,7 @@ def uncertainty(
 ) -> Uncertainty:
     """The uncertainty of these parameters about a model, and of its effects, as these samples leave it.
 
-    fit: of the same samples, whose weights and spread count. It is the inverse of JᵀWJ with the priors added.
+    fit: of the same samples, whose weights and noise count. It is the inverse of JᵀWJ with the priors added.
     """
     P = len(parameters)
     values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
