@@ -11,7 +11,17 @@ from pathlib import Path
 
 CORE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_core" / "modcal_core"
 WHERE = (
-    *("measurements", "calibration", "effects", "diagnosis", "verdict", "online", "articulation"),
+    *(
+        "measurements",
+        "calibration",
+        "plausibility",
+        "regimes",
+        "effects",
+        "diagnosis",
+        "verdict",
+        "online",
+        "articulation",
+    ),
     *("preprocess.py", "recalibrate.py", "evaluation.py"),
 )
 
