@@ -77,7 +77,7 @@ def test_drivers_travel_along() -> None:
         ({"points": P[:5]}, "points"),
         ({"points": P[:, :2]}, r"not \(20, 3\)"),
         ({"poses": np.ones((N, 7))}, "quaternion of row 0"),
-        ({"poses": np.ones((N, 4, 4))}, "no rotation matrix"),
+        ({"poses": np.ones((N, 4, 4))}, "not a rotation matrix"),
         ({"points": P, "names": ["a", "b"]}, "2 names for 3 columns"),
         ({"points": P, "names": ["a", "b", "b"]}, "2 names for 3 columns"),
         ({"points": P, "stamps": np.zeros(N)}, "do not increase at row 1"),

@@ -206,5 +206,5 @@ def test_annealing_climbs_out_of_a_hollow() -> None:
 def test_postures_that_the_drawing_cannot_take_are_refused() -> None:
     wide = Delta.build(["a", "b", "c"], offset=0.5, proximal=0.3, distal=0.7)
     q = np.r_[np.zeros((2, 3)), np.full((3, 3), 1.2)]
-    with pytest.raises(BadRecording, match="2 of 5 cannot be taken"):
+    with pytest.raises(BadRecording, match="2 of 5 cannot be reached"):
         fit_distances(wide, q, Pairs.of_points(np.eye(5, 3)))

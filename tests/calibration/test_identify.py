@@ -95,7 +95,9 @@ def test_a_joint_that_never_moved_is_named() -> None:
 
 def test_too_few_stations_are_refused() -> None:
     made = record(2, 5)
-    with pytest.raises(NotEnoughData, match="5 stations for 30 parameters: they give 30 equations, 38 are the least"):
+    with pytest.raises(
+        NotEnoughData, match="5 stations for 30 parameters: they give 30 equations, at least 38 are needed"
+    ):
         fit_all(ur10(), made.samples)
 
 

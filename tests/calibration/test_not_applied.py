@@ -95,7 +95,7 @@ def test_gravity_stands_in_for_measured_effort(rng: np.random.Generator) -> None
     recorded = replace(samples, reading=T[:, :3, 3], R=T[:, :3, :3], effort=np.full_like(samples.effort, np.nan))
     report = evaluate(calibration, recorded, rng)
     assert report.grounds.not_applied == ()
-    assert any("Gravity stands in" in note for note in report.notes)
+    assert any("Gravity replaces" in note for note in report.notes)
     size = report.size_mm("final")
     assert size is not None
     assert size.rms < 1e-6

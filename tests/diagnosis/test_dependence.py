@@ -83,7 +83,7 @@ def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
     moved = samples_of(CHAIN, made.samples.q, T @ made.world.tool_in_tracker(made.samples.q))
     noise = made.samples.reading - made.exact.reading
     text = said(replace(moved, reading=moved.reading + noise))
-    assert "(it slips), as an error of the base" in text
+    assert "(slip), as an error of the base" in text
 
 
 def test_play_follows_only_beyond_its_width(made: Recorded) -> None:

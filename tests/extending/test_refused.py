@@ -66,14 +66,14 @@ def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
     ("changes", "line"),
     [
         ({"added": "3"}, "entry point bend of modcal.effects: names a int: name a Family"),
-        ({"added": 'Family("drift", candidates)'}, "entry point bend of modcal.effects: family drift is taken"),
+        ({"added": 'Family("drift", candidates)'}, "entry point bend of modcal.effects: family drift is already used"),
         (
             {"added": 'Family("bend", candidates, {"sine": ShapeKind(bent)})'},
-            "entry point bend of modcal.effects: shape sine is taken",
+            "entry point bend of modcal.effects: shape sine is already used",
         ),
         (
             {"added": 'Family("bend", candidates, drivers={"time": bent})'},
-            "entry point bend of modcal.effects: driver time is taken",
+            "entry point bend of modcal.effects: driver time is already used",
         ),
         ({"yields": "other"}, "effect bend: yields one of family other"),
         ({"shape": "crooked"}, "effect bend at elbow_joint: no shape crooked"),
@@ -138,7 +138,10 @@ choose(Track(np.linspace([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], 30)))
     ("change", "line"),
     [
         ("", "articulation model bend of package bend, pose at size = 1: has shape (), not (48, 4, 4)"),
-        ("model.name = 'screw'", "entry point bend of modcal.articulation: kind screw is taken: choose another name"),
+        (
+            "model.name = 'screw'",
+            "entry point bend of modcal.articulation: kind screw is already used: choose another name",
+        ),
         ("model.share = 0.9", "entry point bend of modcal.articulation: its share is 0.9, not between 0 and 0.5"),
         ("model = 3", "entry point bend of modcal.articulation: names a int: name an instance of an ArticulationModel"),
         ("model.upper = 0.0", "entry point bend of modcal.articulation: its configurations lie between 0 and 0"),

@@ -74,7 +74,7 @@ def test_a_known_size_stands_for_a_face_that_no_ray_meets() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda r, d, f: (r, d, ["top", *f[1:]]), "face 'top': is none of a box"),
+        (lambda r, d, f: (r, d, ["top", *f[1:]]), "face 'top': is not a face of a box"),
         (lambda r, d, f: (r, d * np.nan, f), "rays on the box: a length is not positive or not finite"),
         (lambda r, d, f: (2.0 * r, d, f), "rays on the box: a direction does not have length one"),
         (lambda r, d, f: (r[8:], d[8:], f[8:]), "box, axis x: neither of its faces was hit"),

@@ -52,7 +52,7 @@ def test_a_kind_of_a_package_is_known(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"name": "range"}, "its name or topic is taken: choose others"),
+        ({"name": "range"}, "its name or topic is already used: choose others"),
         ({"name": "a" * 33}, "name of 33 letters: use at most 32"),
         ({"made": "3"}, "names a int: name a Kind"),
         ({"message": "std_msgs/msg/Float64"}, "message std_msgs/msg/Float64: use geometry_msgs/msg/PoseStamped"),

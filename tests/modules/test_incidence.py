@@ -98,8 +98,8 @@ def without(key: str) -> dict[str, Any]:
 FAULTS: list[tuple[dict[str, Any], str]] = [
     (without("columns"), "needs columns and rows"),
     ({**AIM, "colour": 1}, "aim: colour: does not belong there"),
-    ({**AIM, "columns": ["JR"] * 6}, "column 6 (JR): is a joint: put a gripper there"),
-    ({**AIM, "columns": ["LC", *["JR"] * 4, "G"]}, "column 1 (LC): is a link: put a joint there"),
+    ({**AIM, "columns": ["JR"] * 6}, "column 6 (JR): is a joint: use a gripper here"),
+    ({**AIM, "columns": ["LC", *["JR"] * 4, "G"]}, "column 1 (LC): is a link: use a joint here"),
     ({**AIM, "columns": ["JR", "JR", "JQ", "JR", "JR", "G"]}, "column 3 'JQ'"),
     ({**AIM, "columns": ["JR", "G"]}, "row B: needs 2 cells"),
     (with_row("LX", *[""] * 6), "row 'LX'"),

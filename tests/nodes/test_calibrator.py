@@ -75,8 +75,8 @@ def test_silence_is_said_by_topic(tmp_path: Path) -> None:
     with running(calibrator), listener(domain) as (node, wait):
         said = Said(node)
         wait(lambda: said.level(HEARING) == 2, 60.0)
-        assert "/joint_states: nobody publishes it" in said.text(HEARING)
-        assert "/robot_description: nobody publishes it" in said.text(HEARING)
+        assert "/joint_states: no node publishes it" in said.text(HEARING)
+        assert "/robot_description: no node publishes it" in said.text(HEARING)
         cell = PlayedCell(node)
         cell.describe(URDF.read_text())
         wait(cell.heard, 60.0)

@@ -106,7 +106,7 @@ def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(cell: Cell) -> None:
     wait(lambda: len(arm.trajectories) > 20, 30.0)
     arm.silent = True
     wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 20.0)
-    assert "nothing of the last 0.1 s" in arm.said()
+    assert "no message in the last 0.1 s" in arm.said()
     Witness(arm).nothing_after(arm.spoke)
     arm.again(wait, Toy(door(), locked=True))
     arm.pull(wait)
@@ -156,7 +156,7 @@ def test_a_calibrated_arm_is_where_the_corrector_says(tmp_path: Path) -> None:
         Witness(arm).look()
         silence, arm.off = arm.now(), None
         wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 60.0)
-        assert "nothing of the last 0.1 s" in arm.said()
+        assert "no message in the last 0.1 s" in arm.said()
         Witness(arm).nothing_after(silence)
         assert process.stop() == 0
 

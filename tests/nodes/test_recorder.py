@@ -212,7 +212,7 @@ def test_what_is_missing_or_cannot_be_recorded_is_said(tmp_path: Path) -> None:
         right.publish(numbered(7))
         wait(lambda: numbers_on_disk(tmp_path / "bag") == [7], 30.0)
         wait(lambda: diagnostics.value(TOPICS, "messages of /joint_states") == "1", 30.0)
-        assert recorder.output.count("/never: nobody publishes it") == 1
+        assert recorder.output.count("/never: no node publishes it") == 1
         assert recorder.stop() == 0
 
 
@@ -261,7 +261,7 @@ def test_simulated_time_that_begins_late_and_jumps_back(tmp_path: Path) -> None:
         joints.publish(numbered(0))
         # written although time has not begun
         wait(lambda: numbers_on_disk(bag) == [0], 30.0)
-        wait(lambda: diagnostics.said(BAG, "nobody publishes /clock"), 30.0)
+        wait(lambda: diagnostics.said(BAG, "no node publishes /clock"), 30.0)
         number = 0
         for second in (100, 101, 50):
             now = Clock()

@@ -28,7 +28,7 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
     ("name", "parameters", "said"),
     [
         ("recorder", {"out": "taken"}, "taken: exists already"),
-        ("simulated_cell", {"urdf": "no_such.urdf"}, "urdf 'no_such.urdf': is no file"),
+        ("simulated_cell", {"urdf": "no_such.urdf"}, "urdf 'no_such.urdf': is not a file"),
         ("simulated_cell", {"measurement": "smell"}, "measurement 'smell'"),
     ],
 )

@@ -26,7 +26,7 @@ def told(standing: Standing | None, verdict: str = "A result.", trouble: str = "
 @pytest.mark.parametrize(
     ("verdict", "level", "words"),
     [
-        (FLOOR, OK, "At the floor: what is left is as small as"),
+        (FLOOR, OK, "At the floor: the residual is as small as"),
         (OPEN, WARN, "Open: 48 of 160 stations were rejected."),
         (CANNOT, WARN, CANNOT.remedy),
         (None, WARN, "no floor is known"),

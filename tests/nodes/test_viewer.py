@@ -193,7 +193,7 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
         wait(lambda: not seen.last["axes"] and not seen.of("uncertainty", "present"), 20.0)
         wait(lambda: said.level(VIEW) == 1 and "positions for 6 names" in said.text(VIEW), 20.0)
         arm.reshape = lambda m: spoiled(m)[:1]
-        wait(lambda: said.level(VIEW) == 1 and "position is no number" in said.text(VIEW), 20.0)
+        wait(lambda: said.level(VIEW) == 1 and "position is not finite" in said.text(VIEW), 20.0)
         arm.reshape = lambda m: [m]
         wait(lambda: seen.of("axes", "calibrated") and seen.of("uncertainty", "present"), 20.0)
 

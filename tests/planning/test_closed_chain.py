@@ -99,7 +99,7 @@ def test_sizes_by_name_and_pattern() -> None:
     sizes = sizes_of(closed, 5e-4, 1e-3, {"point/*": 0.0, "joint_3/a": 2e-3})
     by_name = dict(zip(closed.names, sizes, strict=True))
     assert (by_name["point/y"], by_name["joint_3/a"], by_name["joint_2/a"], by_name["base/rx"]) == (0, 2e-3, 5e-4, 1e-3)
-    with pytest.raises(BadTable, match="names no parameter"):
+    with pytest.raises(BadTable, match="matches no parameter"):
         sizes_of(closed, 5e-4, 1e-3, {"joint_9/a": 1.0})
     with pytest.raises(BadTable, match="at least 0 is needed"):
         sizes_of(closed, -1.0, 1e-3)

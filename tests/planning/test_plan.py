@@ -114,7 +114,7 @@ def test_fixed_parameters_are_not_planned_for() -> None:
         (PlanRequest(stations=70), NotPlannable, "only 60 of the postures tried"),
         (PlanRequest(accuracy=3e-5), NotPlannable, "what the joints do not repeat alone makes"),
         (PlanRequest(accuracy=6.5e-5), NotPlannable, "stations leave"),
-        (PlanRequest(stations=30, fixed=("no_such_joint",)), BadTable, "names no parameter"),
+        (PlanRequest(stations=30, fixed=("no_such_joint",)), BadTable, "matches no parameter"),
     ],
 )
 def test_wishes_that_cannot_be_met(request: PlanRequest, kind: type[Exception], words: str) -> None:

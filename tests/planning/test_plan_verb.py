@@ -75,7 +75,7 @@ def test_the_plan_is_taken_by_sensitivity(site_file: Path, tmp_path: Path, capfd
     assert run(["sensitivity", str(IRB1410), "--measured", str(plan), "--out", str(tmp_path / "s")]) == 0
     told = " ".join(capfd.readouterr().out.split())
     assert "point/x matters" in told
-    assert "these stations do not see it" in told
+    assert "these stations do not observe it" in told
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
     told = " ".join(capfd.readouterr().out.split())
     assert "All 18 translation parameters move the point by their own error, at every pose." in told
     assert "joint_5/d matters" in told
-    assert "these stations do not see it" in told
+    assert "these stations do not observe it" in told
     assert {p.name for p in out.iterdir()} == {
         "sensitivity.json", "sensitivity.md", "single_point.csv", "by_pose.svg", "indices.svg", "gain.svg",
         "report.html",

@@ -71,7 +71,7 @@ def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
     T = se3.transform(clean.R, clean.reading)
     rows = np.random.default_rng(3).random(80) < 0.4
     away = se3.exp([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
-    assert "base (or the tracker) stands elsewhere" in found(placed(clean, away @ T, rows)).what
+    assert "base (or the tracker) is displaced" in found(placed(clean, away @ T, rows)).what
     assert "tool (or the target on it) is displaced" in found(placed(clean, T @ away, rows)).what
 
 

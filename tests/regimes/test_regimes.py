@@ -171,7 +171,7 @@ def test_where_order_goes_with_posture_both_are_named() -> None:
     (step,) = (f for f in report.effects if f.family == "step")
     assert "shoulder_pan_joint axis by position:shoulder_pan_joint" in step.same_as
     assert "either" in step.sentence
-    assert "posture and time cannot be told apart" in step.sentence
+    assert "posture and time cannot be distinguished" in step.sentence
 
 
 @pytest.mark.slow

@@ -207,7 +207,7 @@ def test_ways_between_postures() -> None:
         ({"names": ["a", "b"]}, "three arms"),
         ({"names": ["a", "b", "a"]}, "three arms"),
         ({"proximal": 300.0}, "0.001 to 10 m"),
-        ({"distal": [0.8, np.nan, 0.8]}, "no finite number"),
+        ({"distal": [0.8, np.nan, 0.8]}, "not finite"),
         ({"ratio": [1.0, 0.0, 1.0]}, "moves nothing"),
         ({"azimuth": [0.0, 0.1, 2.0]}, "5.7 degrees apart"),
         ({"lower": [0.0, 0.0, 1.0], "upper": [1.0, 1.0, 1.0]}, "not below its upper"),

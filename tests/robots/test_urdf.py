@@ -174,7 +174,7 @@ BAD = {
     "link 'b': no moving joint": robot(links("b", "c"), joint("j", "b", "c", "fixed")),
     "link 'a': stands 2 times": robot(links("a", "a")),
     "joint 'j': stands 2 times": robot(links("a", "b", "c"), joint("j", "a", "b"), joint("j", "b", "c")),
-    "joint j: names link 'c', which is not there": robot(TWO, joint("j", "a", "c")),
+    "joint j: names link 'c', which does not exist": robot(TWO, joint("j", "a", "c")),
     "link 'b': is the child of joints i and j": robot(links("a", "b"), joint("i", "a", "b"), joint("j", "a", "b")),
     "joint i: closes a loop": robot(links("r", "a", "b"), joint("i", "a", "b"), joint("j", "b", "a")),
     "Required element not set in XML: child": robot(TWO, '<joint name="j" type="revolute"><parent link="a"/></joint>'),

@@ -84,7 +84,7 @@ def compensate(
         x, y, z = desired[:3, 3]
         raise NotReachable(
             f"true pose of the {target} at ({x:.3f}, {y:.3f}, {z:.3f}) m in {frame or chain.base}",
-            f"the best command found is off by {1e3 * position:.3g} mm, {rotation:.3g} rad",
+            f"the best command found misses it by {1e3 * position:.3g} mm, {rotation:.3g} rad",
             "stay away from singular postures and joint limits, or approach from another side",
             position,
             rotation,

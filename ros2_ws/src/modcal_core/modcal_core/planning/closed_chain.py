@@ -155,7 +155,9 @@ def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mappi
     for pattern, size in (tolerances or {}).items():
         hit = [k for k, name in enumerate(closed.names) if fnmatchcase(name, pattern)]
         if not hit:
-            raise BadTable(f"tolerance of '{pattern}'", "names no parameter", f"choose from {', '.join(closed.names)}")
+            raise BadTable(
+                f"tolerance of '{pattern}'", "matches no parameter", f"choose from {', '.join(closed.names)}"
+            )
         out[hit] = size
     bad = np.flatnonzero(~np.isfinite(out) | (out < 0.0))
     if len(bad):
