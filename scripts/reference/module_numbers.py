@@ -11,7 +11,8 @@ from pathlib import Path
 
 CORE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_core" / "modcal_core"
 WHERE = (
-    *("measurements", "calibration", "effects", "diagnosis", "verdict", "online", "articulation"),
+    *("measurements", "plausibility", "calibration", "regimes", "effects", "diagnosis", "verdict"),
+    *("planning", "online", "articulation"),
     *("preprocess.py", "recalibrate.py", "evaluation.py"),
 )
 
