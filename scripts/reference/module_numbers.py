@@ -11,17 +11,8 @@ from pathlib import Path
 
 CORE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_core" / "modcal_core"
 WHERE = (
-    *(
-        "measurements",
-        "calibration",
-        "plausibility",
-        "regimes",
-        "effects",
-        "diagnosis",
-        "verdict",
-        "online",
-        "articulation",
-    ),
+    *("measurements", "plausibility", "calibration", "regimes", "effects", "diagnosis", "verdict"),
+    *("planning", "online", "articulation"),
     *("preprocess.py", "recalibrate.py", "evaluation.py"),
 )
 

@@ -20,7 +20,7 @@ from modcal_core.effects.registry import complexity, family
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
 _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
-_PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its chance taken off (sweep)
+_PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its chance taken off
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MOST_NAMED = 12  # in a sentence
 _MOST_RIVALS = 4  # that are fitted, for time

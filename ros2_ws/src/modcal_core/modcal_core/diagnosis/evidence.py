@@ -35,8 +35,8 @@ from modcal_core.measurements.samples import Samples
 FLIPS = 199  # trials; with the recording itself 200: ranks are steps of half a per cent, beyond them the law speaks
 _LEAST_FREEDOM = 20  # rows beyond what is fitted
 _AT_ONCE = 256  # candidates; what they explain in all trials then stays near the processor
-_FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone (sweep)
-_LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself (sweep)
+_FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
+_LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
 
 Key = tuple[int, object]
 

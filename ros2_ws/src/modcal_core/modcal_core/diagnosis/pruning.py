@@ -24,7 +24,7 @@ from modcal_core.measurements.samples import Samples
 
 LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
 NOTHING = 2.0  # standard deviations within which an amplitude may be nothing: the usual 95 % interval holds 0
-DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone (sweep)
+DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone
 
 
 def needless(

@@ -19,7 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
 DESIGNS = ("l25", "array", "sobol")
-_MOST_RUNS = 20_000
+_MOST_RUNS = 20_000  # for time
 _SAME = 1e-6  # rad
 
 

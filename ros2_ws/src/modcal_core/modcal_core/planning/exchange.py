@@ -20,9 +20,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.criteria import ACCURACY, Criterion
 from modcal_core.planning.rows import StationRows
 
-_SHORTLIST = 24
+_SHORTLIST = 24  # for time: candidates that are tried in full
 _BETTER = 1e-9  # of the criterion, that counts as better
-PASSES = 8
+PASSES = 8  # iterations
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
 from modcal_core.robots.chain import Chain
 
-CANDIDATES = 1500
-_WORKSPACE = 400
+CANDIDATES = 1500  # random postures that stations are chosen from, for time
+_WORKSPACE = 400  # postures that stand for the workspace
 _ROADMAP = 1500  # postures that ways may lead over
 _OFF_LIMITS = 0.02  # rad or m that is kept from the joints' limits
 _PROBED = 2048  # postures by which it is seen where a joint's turn had better end

@@ -20,9 +20,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.returns import with_returns
 
 _STEP = 0.05  # rad or m, of the joint that moves most
-_NEIGHBOURS = 20
+_NEIGHBOURS = 20  # nearest stations that a route is mended with
 _TRIED = 200  # ways over the roadmap before one is given up
-_ROUNDS = 20
+_ROUNDS = 20  # iterations
 
 Free = Callable[[Array], np.ndarray]
 

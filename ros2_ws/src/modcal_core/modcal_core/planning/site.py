@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.table_rows import vector
 
-FORMAT = 1
+FORMAT = 1  # of the file
 BASE = "base"
 
 

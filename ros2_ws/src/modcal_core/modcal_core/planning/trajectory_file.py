@@ -13,7 +13,7 @@ from modcal_core.geometry.so3 import Array
 
 _RISE = 1.5  # peak of a cubic's speed over its mean
 _LEAST_LEAD = 0.5  # s from the start to the first point
-_MOST_POINTS = 100_000
+_MOST_POINTS = 100_000  # of a file, for memory
 _FORM = "give joint_names and points with positions and time_from_start, as modcal plan writes them"
 
 

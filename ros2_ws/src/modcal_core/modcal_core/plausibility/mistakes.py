@@ -21,7 +21,7 @@ from modcal_core.measurements.samples import Samples
 # Sequences of three axes; upper case about moving axes, lower case about fixed ones, as SciPy writes them
 THREE_AXES = tuple(s for w in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") for s in (w, w.lower()))
 TWO_AXES = ("ZYZ", "ZXZ", "zyz", "zxz")
-_SHIFTS = (-3, -2, -1, 1, 2, 3)
+_SHIFTS = (-3, -2, -1, 1, 2, 3)  # stations, by which readings may have slipped against the joints
 
 
 @dataclass(frozen=True)

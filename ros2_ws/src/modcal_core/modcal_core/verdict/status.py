@@ -20,7 +20,7 @@ from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.two_groups import two_groups
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
-MOST_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading (sweep)
+MOST_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading
 MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost: 5 % in RMS
 MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 MOST_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)

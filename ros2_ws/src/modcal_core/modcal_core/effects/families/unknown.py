@@ -19,7 +19,7 @@ NAME = "unknown"
 SMOOTH = 7  # functions in a smooth curve
 DEGREE = 3.0  # of a curve over a signal
 ORDER = 2.0  # turns of two joints together
-STATIONS_PER_FUNCTION = 2.5  # an amplitude of a free shape needs more than two, or it follows single stations (sweep)
+STATIONS_PER_FUNCTION = 2.5  # an amplitude of a free shape needs more than two, or it follows single stations
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
