@@ -92,7 +92,7 @@ def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line:
         ("3", "entry point bend of modcal.topics: names a int: name an AddedTopic"),
         (
             'AddedTopic("/tracker/pose", "std_msgs/msg/String", print)',
-            "topic tracker/pose of modcal.topics: is the con",
+            "topic tracker/pose of modcal.topics: is used by modcal itself",
         ),
     ],
 )

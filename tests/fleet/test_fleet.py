@@ -184,7 +184,10 @@ def test_every_column_is_documented(results: Path) -> None:
     assert set(pq.read_schema(results / "fleet.parquet").names) <= named
 
 
-def test_json_is_quiet_otherwise(recordings: Path, results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_quiet_otherwise(
+    recordings: Path, results: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     assert run(["fleet", str(recordings), "--out", str(results), "--geometry-only", "--json"]) == 2
     said = capsys.readouterr()
     data = json.loads(said.out)
