@@ -2,7 +2,7 @@
 
 Importing NumPy, SciPy, rclpy and a node takes half a second to a second of processor, and the tests start some hundred.
 What is forked runs the executable of the install tree from its first line to the end of its interpreter, in a process of
-its own. Nodes that other nodes start, and those of test_conventions and test_live, begin from nothing, as a user's do.
+its own. Nodes that other nodes start, and those of test_conventions, start from nothing, as those of a user do.
 """
 
 from __future__ import annotations
