@@ -209,7 +209,7 @@ def test_a_command_brings_the_true_pose(target: str, frame: str, rng: np.random.
 def test_what_cannot_be_is_refused(rng: np.random.Generator) -> None:
     correction = Correction(calibration_of(true_model(started("gear"))))
     at = ArmState.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
-    with pytest.raises(NotReachable, match="is off by"):
+    with pytest.raises(NotReachable, match="misses it by"):
         compensate(correction, se3.transform(p=[2.0, 0.0, 0.5]), at.q, at)
     with pytest.raises(BadTable, match="frame 'elsewhere'"):
         compensate(correction, se3.transform(p=[0.5, 0.0, 0.5]), at.q, at, frame="elsewhere")
@@ -228,7 +228,7 @@ def test_both_tolerances_must_be_met(tolerances: tuple[float, float]) -> None:
     at = ArmState.at_rest(np.array([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]), T0)
     desired = correction.pose(at.q + 0.05, at.arriving(at.q + 0.05), "tip", "")
     compensate(correction, desired, at.q, at)
-    with pytest.raises(NotReachable, match="is off by"):
+    with pytest.raises(NotReachable, match="misses it by"):
         compensate(correction, desired, at.q, at, tolerance_m=tolerances[0], tolerance_rad=tolerances[1])
 
 

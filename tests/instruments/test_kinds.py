@@ -114,7 +114,9 @@ def test_what_is_predicted_is_what_is_seen(kind: str) -> None:
 def test_too_few_readings_are_refused(kind: str) -> None:
     least = kinds()[kind].least
     samples = exact(kind, least - 1)
-    with pytest.raises(NotEnoughData, match=rf"frame '{kind}': {least - 1} readings of kind {kind}, at least {least} are"):
+    with pytest.raises(
+        NotEnoughData, match=rf"frame '{kind}': {least - 1} readings of kind {kind}, at least {least} are"
+    ):
         locate(place_model(ur10(), samples.frames), samples)
 
 

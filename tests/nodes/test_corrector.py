@@ -120,7 +120,7 @@ def test_goals_are_commanded_and_hostile_ones_refused(tmp_path: Path) -> None:
         hostile = {
             "looks like millimetres": lambda: arm.wish(far_away),
             "frame 'camera'": lambda: arm.wish(good, "camera"),
-            "is off by": lambda: arm.wish(unreachable),
+            "misses it by": lambda: arm.wish(unreachable),
             "is not finite": lambda: PoseStamped(header=arm.wish(good).header, pose=not_finite),
             "quaternion has length": lambda: PoseStamped(header=arm.wish(good).header, pose=not_unit),
             "s old": lambda: arm.wish(good, stamp=arm.now() - 5.0),

@@ -277,7 +277,7 @@ def test_trajectories_go_by_name() -> None:
         (command((1.0, [0.0] * 6), names=("a", *CHAIN.names[1:])), "this arm has"),
         (command((1.0, [0.0] * 5)), "wrong positions"),
         (command((1.0, [0.0] * 5 + [np.nan])), "wrong positions"),
-        (command((0.0, [0.0] * 6)), "no later"),
+        (command((0.0, [0.0] * 6)), "not later"),
         (command((1.0, [0.0] * 6), (1.0, [0.1] * 6)), "point 1: is not later"),
         (command((1.0, [0.0, 0.0, 4.0, 0.0, 0.0, 0.0])), "outside the joint limits"),
     ],

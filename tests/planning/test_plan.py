@@ -107,7 +107,7 @@ def test_fixed_parameters_are_not_planned_for() -> None:
 
 
 @pytest.mark.parametrize(
-    ("request", "kind", "words"),
+    ("asked", "kind", "words"),
     [
         (PlanRequest(), BadTable, "neither a number of stations nor an accuracy"),
         (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 23"),
@@ -117,6 +117,6 @@ def test_fixed_parameters_are_not_planned_for() -> None:
         (PlanRequest(stations=30, fixed=("no_such_joint",)), BadTable, "matches no parameter"),
     ],
 )
-def test_wishes_that_cannot_be_met(request: PlanRequest, kind: type[Exception], words: str) -> None:
+def test_requests_that_cannot_be_met(asked: PlanRequest, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words):
-        plan(ur10(), hall(), replace(request, candidates=60, starts=1), np.random.default_rng(6))
+        plan(ur10(), hall(), replace(asked, candidates=60, starts=1), np.random.default_rng(6))

@@ -2,7 +2,7 @@
 
 Poses are pooled into a bounded number of nodes, and thought over a little at each (``model_selector``). Trust is earned
 by predicting (``prediction_check``), and lost by a prediction far off or a handle that leaves the path. Then learning
-goes on; when the model cannot be mended in three rounds of thought either, what is held is not what it was, and all
+goes on; when the model cannot be corrected in three rounds of refinement, what is held is not what it was, and all
 begins anew.
 """
 

@@ -20,7 +20,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.returns import with_returns
 
 _STEP = 0.05  # rad or m, of the joint that moves most
-_NEIGHBOURS = 20  # nearest stations that a route is mended with
+_NEIGHBOURS = 20  # nearest stations that a route is improved with
 _TRIED = 200  # ways over the roadmap before one is given up
 _ROUNDS = 20  # iterations
 
