@@ -1,4 +1,4 @@
-"""A model of a package is fitted, weighed as the house's kinds are, and says nothing of what moves otherwise."""
+"""A model of a package is fitted, weighed as the built-in kinds are, and says nothing of what moves otherwise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nothing outside a joint type's own file asks for its name; the house's types are registered as a package's is."""
+"""Nothing outside a joint type's own file asks for its name; the built-in types are registered as a package's is."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Choice:
 
 
 def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
-    """The choice between all joint types, the house's own and those that packages add, for one track.
+    """The choice between all joint types, the built-in ones and those that packages add, for one track.
 
     rng: picks samples for first guesses. Raises BadTable where a package's model is none.
     """

@@ -1,7 +1,7 @@
 """What a family of effects is: all that tells one kind of error from another, as data and functions.
 
 Everything else in modcal treats all effects alike and asks the family of one where they differ; nothing asks for a
-family's name. A family of the house is a file in ``effects/families`` that names it ``FAMILY``; a package's is named by
+family's name. A built-in family is a file in ``effects/families`` that names it ``FAMILY``; a package's is named by
 an entry point (:mod:`sources`). Apart from where they lie the two are the same.
 """
 

@@ -1,4 +1,4 @@
-"""All families there are: the house's and those of installed packages, entered and checked in the same way."""
+"""All families there are: the built-in ones and those of installed packages, entered and checked in the same way."""
 
 from __future__ import annotations
 

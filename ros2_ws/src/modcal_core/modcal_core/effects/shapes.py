@@ -92,7 +92,7 @@ class Shape:
     def basis(self, x: Array) -> Array:
         """Basis functions (b, N) at drivers x (N,), or (c, N) for a kind that follows c drivers.
 
-        Raises BadTable when those of a kind that is not of the house are not that, or not finite.
+        Raises BadTable when those of a kind that is not built in are not that, or not finite.
         """
         kind = self.of_kind
         if self.kind in KINDS:

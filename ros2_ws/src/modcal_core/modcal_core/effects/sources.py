@@ -21,7 +21,7 @@ GROUP = "modcal.effects"
 
 @cache
 def brought() -> tuple[tuple[str, Any], ...]:
-    """(how to call it in a message to people, what it names), the files of the house first.
+    """(how to call it in a message to people, what it names), built-in families first.
 
     Raises BadTable where a package cannot be loaded.
     """

@@ -282,7 +282,7 @@ class _Channels:
         design = np.concatenate(columns, axis=2)
         flat = design.reshape(-1, design.shape[2])
         H = flat.T @ flat
-        # what is not told by the readings stays as drawn
+        # what the readings do not show stays nominal
         solution = np.linalg.solve(H + 1e-6 * np.trace(H) / len(H) * np.eye(len(H)), flat.T @ h.ravel())
         return float(np.median(np.linalg.norm(h - design @ solution, axis=1))), solution
 

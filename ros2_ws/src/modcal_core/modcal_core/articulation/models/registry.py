@@ -1,4 +1,4 @@
-"""All joint types: the house's own, and those that installed packages name by an entry point.
+"""All joint types: the built-in ones, and those that installed packages name by an entry point.
 
     [project.entry-points."modcal.articulation"]
     folding_door = "my_package.folding_door:MODEL"
@@ -52,7 +52,7 @@ def all_models() -> tuple[ArticulationModel, ...]:
 
 
 def log_shares(models: Iterable[ArticulationModel]) -> dict[Kind, float]:
-    """How often each type that moves is met, as a logarithm; the house's own share what packages leave."""
+    """How often each type that moves is met, as a logarithm; the built-in ones share what packages leave."""
     moving = [model for model in models if model.moves]
     rest = math.log1p(-sum(model.share for model in moving if model not in BUILT_IN))
     return {model.name: math.log(model.share) + (rest if model in BUILT_IN else 0.0) for model in moving}

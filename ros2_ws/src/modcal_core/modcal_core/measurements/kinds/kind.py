@@ -1,4 +1,4 @@
-"""What a kind of reading is: everything that the rest of the house asks of it, in one class to derive from.
+"""What a kind of reading is: everything that other packages ask of it, in one class to derive from.
 
 A reading says something of one point that is fixed to the tool, the *target*. What it says is linear in a small motion
 δp of that point: the prediction changes by ``S δp``. For a point reading S is the identity; for a distance it is u uᵀ,

@@ -1,4 +1,4 @@
-"""The kinds of reading there are: those of the house, and those that installed packages add.
+"""The kinds of reading there are: the built-in ones, and those that installed packages add.
 
 A package adds a kind with an entry point of the group ``modcal.measurement_kinds`` that names an instance of
 :class:`~modcal_core.measurements.kinds.kind.Kind`.
