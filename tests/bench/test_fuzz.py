@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "bench" / "fuzz"
-SECONDS = {"mcap": 1.25, "sqlite": 0.4, "metadata": 0.4}
+SECONDS = {"mcap": 7.5}  # the other nine targets: 2.5 each
 LARGEST_MIB = 1024
 
 
@@ -29,10 +29,10 @@ def bench() -> Iterator[dict[str, ModuleType]]:
 
 
 @pytest.mark.slow
-def test_five_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path: Path) -> None:
-    """Five seconds of processor, because a fault that is left is found by numbers alone."""
+def test_thirty_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path: Path) -> None:
+    """Half a minute of processor, because a fault that is left is found by numbers alone."""
     for target in bench["fuzz_targets"].targets(tmp_path):
-        found = bench["run"].fuzz(target, 0, SECONDS.get(target.name, 0.4))
+        found = bench["run"].fuzz(target, 0, SECONDS.get(target.name, 2.5))
         assert not found.faults, (target.name, found.examples)
         assert found.cases > 30
         assert found.refused < found.cases, target.name
