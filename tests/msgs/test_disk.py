@@ -30,7 +30,8 @@ def test_what_is_handed_over_is_in_the_file(tmp_path: Path, rng: np.random.Gener
     file.close()
 
 
-def test_nobody_waits_for_a_disk_that_stands_still(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sync_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is handed over meanwhile is with the system, and so outlives a process that is killed."""
     moves = threading.Event()
     at_work = threading.Event()
 
@@ -41,13 +42,34 @@ def test_nobody_waits_for_a_disk_that_stands_still(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(os, "fdatasync", stands_still)
     file = DiskFile(tmp_path / "file")
     file.write(b"first")
-    assert at_work.wait(30.0)  # the thread now hangs in a sync
+    assert at_work.wait(30.0)
+    for _ in range(1000):
+        file.write(b"more")
+    file.drain()
+    assert (tmp_path / "file").read_bytes() == b"first" + 1000 * b"more"
+    assert (file.waiting, file.on_disk) == (0, 0)
+    moves.set()
+    file.drain(sync=True)
+    assert file.on_disk == 4005
+    file.close()
+
+
+def test_nobody_waits_for_a_disk_that_takes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moves = threading.Event()
+    write = os.write
+
+    def stands_still(handle: int, data: bytes) -> int:
+        moves.wait()
+        return write(handle, data)
+
+    monkeypatch.setattr(os, "write", stands_still)
+    file = DiskFile(tmp_path / "file")
     for _ in range(1000):
         file.write(b"more")
     assert file.waiting == 4000
     moves.set()
     file.drain(sync=True)
-    assert (tmp_path / "file").read_bytes() == b"first" + 1000 * b"more"
+    assert (tmp_path / "file").read_bytes() == 1000 * b"more"
     file.close()
 
 

@@ -1,8 +1,9 @@
 """A file that is written beside the caller, who never waits for the disk.
 
-A busy disk can hold up a write, and more so a sync, for hundreds of milliseconds; a recorder that waited would lose
-what arrives meanwhile. Whatever is handed over goes to the operating system at once, from a thread; once a second the
-system is asked to bring it onto the disk, so that losing power costs little more than losing the process.
+A busy disk can hold up a write for hundreds of milliseconds, and a sync for many seconds; a recorder that waited would
+lose what arrives meanwhile. Whatever is handed over goes to the operating system at once, from a thread, so that it
+outlives this process. From another thread the system is asked once a second to bring it onto the disk, so that losing
+power costs little more than losing the process.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 SYNC_SECONDS = 1.0
@@ -30,11 +31,15 @@ class DiskFile:
         self._given = 0
         self._with_system = 0
         self._on_disk = 0
-        self._sync_wanted = False
-        self._closing = False
+        self._sync_goal = 0  # bytes that somebody waits for to be on the disk
+        self._closing = self._complete = False  # complete: nothing more will be written
         self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._work, name=f"disk {path.name}", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=self._guarded, args=(work,), name=f"{name} {path.name}", daemon=True)
+            for name, work in (("write", self._write_on), ("sync", self._sync_on))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def write(self, data: bytes) -> int:
         """Hand over bytes, which must not change any more; their number."""
@@ -73,7 +78,7 @@ class DiskFile:
         """Return when the system has taken everything; with ``sync``, when it is on the disk."""
         with self._changed:
             goal = self._given
-            self._sync_wanted |= sync
+            self._sync_goal = goal if sync else self._sync_goal
             self._changed.notify_all()
             self._changed.wait_for(
                 lambda: self._error is not None or (self._on_disk if sync else self._with_system) >= goal
@@ -85,32 +90,33 @@ class DiskFile:
         with self._changed:
             self._closing = True
             self._changed.notify_all()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
         self.check()
 
-    def _work(self) -> None:
-        synced = time.monotonic()
+    def _guarded(self, work: Callable[[], None]) -> None:
         try:
-            while True:
-                with self._changed:
-                    self._changed.wait_for(lambda: self._waiting or self._sync_wanted or self._closing, SYNC_SECONDS)
-                    data, self._waiting = self._waiting, []
-                    ending = self._closing and not data
-                for piece in data:
-                    self._write_all(piece)
-                if self._sync_wanted or ending or time.monotonic() - synced >= SYNC_SECONDS:
-                    self._sync()
-                    synced = time.monotonic()
-                if ending:
-                    return
+            work()
         except OSError as error:
             with self._changed:
                 self._error = error
                 self._waiting = []
                 self._changed.notify_all()
+
+    def _write_on(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closing or self._error is not None)
+                data, self._waiting = self._waiting, []
+                if not data:
+                    self._complete = True
+                    self._changed.notify_all()
+                    return
+            for piece in data:
+                self._write_all(piece)
 
     def _write_all(self, data: bytes) -> None:
         rest = memoryview(data)
@@ -121,15 +127,24 @@ class DiskFile:
                 self._with_system += written
                 self._changed.notify_all()
 
-    def _sync(self) -> None:
-        with self._changed:
-            # asked again for what came meanwhile: then once more, after that is written
-            goal, self._sync_wanted = self._with_system, self._sync_wanted and bool(self._waiting)
-        if goal > self._on_disk:
-            os.fdatasync(self._handle)
-        with self._changed:
-            self._on_disk = goal
-            self._changed.notify_all()
+    def _sync_on(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(self._sync_due, SYNC_SECONDS)
+                if self._error is not None:
+                    return
+                goal, complete = self._with_system, self._complete
+            if goal > self._on_disk:
+                os.fdatasync(self._handle)
+            with self._changed:
+                self._on_disk = goal
+                self._changed.notify_all()
+            if complete:
+                return
+
+    def _sync_due(self) -> bool:
+        wanted = self._with_system >= self._sync_goal > self._on_disk
+        return wanted or self._complete or self._error is not None
 
 
 def _sync_folder(folder: Path) -> None:
