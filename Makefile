@@ -41,7 +41,7 @@ demo: build  ## calibrate from an embedded recording; ends with before/after and
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
 # mypy runs beside pytest: it would keep one core busy and the others idle for half a minute.
-test: setup-test build ruff  ## ruff, mypy and pytest; PYTEST_ARGS="tests/house -x" narrows
+test: setup-test build ruff  ## ruff, mypy and pytest; PYTEST_ARGS="tests/structure -x" narrows
 	@$(MAKE) --jobs 2 mypy suite
 
 suite:

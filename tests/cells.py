@@ -8,7 +8,8 @@ import numpy as np
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import KIND_NAMES, Samples
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
 from modcal_nodes.simulation.world import World

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
-from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, to_html
 from modcal_core.report.page import as_script_data

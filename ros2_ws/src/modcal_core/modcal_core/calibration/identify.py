@@ -34,7 +34,8 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import dimensions, kinds
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 
 MAX_ITERATIONS = 60  # a fit that needs more says that it did not converge

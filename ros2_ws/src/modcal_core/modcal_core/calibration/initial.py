@@ -28,7 +28,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import forward
 

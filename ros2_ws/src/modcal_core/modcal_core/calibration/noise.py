@@ -16,7 +16,8 @@ import numpy as np
 
 from modcal_core.calibration.distributions import median_chi2
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import indirect_rows, kinds
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
 
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160

@@ -7,19 +7,27 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.typical import outside_drivers
+from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import KIND_NAMES, Samples
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import Mechanism
 
 
-def predict(calibration: Calibration, q: ArrayLike | Samples, frame: str | None = None) -> Array:
-    """Poses of the tool; see :meth:`modcal_core.calibration.store.Calibration.predict`."""
-    model = calibration.calibrated
-    samples = q.of_joints(model.chain.names) if isinstance(q, Samples) else _standing(calibration, q)
+def predict(
+    model: Model, nominal: Mechanism, limits: DriverLimits, q: ArrayLike | Samples, frame: str | None = None
+) -> Array:
+    """Poses of the tool (N, 4, 4) [m] by a calibrated model; the rest as of
+    :meth:`modcal_core.calibration.store.Calibration.predict`.
+
+    nominal: what loads are computed from where the model has no arm of its own. limits: where its drivers stop.
+    """
+    samples = q.of_joints(model.chain.names) if isinstance(q, Samples) else _standing(model, q)
     names = samples.frames if frame is None and isinstance(q, Samples) else (frame or model.frames[0],)
     unknown = [name for name in names if name not in model.frames]
     if unknown:
@@ -30,14 +38,14 @@ def predict(calibration: Calibration, q: ArrayLike | Samples, frame: str | None 
         index[samples.frame] if len(names) == len(samples.frames) and frame is None else np.full(len(samples), index[0])
     )
     samples = replace(samples, frames=model.frames, frame=at)
-    _require_drivers(calibration, samples)
-    arm = replace(model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
+    _require_drivers(model, samples)
+    arm = replace(model.arm or NominalArm(nominal), limits=limits)
     return replace(model, arm=arm).predict_samples(samples)
 
 
-def _standing(calibration: Calibration, q: ArrayLike) -> Samples:
+def _standing(model: Model, q: ArrayLike) -> Samples:
     """Postures of an arm that stands still, of which nothing else is known."""
-    chain = calibration.calibrated.chain
+    chain = model.chain
     postures = np.array(q, dtype=float)
     if postures.ndim != 2 or postures.shape[1] != chain.n or not np.isfinite(postures).all():
         said = f"has shape {postures.shape}, or is not finite; (N, {chain.n}) is read"
@@ -45,7 +53,7 @@ def _standing(calibration: Calibration, q: ArrayLike) -> Samples:
     N, unknown = len(postures), np.full(len(postures), np.nan)
     return Samples(
         names=chain.names,
-        frames=calibration.frames[:1],
+        frames=model.frames[:1],
         q=postures,
         stamps=unknown,
         station=np.arange(N),
@@ -60,9 +68,9 @@ def _standing(calibration: Calibration, q: ArrayLike) -> Samples:
     )
 
 
-def _require_drivers(calibration: Calibration, samples: Samples) -> None:
+def _require_drivers(model: Model, samples: Samples) -> None:
     """Raises MissingDriver unless all that the effects depend on is known at every sample."""
-    for effect in calibration.calibrated.effects:
+    for effect in model.effects:
         for part in outside_drivers(effect):
             kind, _, of = part.partition(":")
             known = {

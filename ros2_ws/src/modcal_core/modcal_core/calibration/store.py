@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,31 +12,36 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.predict import predict
+from modcal_core.calibration.store_parts import (
+    arm_to_data,
+    effect_from_data,
+    effect_to_data,
+    floats,
+    inertias_from_data,
+    model_from_data,
+    model_to_data,
+    typical_from_data,
+    typical_to_data,
+    uncertainty_from_data,
+    uncertainty_to_data,
+)
 from modcal_core.calibration.store_schema import SCHEMA
 from modcal_core.calibration.typical import TypicalDriver
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.registry import require_known
-from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
-from modcal_core.geometry import se3
 from modcal_core.geometry.read_only import sealed
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.schema import require, shown, told
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+from modcal_core.measurements.schema import require, told
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
 
 FORMAT = 1  # of the file
 _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibration was not made from readings
@@ -96,9 +101,7 @@ class Calibration:
         more: temperatures, efforts, times, and the frame. frame: one of ``frames``; None: the first. Raises
         MissingDriver where an effect depends on what is not given, and BadTable for an unknown frame.
         """
-        from modcal_core.calibration.predict import predict
-
-        return predict(self, q, frame)
+        return predict(self.calibrated, self.nominal.chain, self.driver_limits, q, frame)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -176,9 +179,9 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
     return {
         "modcal_calibration": FORMAT,
         "robot": calibration.robot,
-        "nominal": _model_to_data(calibration.nominal),
-        "calibrated": _model_to_data(calibration.calibrated),
-        "geometric": _model_to_data(calibration.geometric),
+        "nominal": model_to_data(calibration.nominal),
+        "calibrated": model_to_data(calibration.calibrated),
+        "geometric": model_to_data(calibration.geometric),
         "seen": {
             name: [float(low), float(high)]
             for name, low, high in zip(calibration.nominal.chain.names, *calibration.seen, strict=True)
@@ -189,25 +192,25 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         ],
         "effects": [
             {
-                **_effect_to_data(effect),
-                "rivals": [_effect_to_data(r) for r in calibration.rivals_of(i)],
-                **_typical_to_data(calibration.typical_of(i)),
+                **effect_to_data(effect),
+                "rivals": [effect_to_data(r) for r in calibration.rivals_of(i)],
+                **typical_to_data(calibration.typical_of(i)),
             }
             for i, effect in enumerate(calibration.calibrated.effects)
         ],
         "recorded": {
             "kind": calibration.kind,
             "spread": [calibration.noise.position, calibration.noise.rotation],
-            "scatter": _floats(np.array(calibration.scatter)),
+            "scatter": floats(np.array(calibration.scatter)),
             "converged": calibration.converged,
             **({"spread_of": dict(calibration.noise.others)} if calibration.noise.others else {}),
-            "postures": [_floats(q) for q in calibration.postures],
-            **({"stamps": _floats(np.array(calibration.watched))} if calibration.watched else {}),
+            "postures": [floats(q) for q in calibration.postures],
+            **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
-        **({"uncertainty": _uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
-        "arm": _arm_to_data(calibration.calibrated.arm),
+        **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
+        "arm": arm_to_data(calibration.calibrated.arm),
     }
 
 
@@ -219,26 +222,26 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
     require(data, SCHEMA, source, "remove it, or calibrate again")
     try:
-        nominal, calibrated = _model_from_data(data["nominal"]), _model_from_data(data["calibrated"])
-        arm = NominalArm(nominal.chain, _inertias_from_data(data.get("arm")))
-        effects = tuple(_effect_from_data(e) for e in data["effects"])
+        nominal, calibrated = model_from_data(data["nominal"]), model_from_data(data["calibrated"])
+        arm = NominalArm(nominal.chain, inertias_from_data(data.get("arm")))
+        effects = tuple(effect_from_data(e) for e in data["effects"])
         nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
-        geometric = replace(_model_from_data(data["geometric"]), arm=arm)
+        geometric = replace(model_from_data(data["geometric"]), arm=arm)
         seen = np.array([data["seen"][name] for name in nominal.chain.names], dtype=float).T
         recorded = data["recorded"]
-        rivals = tuple(tuple(_effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
+        rivals = tuple(tuple(effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
         postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
         others = {str(kind): float(x) for kind, x in recorded.get("spread_of", {}).items()}
         noise = NoiseModel(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
         parameters = tuple(
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
-        known = _uncertainty_from_data(data.get("uncertainty"), calibrated)
+        known = uncertainty_from_data(data.get("uncertainty"), calibrated)
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
         clock = bool(recorded.get("clock", True))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
-        typical = tuple(_typical_from_data(e.get("usual")) for e in data["effects"])
+        typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
         kind = str(recorded["kind"])
         _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
@@ -274,193 +277,3 @@ def _require_consistent(
         raise ValueError("a parameter is not finite")
     if kind not in (*kinds(), "same_point", "mixed"):
         raise ValueError(f"readings of kind {kind[:40]} are not known")
-
-
-def _effect_to_data(effect: Effect) -> dict[str, Any]:
-    return {
-        "family": effect.family,
-        "place": effect.place,
-        "direction": effect.direction,
-        "driver": effect.driver,
-        "shape": {"kind": effect.shape.kind, **{k: float(v) for k, v in effect.shape.settings.items()}},
-        "values": _floats(effect.values),
-        "std": _floats(effect.std),
-    }
-
-
-def _effect_from_data(data: Mapping[str, Any]) -> Effect:
-    shape = dict(data["shape"])
-    effect = Effect(
-        str(data["family"]),
-        str(data["place"]),
-        str(data["direction"]),
-        str(data["driver"]),
-        Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
-        _vector(data["values"]),
-        np.array(data["std"], dtype=float).reshape(-1),
-    )
-    require_known(effect)
-    missing = [name for name in effect.refined if name not in effect.shape.settings]
-    if missing or len(effect.values) <= len(effect.refined) or len(effect.std) != len(effect.values):
-        raise ValueError(f"effect {effect.family[:40]} has {len(effect.values)} values, or lacks {', '.join(missing)}")
-    return effect
-
-
-def _vector(values: Any) -> Array:
-    """Finite numbers (m,). Raises ValueError for others."""
-    out = np.array(values, dtype=float)
-    if out.ndim != 1 or not np.isfinite(out).all():
-        raise ValueError(f"{shown(values)} is not a list of finite numbers")
-    return out
-
-
-def _typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
-    return {} if typical is None else {"usual": {"mean": _floats(typical.mean), "cost_m2": float(typical.cost)}}
-
-
-def _typical_from_data(data: Any) -> TypicalDriver | None:
-    return None if data is None else TypicalDriver(_vector(data["mean"]), float(data["cost_m2"]))
-
-
-def _uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
-    """The parameters, and the rows of the covariance up to the diagonal."""
-    return {
-        "parameters": [
-            {
-                **{"name": p.name, "place": p.place, "direction": p.direction, "frame": p.frame},
-                "prior": float(p.prior_std),
-                **({"instrument": p.instrument, "unit": p.own_unit} if p.instrument >= 0 else {}),
-            }
-            for p in known.parameters
-        ],
-        "covariance": [_floats(row[: i + 1]) for i, row in enumerate(known.covariance)],
-    }
-
-
-def _uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
-    if data is None:
-        return None
-    parameters = tuple(
-        Parameter(
-            *(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"])),
-            *(int(p.get("instrument", -1)), str(p.get("unit", ""))),
-        )
-        for p in data["parameters"]
-    )
-    rows = data["covariance"]
-    K = len(parameters) + sum(len(e.values) for e in model.effects)
-    if [len(row) for row in rows] != list(range(1, K + 1)):
-        raise ValueError(f"a covariance of {K} values has {K} rows of 1 to {K} numbers")
-    lower = np.zeros((K, K))
-    for i, row in enumerate(rows):
-        lower[i, : i + 1] = row
-    covariance = lower + np.tril(lower, -1).T
-    if not np.isfinite(covariance).all() or (np.diag(covariance) < 0.0).any():
-        raise ValueError("a covariance has finite numbers and no negative variance")
-    return Uncertainty(parameters, covariance)
-
-
-def _arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
-    """The bodies of the nominal arm, which loads are computed from."""
-    if arm is None or arm.inertias is None:
-        return None
-    return {"mass": _floats(arm.inertias.mass), "com": [_floats(c) for c in arm.inertias.com]}
-
-
-def _inertias_from_data(data: Any) -> Inertias | None:
-    if data is None:
-        return None
-    mass, com = np.array(data["mass"], dtype=float), np.array(data["com"], dtype=float)
-    return Inertias(mass, com, np.zeros((len(mass), 3, 3)))
-
-
-def _model_to_data(model: Model) -> dict[str, Any]:
-    chain = model.chain
-    cell = {
-        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
-        "tool": _matrix(model.T_tip_tool),
-        **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
-        **({"leaders": list(model.leaders)} if model.leaders else {}),
-    }
-    if isinstance(chain, Delta):
-        return {"delta": delta_to_data(chain), **cell}
-    chain = model.serial
-    return {
-        "base": chain.base,
-        "tip": chain.tip,
-        "joints": [
-            {
-                "name": name,
-                "type": "revolute" if chain.revolute[k] else "prismatic",
-                "origin": _matrix(chain.origins[k]),
-                "axis": _floats(chain.axes[k]),
-                "limits": [float(chain.lower[k]), float(chain.upper[k])],
-            }
-            for k, name in enumerate(chain.names)
-        ],
-        "tip_origin": _matrix(chain.origins[-1]),
-        **cell,
-    }
-
-
-def _instrument_to_data(instrument: Instrument) -> dict[str, Any]:
-    return {
-        "frame": instrument.frame,
-        "kind": instrument.kind,
-        "constants": _floats(instrument.values),
-        "target": None if instrument.target is None else _floats(instrument.target),
-    }
-
-
-def _instrument_from_data(data: Mapping[str, Any], frames: Sequence[str]) -> Instrument:
-    kind = kinds().get(str(data["kind"]))
-    values = np.array(data["constants"], dtype=float)
-    target = None if data["target"] is None else np.array(data["target"], dtype=float)
-    if kind is None or data["frame"] not in frames or values.shape != kind.start().shape:
-        raise ValueError(f"no instrument of kind {data['kind']} in frame {data['frame']} with {values.size} constants")
-    return Instrument(str(data["frame"]), kind.name, values, target)
-
-
-def _model_from_data(data: Mapping[str, Any]) -> Model:
-    frames = tuple(str(name) for name in data["frames"])
-    chain = _chain_from_data(data)
-    return Model(
-        chain,
-        frames,
-        np.stack([_transform(T) for T in data["frames"].values()]),
-        _transform(data["tool"]),
-        instruments=tuple(_instrument_from_data(i, frames) for i in data.get("instruments", ())),
-        leaders=tuple(int(f) for f in data.get("leaders", ())),
-    )
-
-
-def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
-    if "delta" in data:
-        return delta_from_data(data["delta"], "calibration: delta")
-    joints: Sequence[Mapping[str, Any]] = data["joints"]
-    return Chain.build(
-        [str(j["name"]) for j in joints],
-        [_transform(j["origin"]) for j in joints] + [_transform(data["tip_origin"])],
-        [j["axis"] for j in joints],
-        [j["type"] == "revolute" for j in joints],
-        [j["limits"][0] for j in joints],
-        [j["limits"][1] for j in joints],
-        str(data["base"]),
-        str(data["tip"]),
-    )
-
-
-def _matrix(T: Array) -> list[list[float]]:
-    """The upper three rows of a transform."""
-    return [[float(x) for x in row] for row in np.asarray(T)[:3]]
-
-
-def _floats(a: Array) -> list[float]:
-    return [float(x) for x in a]
-
-
-def _transform(rows: Any) -> Array:
-    M = np.array(rows, dtype=float)
-    if M.shape != (3, 4) or not np.isfinite(M).all():
-        raise ValueError(f"expected 3 rows of 4 numbers, got shape {M.shape}")
-    return se3.transform(M[:, :3], M[:, 3])

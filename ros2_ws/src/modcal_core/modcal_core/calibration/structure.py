@@ -20,10 +20,10 @@ from modcal_core.calibration.parameters import (
 )
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import PLANE, scene_in
+from modcal_core.measurements.kinds.kind import KIND_NAMES, PLANE, scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import KIND_NAMES, Samples
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm

@@ -1,9 +1,8 @@
-"""Samples from plain arrays: the same checks, the same dwells and the same directions of approach as of a recording."""
+"""Tracks of a recording from plain arrays, checked, with the row in every refusal."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,39 +10,16 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.origin import Origin
-from modcal_core.measurements.recording import (
-    ORDER_ONLY,
-    POINT,
-    POSE,
-    RANGE,
-    JointTrack,
-    ReadingTrack,
-    Recording,
-    SignalTrack,
-)
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.recording import POINT, POSE, RANGE, JointTrack, ReadingTrack, SignalTrack
 
 APART = 10.0  # s between rows without stamps: far more than a window of dwells, so that each is a station
 _UNIT = 0.02  # by which the length of a quaternion may be off 1
 
 
-def samples_from_arrays(
-    q: ArrayLike,
-    points: ArrayLike | None = None,
-    poses: ArrayLike | None = None,
-    ranges: Mapping[str, ArrayLike] | None = None,
-    names: Sequence[str] | None = None,
-    stamps: ArrayLike | None = None,
-    sigma: ArrayLike | None = None,
-    sigma_rad: ArrayLike | None = None,
-    temperatures: Mapping[str, ArrayLike] | None = None,
-    signals: Mapping[str, ArrayLike] | None = None,
-    efforts: ArrayLike | None = None,
-    frame: str = "tracker",
-) -> Samples:
-    """Samples of N postures; see :meth:`modcal_core.measurements.samples.Samples.from_arrays`."""
+def joints_of(
+    q: ArrayLike, names: Sequence[str] | None, stamps: ArrayLike | None, efforts: ArrayLike | None
+) -> JointTrack:
+    """Joint states: one row a posture, APART seconds apart where no stamps are given. Raises BadRecording."""
     positions = _numbers("q", q, 2)
     N, n = positions.shape
     if N == 0:
@@ -59,45 +35,13 @@ def samples_from_arrays(
     effort = unknown if efforts is None else _numbers("efforts", efforts, 2, N)
     if effort.shape != (N, n):
         raise BadRecording("efforts", f"have shape {effort.shape}, not {(N, n)}", "give one number a joint")
-    recording = Recording(
-        joints=(JointTrack(columns, t, positions, unknown, effort, np.full(N, np.nan)),),
-        readings=tuple(_readings(points, poses, ranges, t, frame)),
-        signals=(*_signals("temperature", temperatures, t), *_signals("signal", signals, t)),
-        source="arrays",
-        warnings=(ORDER_ONLY,) if stamps is None else (),
-    )
-    if not any(len(track.stamps) for track in recording.readings):
-        raise BadRecording("arrays", "hold no reading that is finite", "give what the instrument saw")
-    samples = cut_stations(recording, columns)
-    began = None if stamps is None else float(t[0])
-    instrument = "; ".join(dict.fromkeys(f"{track.kind} in {track.frame}" for track in recording.readings))
-    return replace(
-        samples,
-        names=columns if names is not None else (),
-        sigma_position=_sigma("sigma", sigma, samples, t, samples.sigma_position),
-        sigma_rotation=_sigma("sigma_rad", sigma_rad, samples, t, samples.sigma_rotation),
-        origin=Origin("arrays", began=began, instrument=instrument, checked=False),
-    )
+    return JointTrack(columns, t, positions, unknown, effort, np.full(N, np.nan))
 
 
-def as_recording(samples: Samples, names: tuple[str, ...]) -> Recording:
-    """Joint states and readings of samples of these joints, in the form that checks ask for."""
-    unknown = np.full(len(samples), np.nan)
-    joints = JointTrack(names, samples.stamps, samples.q, samples.velocity, samples.effort, unknown)
-    readings = []
-    for f, frame in enumerate(samples.frames):
-        for kind in samples.kinds:
-            rows = (samples.frame == f) & (samples.kind == kind)
-            T = se3.transform(samples.R[rows], samples.reading[rows])
-            values = se3.to_pose(T) if kind == POSE else samples.reading[rows]
-            readings.append(ReadingTrack(kind, frame, samples.stamps[rows], values, unknown[rows], "readings"))
-    return Recording((joints,), tuple(readings), samples.signals, source="arrays")
-
-
-def _readings(
+def readings_of(
     points: ArrayLike | None, poses: ArrayLike | None, ranges: Mapping[str, ArrayLike] | None, t: Array, frame: str
 ) -> list[ReadingTrack]:
-    """The readings, rows of which that are not finite are left out."""
+    """The readings at these stamps; rows that are not finite are left out. Raises BadRecording unless some are left."""
     given = [name for name, x in (("points", points), ("poses", poses), ("ranges", ranges)) if x is not None]
     if len(given) != 1:
         said = "none of points, poses and ranges is given" if not given else f"{' and '.join(given)} are given"
@@ -117,6 +61,8 @@ def _readings(
     for kind, name, values in tracks:
         good = np.isfinite(values).all(axis=1)
         out.append(ReadingTrack(kind, name, t[good], values[good], np.full(int(good.sum()), np.nan), "arrays"))
+    if not any(len(track.stamps) for track in out):
+        raise BadRecording("arrays", "hold no reading that is finite", "give what the instrument saw")
     return out
 
 
@@ -144,24 +90,25 @@ def _poses(poses: ArrayLike, N: int) -> Array:
     return values
 
 
-def _signals(kind: str, given: Mapping[str, ArrayLike] | None, t: Array) -> list[SignalTrack]:
+def signals_of(kind: str, given: Mapping[str, ArrayLike] | None, t: Array) -> list[SignalTrack]:
+    """Temperatures or signals at these stamps, by name. Raises BadRecording."""
     return [
         SignalTrack(f"{kind}:{name}", t, _numbers(f"{kind} {name}", values, 1, len(t))[:, None], kind)
         for name, values in (given or {}).items()
     ]
 
 
-def _sigma(name: str, given: ArrayLike | None, samples: Samples, t: Array, found: Array) -> Array:
-    """Standard deviations (N,) of the samples: as given, one for all or one a row, or as found."""
+def sigma_of(name: str, given: ArrayLike | None, stamps: Array, t: Array, found: Array) -> Array:
+    """Standard deviations of samples with these stamps, (N,): as given, one for all or one for each t, or as found."""
     if given is None:
         return found
     values = np.asarray(given, dtype=float)
     if not (np.isfinite(values).all() and (values > 0.0).all() and values.shape in ((), t.shape)):
         raise BadRecording(name, "is neither one positive number nor one for each row", "give standard deviations")
     if values.shape == ():
-        return np.full(len(samples), float(values))
-    rows = np.searchsorted(t, samples.stamps)
-    if not np.array_equal(t[np.minimum(rows, len(t) - 1)], samples.stamps):
+        return np.full(len(stamps), float(values))
+    rows = np.searchsorted(t, stamps)
+    if not np.array_equal(t[np.minimum(rows, len(t) - 1)], stamps):
         raise BadRecording(name, "is given by row, but rows were averaged over dwells", "give one number")
     return values[rows]
 

@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.read_only import view
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.arrays import joints_of, readings_of, sigma_of, signals_of
 from modcal_core.measurements.origin import Origin
-from modcal_core.measurements.recording import POINT, POSE, SignalTrack
+from modcal_core.measurements.pairing import paired_columns
+from modcal_core.measurements.recording import ORDER_ONLY, POINT, POSE, Recording, SignalTrack
 
 SHARED = (
     "names",
@@ -24,7 +26,6 @@ SHARED = (
     "clock",
     "origin",
 )  # fields of Samples that have no row for each sample
-KIND_NAMES = np.dtype("U32")  # of Samples.kind; a kind with a longer name is refused
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,26 @@ class Samples:
 
         Raises BadRecording for arrays that do not fit together, with the row, and NotEnoughData for empty ones.
         """
-        from modcal_core.measurements.arrays import samples_from_arrays
-
-        return samples_from_arrays(
-            q, points, poses, ranges, names, stamps, sigma, sigma_rad, temperatures, signals, efforts, frame
+        track = joints_of(q, names, stamps, efforts)
+        t = track.stamps
+        readings = readings_of(points, poses, ranges, t, frame)
+        recording = Recording(
+            joints=(track,),
+            readings=tuple(readings),
+            signals=(*signals_of("temperature", temperatures, t), *signals_of("signal", signals, t)),
+            source="arrays",
+            warnings=(ORDER_ONLY,) if stamps is None else (),
+        )
+        samples = cls(**paired_columns(recording, track.names))
+        instrument = "; ".join(dict.fromkeys(f"{reading.kind} in {reading.frame}" for reading in readings))
+        return replace(
+            samples,
+            names=() if names is None else track.names,
+            sigma_position=sigma_of("sigma", sigma, samples.stamps, t, samples.sigma_position),
+            sigma_rotation=sigma_of("sigma_rad", sigma_rad, samples.stamps, t, samples.sigma_rotation),
+            origin=Origin(
+                "arrays", began=None if stamps is None else float(t[0]), instrument=instrument, checked=False
+            ),
         )
 
     def of_joints(self, names: tuple[str, ...]) -> Samples:

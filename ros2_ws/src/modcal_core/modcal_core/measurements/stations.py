@@ -1,55 +1,14 @@
-"""Stations: the moments at which posture and reading are known together.
-
-Three kinds of recording are told apart. Where every reading carries the stamp of a joint state, someone paired them
-already: each pair is a station. Otherwise the arm is looked for standing still (a *dwell*): positions and readings are
-averaged there, and the scatter about the mean says how uncertain the mean is. A recording without dwells is a motion,
-and each reading becomes a sample with the posture interpolated to its stamp.
-"""
+"""Samples of a recording, and the recording that samples would be."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from modcal_core.errors import BadRecording
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells, inliers
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import (
-    POSE,
-    ReadingTrack,
-    Recording,
-    joint_stamps_and,
-    joint_stamps_and_positions,
-)
-from modcal_core.measurements.samples import KIND_NAMES, Samples
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
-
-@dataclass(frozen=True)
-class TrackSamples:
-    """Samples of one reading track, before they are put together."""
-
-    q: Array
-    stamps: Array
-    reading: Array
-    R: Array
-    sigma_position: Array
-    sigma_rotation: Array
-    velocity: Array
-    acceleration: Array
-    moving: bool
-
-
-_LEAST_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
-_PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
-_ALIKE = 0.01  # s within which offsets are one: the jitter of a driver's loop at 100 Hz
+from modcal_core.geometry import se3
+from modcal_core.measurements.dwells import StationRules
+from modcal_core.measurements.pairing import paired_columns
+from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.samples import Samples
 
 
 def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
@@ -58,197 +17,18 @@ def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRul
     Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in
     common.
     """
-    rules = rules or StationRules()
-    tracks = [r for r in recording.readings if r.kind in kinds() and len(r.stamps)]
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
-    velocity = joint_stamps_and(recording, names, "velocity")[1][order]
-    dwells = find_dwells(t, q, rules)
-    pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
-    if not sum(len(p.q) for p in pieces):
-        raise BadRecording(
-            "joint states and readings",
-            _why_nothing(tracks, t, dwells),
-            "record both at once on synchronised clocks, holding each posture for a second",
-        )
-    frames = tuple(dict.fromkeys(track.frame for track in tracks))
-    stamps = np.concatenate([p.stamps for p in pieces])
-    samples = Samples(
-        names=names,
-        frames=frames,
-        q=np.concatenate([p.q for p in pieces]),
-        stamps=stamps,
-        station=_number(stamps),
-        frame=np.repeat([frames.index(track.frame) for track in tracks], [len(p.q) for p in pieces]),
-        kind=np.repeat(np.array([track.kind for track in tracks], dtype=KIND_NAMES), [len(p.q) for p in pieces]),
-        reading=np.concatenate([p.reading for p in pieces]),
-        R=np.concatenate([p.R for p in pieces]),
-        sigma_position=np.concatenate([p.sigma_position for p in pieces]),
-        sigma_rotation=np.concatenate([p.sigma_rotation for p in pieces]),
-        velocity=np.concatenate([p.velocity for p in pieces]),
-        moving=np.repeat([p.moving for p in pieces], [len(p.q) for p in pieces]),
-        acceleration=np.concatenate([p.acceleration for p in pieces]),
-        signals=recording.signals,
-        sockets=recording.sockets,
-        clock=recording.has_clock,
-    )
-    effort = joint_stamps_and(recording, names, "effort")[1][order]
-    return replace(samples, approach=_approach(samples, t, q), effort=_held(samples, t, effort, rules))
+    return Samples(**paired_columns(recording, names, rules))
 
 
-def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> TrackSamples:
-    pairs = _paired(track.stamps, t)
-    gaps = np.diff(np.sort(track.stamps))
-    sparse = not len(gaps) or float(np.median(gaps)) > rules.window
-    # one topic may have been heard for longer than the other; what counts is the time that both cover
-    shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
-    if len(pairs) and len(pairs) >= _PAIRED * shared and (sparse or len(dwells) < _LEAST_DWELLS):
-        rows = pairs[:, 1]
-        if sparse:
-            # a course between stations far apart is not known; what the joints said of their speed is
-            return _as_is(track, pairs[:, 0], q[rows], velocity[rows], np.zeros_like(q[rows]), False)
-        course, at = _course(t, q), t[rows] - t[0]
-        return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
-    if len(dwells) >= _LEAST_DWELLS:
-        return averaged(track, t, q, dwells)
-    return _interpolated(track, t, q, rules)
-
-
-def _paired(readings: Array, t: Array) -> np.ndarray:
-    """(reading, joint state) rows with exactly the same stamp, (k, 2)."""
-    _, i, j = np.intersect1d(readings, t, return_indices=True)
-    return np.stack([i, j], axis=1)
-
-
-def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
-    values = track.values[rows]
-    if track.kind == POSE:
-        return values[:, :3], so3.from_quaternion(values[:, 3:])
-    if values.shape[1] < 3:
-        values = np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
-    return values, np.tile(np.eye(3), (len(values), 1, 1))
-
-
-def _as_is(
-    track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, acceleration: Array, moving: bool
-) -> TrackSamples:
-    position, R = _values(track, rows)
-    unknown = np.full(len(rows), np.nan)
-    return TrackSamples(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
-
-
-def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
-    none = np.empty((0, joints))
-    return _as_is(track, np.empty(0, int), none, none, none, moving=False)
-
-
-def _course(t: Array, q: Array) -> CubicSpline:
-    """Joint positions as a smooth function of the time since the first stamp; later repeats of a stamp are left out.
-
-    Seconds since the epoch would lose digits in the powers of a spline.
-    """
-    from scipy.interpolate import CubicSpline  # takes half a second, and only moving recordings need it
-
-    keep = np.r_[True, np.diff(t) > 0.0]
-    return CubicSpline(t[keep] - t[0], q[keep])
-
-
-def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> TrackSamples:
-    """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
-    if len(np.unique(t)) < 4:
-        return _nothing(track, q.shape[1])
-    after = np.searchsorted(t, track.stamps)
-    rows = np.flatnonzero((after > 0) & (after < len(t)))
-    rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), rules.most)).astype(int)]
-    course, at = _course(t, q), track.stamps[rows] - t[0]
-    return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
-
-
-def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSamples:
-    """One sample a dwell: means on the manifold, and the standard deviations of those means."""
-    order = np.argsort(track.stamps, kind="stable")
-    stamps = track.stamps[order]
-    out: list[tuple[Array, float, Array, Array, float, float]] = []
-    for start, end in dwells:
-        rows = order[slice(*np.searchsorted(stamps, (start, end)))]
-        joint_rows = slice(*np.searchsorted(t, (start, end)))
-        if len(rows) == 0 or joint_rows.start == joint_rows.stop:
-            continue
-        position, R = _values(track, rows)
-        keep = inliers(position)
-        position, R = position[keep], R[keep]
-        R_mean = so3.mean(R)
-        p_mean = position.mean(axis=0)
-        turned = so3.log(np.swapaxes(R_mean[None], 1, 2) @ R)
-        out.append(
-            (
-                q[joint_rows].mean(axis=0),
-                0.5 * (start + end),
-                p_mean,
-                R_mean,
-                deviation_of_mean(position - p_mean, min(3, kinds()[track.kind].dimensions)),
-                deviation_of_mean(turned) if track.kind == POSE else np.nan,
-            )
-        )
-    if not out:
-        return _nothing(track, q.shape[1])
-    q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
-    still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
-
-
-_LOOK_BACK = 64  # joint states; doubled until every joint has moved
-
-
-def _approach(samples: Samples, t: Array, q: Array) -> Array:
-    """The direction in which each joint last moved before each sample, −1, 0 or 1, (N, n).
-
-    What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
-    taken to have come straight from the one before.
-    """
-    out = np.sign(np.nan_to_num(samples.velocity))
-    for i in np.flatnonzero(~samples.moving):
-        end = int(np.searchsorted(t, samples.stamps[i] + 1e-9))
-        back = _LOOK_BACK
-        while True:
-            apart = samples.q[i] - q[max(0, end - back) : end]
-            moved = np.abs(apart) > TRAVEL
-            if moved.any(axis=0).all() or back >= end:
-                break
-            back *= 4
-        if len(apart):
-            last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
-            out[i] = np.where(moved.any(axis=0), np.sign(apart[last, np.arange(q.shape[1])]), 0.0)
-    return out
-
-
-def _held(samples: Samples, t: Array, effort: Array, rules: StationRules) -> Array:
-    """What the actuators exerted at each sample, averaged over the half window around it, (N, n)."""
-    first = np.searchsorted(t, samples.stamps - 0.5 * rules.window)
-    last = np.searchsorted(t, samples.stamps + 0.5 * rules.window, side="right")
-    nearest = np.clip(np.searchsorted(t, samples.stamps), 0, len(t) - 1)
-    total = np.concatenate([np.zeros((1, effort.shape[1])), np.cumsum(np.nan_to_num(effort), axis=0)])
-    count = np.maximum(last - first, 1)[:, None]
-    mean = np.where((last > first)[:, None], (total[last] - total[first]) / count, effort[nearest])
-    mean = np.where(samples.moving[:, None], effort[nearest], mean)
-    return np.where(np.isfinite(effort).all(axis=0), mean, np.nan)
-
-
-def _number(stamps: Array) -> np.ndarray:
-    """Station numbers: equal stamps are one station, numbered by time."""
-    return np.unique(stamps, return_inverse=True)[1]
-
-
-def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:
-    first, last = min(r.stamps.min() for r in tracks), max(r.stamps.max() for r in tracks)
-    if first > t[-1] or last < t[0]:
-        apart = first - t[-1] if first > t[-1] else t[0] - last
-        return f"do not overlap in time: {apart:.1f} s apart"
-    counts = {len(r.stamps) for r in tracks}
-    if counts == {len(t)} and len(t) > 2:
-        apart = tracks[0].stamps - t
-        if float(np.ptp(apart)) < _ALIKE:
-            return f"come in pairs, but every reading is stamped {np.median(apart):+.3f} s off its joint state"
-    return f"no reading falls on one of {len(t)} joint states or {len(dwells)} dwells"
+def as_recording(samples: Samples, names: tuple[str, ...]) -> Recording:
+    """Joint states and readings of samples of these joints, in the form that checks ask for."""
+    unknown = np.full(len(samples), np.nan)
+    joints = JointTrack(names, samples.stamps, samples.q, samples.velocity, samples.effort, unknown)
+    readings = []
+    for f, frame in enumerate(samples.frames):
+        for kind in samples.kinds:
+            rows = (samples.frame == f) & (samples.kind == kind)
+            T = se3.transform(samples.R[rows], samples.reading[rows])
+            values = se3.to_pose(T) if kind == POSE else samples.reading[rows]
+            readings.append(ReadingTrack(kind, frame, samples.stamps[rows], values, unknown[rows], "readings"))
+    return Recording((joints,), tuple(readings), samples.signals, source="arrays")

@@ -1,6 +1,6 @@
 """Joint states and readings as they come; samples as soon as they are whole.
 
-The same three ways as in a recording (:mod:`modcal_core.measurements.stations`), without its end being known: readings
+The same three ways as in a recording (:mod:`modcal_core.measurements.pairing`), without its end being known: readings
 taken while the arm stands still are averaged once it has moved on, over what the same detector of dwells finds;
 readings that carry the stamp of a joint state are paired with it where messages are sparse; on an arm that never stops
 a reading gets the posture interpolated to its stamp. Memory does not grow: a few seconds of messages are held.
@@ -18,10 +18,11 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.dwells import LATE_STEPS, NOISE_FACTOR, SECOND_DIFFERENCE, StationRules, find_dwells
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.pairing import averaged
 from modcal_core.measurements.recording import POSE, ReadingTrack
-from modcal_core.measurements.samples import KIND_NAMES, Samples
-from modcal_core.measurements.stations import averaged
+from modcal_core.measurements.samples import Samples
 
 _HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several

@@ -21,7 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import Parameter
 from modcal_core.calibration.structure import exact_samples
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import KIND_NAMES
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.planning.site import Noise
 
 

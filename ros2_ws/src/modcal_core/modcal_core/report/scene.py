@@ -11,7 +11,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import Errors
 from modcal_core.effects.effect import motion
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.figures import label, thinned
 from modcal_core.report.page import Chart, chart

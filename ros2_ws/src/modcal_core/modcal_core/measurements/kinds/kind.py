@@ -27,6 +27,7 @@ MESSAGES = (  # types of messages whose numbers can be readings
     "geometry_msgs/msg/Vector3Stamped",
     "sensor_msgs/msg/Range",
 )
+KIND_NAMES = np.dtype("U32")  # of the column of kinds in samples; a kind with a longer name is refused
 ORIGIN, POSE_OF_FRAME, PLANE = "origin", "pose", "plane"
 FARTHEST_OF_REACH = 20.0  # times the arm's reach, the same for arms so large that 50 m is near
 FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from house.test_layers import SRC, files, imports_of
+from structure.test_layers import SRC, files, imports_of
 
 from modcal_core.effects.registry import families
 

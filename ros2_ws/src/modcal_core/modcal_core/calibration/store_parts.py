@@ -1,0 +1,230 @@
+"""The parts of a calibration as plain data and back: models, instruments, effects, and the covariance.
+
+What reads raises KeyError, TypeError, ValueError, IndexError or BadRobot for what is damaged; the store adds the file's
+name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.instruments import Instrument
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.typical import TypicalDriver
+from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.effects.drivers import NominalArm
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.registry import require_known
+from modcal_core.effects.shapes import Shape
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.schema import shown
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.urdf_inertias import Inertias
+
+
+def effect_to_data(effect: Effect) -> dict[str, Any]:
+    """An effect with its shape, sizes and their standard deviations."""
+    return {
+        "family": effect.family,
+        "place": effect.place,
+        "direction": effect.direction,
+        "driver": effect.driver,
+        "shape": {"kind": effect.shape.kind, **{k: float(v) for k, v in effect.shape.settings.items()}},
+        "values": floats(effect.values),
+        "std": floats(effect.std),
+    }
+
+
+def effect_from_data(data: Mapping[str, Any]) -> Effect:
+    """The effect. Raises ValueError where its sizes are not those of its shape, BadTable for an unknown family."""
+    shape = dict(data["shape"])
+    effect = Effect(
+        str(data["family"]),
+        str(data["place"]),
+        str(data["direction"]),
+        str(data["driver"]),
+        Shape(str(shape.pop("kind")), {str(k): float(v) for k, v in shape.items()}),
+        _vector(data["values"]),
+        np.array(data["std"], dtype=float).reshape(-1),
+    )
+    require_known(effect)
+    missing = [name for name in effect.refined if name not in effect.shape.settings]
+    if missing or len(effect.values) <= len(effect.refined) or len(effect.std) != len(effect.values):
+        raise ValueError(f"effect {effect.family[:40]} has {len(effect.values)} values, or lacks {', '.join(missing)}")
+    return effect
+
+
+def _vector(values: Any) -> Array:
+    """Finite numbers (m,). Raises ValueError for others."""
+    out = np.array(values, dtype=float)
+    if out.ndim != 1 or not np.isfinite(out).all():
+        raise ValueError(f"{shown(values)} is not a list of finite numbers")
+    return out
+
+
+def typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
+    """What an effect was on average, under the key ``usual``; nothing where that is not known."""
+    return {} if typical is None else {"usual": {"mean": floats(typical.mean), "cost_m2": float(typical.cost)}}
+
+
+def typical_from_data(data: Any) -> TypicalDriver | None:
+    """What stands under ``usual``, or None."""
+    return None if data is None else TypicalDriver(_vector(data["mean"]), float(data["cost_m2"]))
+
+
+def uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
+    """The parameters, and the rows of the covariance up to the diagonal."""
+    return {
+        "parameters": [
+            {
+                **{"name": p.name, "place": p.place, "direction": p.direction, "frame": p.frame},
+                "prior": float(p.prior_std),
+                **({"instrument": p.instrument, "unit": p.own_unit} if p.instrument >= 0 else {}),
+            }
+            for p in known.parameters
+        ],
+        "covariance": [floats(row[: i + 1]) for i, row in enumerate(known.covariance)],
+    }
+
+
+def uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
+    """The uncertainty of a calibrated model, or None. Raises ValueError for what is no covariance of its parameters."""
+    if data is None:
+        return None
+    parameters = tuple(
+        Parameter(
+            *(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"])),
+            *(int(p.get("instrument", -1)), str(p.get("unit", ""))),
+        )
+        for p in data["parameters"]
+    )
+    rows = data["covariance"]
+    K = len(parameters) + sum(len(e.values) for e in model.effects)
+    if [len(row) for row in rows] != list(range(1, K + 1)):
+        raise ValueError(f"a covariance of {K} values has {K} rows of 1 to {K} numbers")
+    lower = np.zeros((K, K))
+    for i, row in enumerate(rows):
+        lower[i, : i + 1] = row
+    covariance = lower + np.tril(lower, -1).T
+    if not np.isfinite(covariance).all() or (np.diag(covariance) < 0.0).any():
+        raise ValueError("a covariance has finite numbers and no negative variance")
+    return Uncertainty(parameters, covariance)
+
+
+def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
+    """The bodies of the nominal arm, which loads are computed from."""
+    if arm is None or arm.inertias is None:
+        return None
+    return {"mass": floats(arm.inertias.mass), "com": [floats(c) for c in arm.inertias.com]}
+
+
+def inertias_from_data(data: Any) -> Inertias | None:
+    """The bodies of the nominal arm, their moments of inertia zero, or None."""
+    if data is None:
+        return None
+    mass, com = np.array(data["mass"], dtype=float), np.array(data["com"], dtype=float)
+    return Inertias(mass, com, np.zeros((len(mass), 3, 3)))
+
+
+def model_to_data(model: Model) -> dict[str, Any]:
+    """Mechanism, frames, tool and instruments; the effects stand apart."""
+    chain = model.chain
+    cell = {
+        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
+        "tool": _matrix(model.T_tip_tool),
+        **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
+        **({"leaders": list(model.leaders)} if model.leaders else {}),
+    }
+    if isinstance(chain, Delta):
+        return {"delta": delta_to_data(chain), **cell}
+    chain = model.serial
+    return {
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": [
+            {
+                "name": name,
+                "type": "revolute" if chain.revolute[k] else "prismatic",
+                "origin": _matrix(chain.origins[k]),
+                "axis": floats(chain.axes[k]),
+                "limits": [float(chain.lower[k]), float(chain.upper[k])],
+            }
+            for k, name in enumerate(chain.names)
+        ],
+        "tip_origin": _matrix(chain.origins[-1]),
+        **cell,
+    }
+
+
+def _instrument_to_data(instrument: Instrument) -> dict[str, Any]:
+    return {
+        "frame": instrument.frame,
+        "kind": instrument.kind,
+        "constants": floats(instrument.values),
+        "target": None if instrument.target is None else floats(instrument.target),
+    }
+
+
+def _instrument_from_data(data: Mapping[str, Any], frames: Sequence[str]) -> Instrument:
+    kind = kinds().get(str(data["kind"]))
+    values = np.array(data["constants"], dtype=float)
+    target = None if data["target"] is None else np.array(data["target"], dtype=float)
+    if kind is None or data["frame"] not in frames or values.shape != kind.start().shape:
+        raise ValueError(f"no instrument of kind {data['kind']} in frame {data['frame']} with {values.size} constants")
+    return Instrument(str(data["frame"]), kind.name, values, target)
+
+
+def model_from_data(data: Mapping[str, Any]) -> Model:
+    """The model, without effects and without the arm that loads are computed from."""
+    frames = tuple(str(name) for name in data["frames"])
+    chain = _chain_from_data(data)
+    return Model(
+        chain,
+        frames,
+        np.stack([_transform(T) for T in data["frames"].values()]),
+        _transform(data["tool"]),
+        instruments=tuple(_instrument_from_data(i, frames) for i in data.get("instruments", ())),
+        leaders=tuple(int(f) for f in data.get("leaders", ())),
+    )
+
+
+def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
+    if "delta" in data:
+        return delta_from_data(data["delta"], "calibration: delta")
+    joints: Sequence[Mapping[str, Any]] = data["joints"]
+    return Chain.build(
+        [str(j["name"]) for j in joints],
+        [_transform(j["origin"]) for j in joints] + [_transform(data["tip_origin"])],
+        [j["axis"] for j in joints],
+        [j["type"] == "revolute" for j in joints],
+        [j["limits"][0] for j in joints],
+        [j["limits"][1] for j in joints],
+        str(data["base"]),
+        str(data["tip"]),
+    )
+
+
+def _matrix(T: Array) -> list[list[float]]:
+    """The upper three rows of a transform."""
+    return [[float(x) for x in row] for row in np.asarray(T)[:3]]
+
+
+def floats(a: Array) -> list[float]:
+    """Numbers (m,) with all their digits."""
+    return [float(x) for x in a]
+
+
+def _transform(rows: Any) -> Array:
+    M = np.array(rows, dtype=float)
+    if M.shape != (3, 4) or not np.isfinite(M).all():
+        raise ValueError(f"expected 3 rows of 4 numbers, got shape {M.shape}")
+    return se3.transform(M[:, :3], M[:, 3])
