@@ -50,7 +50,7 @@ _FACTORS = {
 
 
 @dataclass(frozen=True)
-class _Placed:
+class Placed:
     """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
 
     Y: Array
@@ -59,10 +59,21 @@ class _Placed:
     t: Array
 
     def residual(self, A: Array, samples: Samples) -> tuple[Array, Array]:
-        """Angles [rad] and distances [m], (N,)."""
+        """Angles [rad] and distances [m] of samples from what poses A (N, 4, 4) of the tip say, (N,)."""
         gap = samples.reading - (se3.apply(A, self.x) @ self.Y.T + self.t)
         turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
         return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
+
+
+def limits(chain: Chain) -> tuple[float, float]:
+    """Angle [rad] and distance [m] that a nominal arm misses by at most."""
+    return ANGLE, OF_REACH * chain.reach()
+
+
+def placed_by_most(samples: Samples, chain: Chain) -> tuple[Placed | None, np.ndarray]:
+    """The base and the tool that most of these stations agree on, None of too few, and which of them do, (N,)."""
+    search = _Search(samples, chain)
+    return search._largest(np.arange(len(samples)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +112,7 @@ class _Search:
         self.samples, self.chain = samples, chain
         self.A = forward(chain, samples.q)
         self.poses = bool(samples.is_pose.all())
-        self.limit = ANGLE, OF_REACH * chain.reach()
+        self.limit = limits(chain)
         self.rng = np.random.default_rng(0)
 
     def found(self) -> Disagreement | None:
@@ -117,20 +128,20 @@ class _Search:
                     return said
         return self._joint_throughout(float(agree.mean()))
 
-    def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
+    def _within(self, placed: Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
         angle, gap = placed.residual(A, samples)
         return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
-    def _placed(self, A: Array, samples: Samples) -> _Placed:
+    def _placed(self, A: Array, samples: Samples) -> Placed:
         """Base and tool from these stations."""
         if self.poses:
             Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
         else:
             Y, X = base_by_positions(A[None], samples.reading[None])[0], np.eye(3)
         _, x, t = tool_and_place(Y, A, samples.reading)
-        return _Placed(Y, X, x, t)
+        return Placed(Y, X, x, t)
 
-    def _largest(self, rows: np.ndarray) -> tuple[_Placed | None, np.ndarray]:
+    def _largest(self, rows: np.ndarray) -> tuple[Placed | None, np.ndarray]:
         """Base and tool that most of these stations agree on, and which of them do, (rows,)."""
         samples, A = self.samples.select(rows), self.A[rows]
         best, agree = None, np.zeros(len(rows), bool)
@@ -153,7 +164,7 @@ class _Search:
                 agree = self._within(best, A, samples)
         return best, agree
 
-    def _by_mistake(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _by_mistake(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         part = self.samples.select(rest)
         best, named = _EXPLAINED, None
         for mistake in self._mistakes():
@@ -174,7 +185,7 @@ class _Search:
             yield inverse_pose()
             yield from of_rotations()
 
-    def _elsewhere(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with a base, a tool, or both of its own."""
         other, agree = self._largest(rest)
         if other is None or agree.sum() < _LEAST // 2 or agree.mean() < _EXPLAINED:
@@ -191,7 +202,7 @@ class _Search:
         )
         return self._said(rest, f"{said} at {self._stations(rest)}", remedy)
 
-    def _one_joint(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _one_joint(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with the position of one joint unknown."""
         if not self.poses:
             return None
@@ -206,7 +217,7 @@ class _Search:
     def _joints(self) -> list[int]:
         return [j for j in range(self.chain.n) if self.chain.revolute[j]]
 
-    def _solved(self, j: int, placed: _Placed, part: Samples) -> Array:
+    def _solved(self, j: int, placed: Placed, part: Samples) -> Array:
         """Postures with the angle of joint j as the orientations tell it."""
         q = part.q.copy()
         q[:, j] = 0.0
@@ -248,7 +259,7 @@ class _Search:
             for _ in range(_ROUNDS):
                 A = forward(self.chain, q)
                 Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
-                placed = _Placed(Y, X, np.zeros(3), np.zeros(3))
+                placed = Placed(Y, X, np.zeros(3), np.zeros(3))
                 q = self._solved(j, placed, samples)
                 turned = turns_left(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
                 left = float(np.median(np.linalg.norm(turned, axis=1)))
