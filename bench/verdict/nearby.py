@@ -13,7 +13,7 @@ from conventions import ORIENTATION, UNIT
 from physics import LOAD
 from regimes import BASE, TOOL
 from scipy.spatial.transform import Rotation
-from workcell import Array, Session, Works, from_
+from workcell import Array, Session, Works
 
 FRAME = ("frame", r"\baxes\b", "invers", "turned")
 ROWS = (r"\brows?\b", r"\border\b", "late", "early", r"another station|other stations")
@@ -284,7 +284,9 @@ def press_works_for_a_while(w: Works, rng: np.random.Generator) -> Case:
     """A press beside the cell shakes everything for a fifth of the stations; each shakes anew."""
     session = w.clean(160)
     shaken = (np.abs(np.arange(160) - 90) < 16)[:, None]
-    return calibrated(replace(session, p=session.p + shaken * rng.normal(0, 2e-4, (160, 3))), (*SCATTER, r"stations \d"))
+    return calibrated(
+        replace(session, p=session.p + shaken * rng.normal(0, 2e-4, (160, 3))), (*SCATTER, r"stations \d")
+    )
 
 
 @near
@@ -308,7 +310,9 @@ def target_loose_in_its_seat(w: Works, rng: np.random.Generator) -> Case:
 def tracker_scale_drifts(w: Works, rng: np.random.Generator) -> Case:
     """The tracker's scale drifts by 300 ppm."""
     session = w.clean(150)
-    return calibrated(replace(session, p=session.p * (1.0 + 3e-4 * np.arange(150)[:, None] / 150)), ("tracker", "reading", *BASE))
+    return calibrated(
+        replace(session, p=session.p * (1.0 + 3e-4 * np.arange(150)[:, None] / 150)), ("tracker", "reading", *BASE)
+    )
 
 
 @near

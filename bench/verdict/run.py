@@ -65,7 +65,7 @@ from workcell import Works  # noqa: E402
 ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
-SEEDS = {"main": 2, "later": 2, "fresh": 1, "fresh_again": 1, "fresh_third": 1, "fresh_fourth": 1, "nearby": 1, "real": 1, "good": 4}
+SEEDS = dict.fromkeys(KINDS, 1) | {"main": 2, "later": 2, "good": 4}
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,16 @@ from modcal_core.calibration.runs import consecutive
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
+from modcal_core.plausibility.mistakes import (
+    Mistake,
+    inverse_pose,
+    of_axes,
+    of_axes_of_the_pose,
+    of_joints,
+    of_rotations,
+    of_several_joints,
+    of_units,
+)
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
@@ -123,7 +132,12 @@ class _Search:
         if placed is not None and agree.sum() >= max(_LEAST, _LEAST_SHARE * len(agree)):
             rest = np.flatnonzero(~self._within(placed, self.A, self.samples, _CLEARLY))
             if len(rest) >= _LEAST // 2:
-                said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
+                said = (
+                    self._by_mistake(placed, rest, self._mistakes())
+                    or self._elsewhere(placed, rest)
+                    or self._one_joint(placed, rest)
+                    or self._by_mistake(placed, rest, of_several_joints(self.samples.names))
+                )
                 if said is not None:
                     return said
         return self._joint_throughout(float(agree.mean()))
@@ -164,10 +178,10 @@ class _Search:
                 agree = self._within(best, A, samples)
         return best, agree
 
-    def _by_mistake(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+    def _by_mistake(self, placed: Placed, rest: np.ndarray, mistakes: Iterator[Mistake]) -> Disagreement | None:
         part = self.samples.select(rest)
         best, named = _EXPLAINED, None
-        for mistake in self._mistakes():
+        for mistake in mistakes:
             undone = mistake.undone(part)
             A = forward(self.chain, undone.q) if mistake.touches == "joints" else self.A[rest]
             share = float(self._within(placed, A, undone).mean())
@@ -183,6 +197,7 @@ class _Search:
         yield from of_joints(self.samples.names)
         if self.poses:
             yield inverse_pose()
+            yield from of_axes_of_the_pose()
             yield from of_rotations()
 
     def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
@@ -204,8 +219,6 @@ class _Search:
 
     def _one_joint(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with the position of one joint unknown."""
-        if not self.poses:
-            return None
         part = self.samples.select(rest)
         for j in self._joints():
             q = self._solved(j, placed, part)
@@ -218,12 +231,24 @@ class _Search:
         return [j for j in range(self.chain.n) if self.chain.revolute[j]]
 
     def _solved(self, j: int, placed: Placed, part: Samples) -> Array:
-        """Postures with the angle of joint j as the orientations tell it."""
+        """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
         q = part.q.copy()
         q[:, j] = 0.0
-        R0 = forward(self.chain, q)[:, :3, :3]
+        T0 = forward(self.chain, q)
         q[:, j] = 1.0
-        axis = so3.log(forward(self.chain, q)[:, :3, :3] @ np.swapaxes(R0, 1, 2))
+        T1 = forward(self.chain, q)
+        R0 = T0[:, :3, :3]
+        turn = T1[:, :3, :3] @ np.swapaxes(R0, 1, 2)
+        axis = so3.log(turn)
+        if not self.poses:
+            # a place on the axis, for the joint turns all behind it by one radian about it
+            off = T1[:, :3, 3] - np.einsum("nij,nj->ni", turn, T0[:, :3, 3])
+            on = np.einsum("nij,nj->ni", np.linalg.pinv(np.eye(3) - turn, rcond=1e-6), off)
+            at, seen = se3.apply(T0, placed.x) - on, (part.reading - placed.t) @ placed.Y - on
+            along = np.einsum("ni,ni->n", axis, at) * np.einsum("ni,ni->n", axis, seen)
+            cross = np.einsum("ni,ni->n", axis, np.cross(at, seen))
+            q[:, j] = np.arctan2(cross, np.einsum("ni,ni->n", at, seen) - along)
+            return q
         B = R0 @ placed.X @ np.swapaxes(part.R, 1, 2) @ placed.Y
         along = np.einsum("ni,nij,nj->n", axis, B, axis)
         cross = np.einsum("nij,nji->n", so3.hat(axis), B)

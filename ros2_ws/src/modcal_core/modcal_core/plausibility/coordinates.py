@@ -16,7 +16,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_pos
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.consistency import Disagreement, limits
-from modcal_core.plausibility.mistakes import Mistake
+from modcal_core.plausibility.mistakes import Mistake, of_axes_of_the_pose
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _LEAST = 24  # stations; nine numbers of base and tool, and ways enough to hit by chance with fewer
@@ -66,39 +66,6 @@ def _ways(samples: Samples) -> Iterator[Mistake]:
         yield from of_axes_of_the_pose()
     yield _steps()
     yield from _polar(samples.reading)
-
-
-def of_axes_of_the_pose() -> Iterator[Mistake]:
-    """Positions alone in the axes of the tool, of the inverse pose, or turned once too often."""
-    frame = "give positions and orientations in the tracker's frame"
-    yield Mistake(
-        "positions look as if they were given along the axes of the tool, and orientations in the tracker's frame",
-        frame,
-        lambda s: replace(s, reading=_turned(s.R, s.reading)),
-        "reading",
-    )
-    yield Mistake(
-        "positions look like those of inverse poses (tracker in the tool's frame), and orientations do not",
-        frame,
-        lambda s: replace(s, reading=-_turned(s.R, s.reading)),
-        "reading",
-    )
-    yield Mistake(
-        "positions look turned by the orientation once too often (into a wrong frame)",
-        frame,
-        lambda s: replace(s, reading=_turned(np.swapaxes(s.R, 1, 2), s.reading)),
-        "reading",
-    )
-    yield Mistake(
-        "positions look like those of inverse poses, turned once too often (into a wrong frame)",
-        frame,
-        lambda s: replace(s, reading=-_turned(np.swapaxes(s.R, 1, 2), s.reading)),
-        "reading",
-    )
-
-
-def _turned(R: Array, p: Array) -> Array:
-    return np.asarray((R @ p[..., None])[..., 0])
 
 
 def _steps() -> Mistake:

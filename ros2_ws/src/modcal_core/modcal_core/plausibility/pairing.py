@@ -1,4 +1,4 @@
-"""Readings that stand beside another posture than their own: parts that slipped, rows in another order, labels mixed up.
+"""Readings that stand beside another posture than their own: parts that slipped, rows in another order, wrong labels.
 
 Where most readings stand in their own row, they tell base and tool, and each of the rest is compared with the pose that
 the arm had at every other station. Where few do, orders that tables get into are compared as wholes: a coordinate of a
