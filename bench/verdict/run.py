@@ -35,6 +35,7 @@ import fresh_fourth  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
+import nearby  # noqa: E402, F401
 import numpy as np  # noqa: E402
 import physics  # noqa: E402, F401
 import real  # noqa: E402, F401
@@ -64,7 +65,7 @@ from workcell import Works  # noqa: E402
 ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
-SEEDS = {"main": 2, "later": 2, "fresh": 1, "fresh_again": 1, "fresh_third": 1, "fresh_fourth": 1, "real": 1, "good": 4}
+SEEDS = dict.fromkeys(KINDS, 1) | {"main": 2, "later": 2, "good": 4}
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("fresh_again", "Kinds once written after the last change, again"),
         ("fresh_third", "Kinds once written after the last change, third group"),
         ("fresh_fourth", "Kinds written after the last change"),
+        ("nearby", "Kinds near those that were missed"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:

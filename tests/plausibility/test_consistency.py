@@ -15,6 +15,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.consistency import Disagreement, disagreement
+from modcal_core.plausibility.screening import wrong_joints
 
 CHAIN = ur10()
 LATER = np.arange(80) >= 45
@@ -108,3 +109,38 @@ def test_points_in_millimetres_for_a_part() -> None:
     points = record(12, 80, "point").samples
     said = found(replace(points, reading=points.reading * np.where(LATER, 1e3, 1.0)[:, None]))
     assert "millimetres at stations 45 to 79" in said.what
+
+
+def test_positions_along_the_axes_of_the_tool_in_a_part(clean: Samples) -> None:
+    own = (np.swapaxes(clean.R, 1, 2) @ clean.reading[..., None])[..., 0]
+    said = found(replace(clean, reading=np.where(LATER[:, None], own, clean.reading))).what
+    assert said.startswith("positions look as if they were given along the axes of the tool")
+    assert "at stations 45 to 79" in said
+
+
+def test_three_joints_that_are_reversed_in_a_part(clean: Samples) -> None:
+    q = clean.q.copy()
+    q[np.ix_(LATER, [0, 2, 3])] *= -1.0
+    said = found(replace(clean, q=q)).what
+    assert all(CHAIN.names[j] in said for j in (0, 2, 3))
+    assert "look reversed at stations 45 to 79" in said
+
+
+def test_a_stale_joint_seen_by_points(clean: Samples) -> None:
+    points = replace(clean, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
+    said = found(with_joint(points, ELBOW, np.where(LATER, clean.q[45, ELBOW], clean.q[:, ELBOW]))).what
+    assert said.startswith(f"joint {CHAIN.names[ELBOW]} keeps its reported position at stations 4")
+    assert disagreement(points, CHAIN) is None
+
+
+def test_joints_that_are_wrong_throughout(clean: Samples) -> None:
+    assert wrong_joints(clean, CHAIN) is None
+    order = np.random.default_rng(0).permutation(80)
+    assert wrong_joints(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
+    q = clean.q.copy()
+    q[:, [1, 2]] = q[:, [2, 1]]
+    points = replace(clean, q=q, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
+    for samples in (points, replace(clean, q=q)):
+        said = wrong_joints(samples, CHAIN)
+        assert said is not None
+        assert said.what == f"joints {CHAIN.names[1]} and {CHAIN.names[2]} look swapped"

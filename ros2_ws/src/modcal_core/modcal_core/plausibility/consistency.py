@@ -19,7 +19,16 @@ from modcal_core.calibration.runs import consecutive
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
+from modcal_core.plausibility.mistakes import (
+    Mistake,
+    inverse_pose,
+    of_axes,
+    of_axes_of_the_pose,
+    of_joints,
+    of_rotations,
+    of_several_joints,
+    of_units,
+)
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
@@ -50,7 +59,7 @@ _FACTORS = {
 
 
 @dataclass(frozen=True)
-class _Placed:
+class Placed:
     """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
 
     Y: Array
@@ -59,10 +68,21 @@ class _Placed:
     t: Array
 
     def residual(self, A: Array, samples: Samples) -> tuple[Array, Array]:
-        """Angles [rad] and distances [m], (N,)."""
+        """Angles [rad] and distances [m] of samples from what poses A (N, 4, 4) of the tip say, (N,)."""
         gap = samples.reading - (se3.apply(A, self.x) @ self.Y.T + self.t)
         turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
         return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
+
+
+def limits(chain: Chain) -> tuple[float, float]:
+    """Angle [rad] and distance [m] that a nominal arm misses by at most."""
+    return ANGLE, OF_REACH * chain.reach()
+
+
+def placed_by_most(samples: Samples, chain: Chain) -> tuple[Placed | None, np.ndarray]:
+    """The base and the tool that most of these stations agree on, None of too few, and which of them do, (N,)."""
+    search = _Search(samples, chain)
+    return search._largest(np.arange(len(samples)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +121,7 @@ class _Search:
         self.samples, self.chain = samples, chain
         self.A = forward(chain, samples.q)
         self.poses = bool(samples.is_pose.all())
-        self.limit = ANGLE, OF_REACH * chain.reach()
+        self.limit = limits(chain)
         self.rng = np.random.default_rng(0)
 
     def found(self) -> Disagreement | None:
@@ -112,25 +132,30 @@ class _Search:
         if placed is not None and agree.sum() >= max(_LEAST, _LEAST_SHARE * len(agree)):
             rest = np.flatnonzero(~self._within(placed, self.A, self.samples, _CLEARLY))
             if len(rest) >= _LEAST // 2:
-                said = self._by_mistake(placed, rest) or self._elsewhere(placed, rest) or self._one_joint(placed, rest)
+                said = (
+                    self._by_mistake(placed, rest, self._mistakes())
+                    or self._elsewhere(placed, rest)
+                    or self._one_joint(placed, rest)
+                    or self._by_mistake(placed, rest, of_several_joints(self.samples.names))
+                )
                 if said is not None:
                     return said
         return self._joint_throughout(float(agree.mean()))
 
-    def _within(self, placed: _Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
+    def _within(self, placed: Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
         angle, gap = placed.residual(A, samples)
         return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
-    def _placed(self, A: Array, samples: Samples) -> _Placed:
+    def _placed(self, A: Array, samples: Samples) -> Placed:
         """Base and tool from these stations."""
         if self.poses:
             Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
         else:
             Y, X = base_by_positions(A[None], samples.reading[None])[0], np.eye(3)
         _, x, t = tool_and_place(Y, A, samples.reading)
-        return _Placed(Y, X, x, t)
+        return Placed(Y, X, x, t)
 
-    def _largest(self, rows: np.ndarray) -> tuple[_Placed | None, np.ndarray]:
+    def _largest(self, rows: np.ndarray) -> tuple[Placed | None, np.ndarray]:
         """Base and tool that most of these stations agree on, and which of them do, (rows,)."""
         samples, A = self.samples.select(rows), self.A[rows]
         best, agree = None, np.zeros(len(rows), bool)
@@ -153,10 +178,10 @@ class _Search:
                 agree = self._within(best, A, samples)
         return best, agree
 
-    def _by_mistake(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _by_mistake(self, placed: Placed, rest: np.ndarray, mistakes: Iterator[Mistake]) -> Disagreement | None:
         part = self.samples.select(rest)
         best, named = _EXPLAINED, None
-        for mistake in self._mistakes():
+        for mistake in mistakes:
             undone = mistake.undone(part)
             A = forward(self.chain, undone.q) if mistake.touches == "joints" else self.A[rest]
             share = float(self._within(placed, A, undone).mean())
@@ -172,9 +197,10 @@ class _Search:
         yield from of_joints(self.samples.names)
         if self.poses:
             yield inverse_pose()
+            yield from of_axes_of_the_pose()
             yield from of_rotations()
 
-    def _elsewhere(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with a base, a tool, or both of its own."""
         other, agree = self._largest(rest)
         if other is None or agree.sum() < _LEAST // 2 or agree.mean() < _EXPLAINED:
@@ -191,10 +217,8 @@ class _Search:
         )
         return self._said(rest, f"{said} at {self._stations(rest)}", remedy)
 
-    def _one_joint(self, placed: _Placed, rest: np.ndarray) -> Disagreement | None:
+    def _one_joint(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with the position of one joint unknown."""
-        if not self.poses:
-            return None
         part = self.samples.select(rest)
         for j in self._joints():
             q = self._solved(j, placed, part)
@@ -206,13 +230,25 @@ class _Search:
     def _joints(self) -> list[int]:
         return [j for j in range(self.chain.n) if self.chain.revolute[j]]
 
-    def _solved(self, j: int, placed: _Placed, part: Samples) -> Array:
-        """Postures with the angle of joint j as the orientations tell it."""
+    def _solved(self, j: int, placed: Placed, part: Samples) -> Array:
+        """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
         q = part.q.copy()
         q[:, j] = 0.0
-        R0 = forward(self.chain, q)[:, :3, :3]
+        T0 = forward(self.chain, q)
         q[:, j] = 1.0
-        axis = so3.log(forward(self.chain, q)[:, :3, :3] @ np.swapaxes(R0, 1, 2))
+        T1 = forward(self.chain, q)
+        R0 = T0[:, :3, :3]
+        turn = T1[:, :3, :3] @ np.swapaxes(R0, 1, 2)
+        axis = so3.log(turn)
+        if not self.poses:
+            # a place on the axis, for the joint turns all behind it by one radian about it
+            off = T1[:, :3, 3] - np.einsum("nij,nj->ni", turn, T0[:, :3, 3])
+            on = np.einsum("nij,nj->ni", np.linalg.pinv(np.eye(3) - turn, rcond=1e-6), off)
+            at, seen = se3.apply(T0, placed.x) - on, (part.reading - placed.t) @ placed.Y - on
+            along = np.einsum("ni,ni->n", axis, at) * np.einsum("ni,ni->n", axis, seen)
+            cross = np.einsum("ni,ni->n", axis, np.cross(at, seen))
+            q[:, j] = np.arctan2(cross, np.einsum("ni,ni->n", at, seen) - along)
+            return q
         B = R0 @ placed.X @ np.swapaxes(part.R, 1, 2) @ placed.Y
         along = np.einsum("ni,nij,nj->n", axis, B, axis)
         cross = np.einsum("nij,nji->n", so3.hat(axis), B)
@@ -248,7 +284,7 @@ class _Search:
             for _ in range(_ROUNDS):
                 A = forward(self.chain, q)
                 Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
-                placed = _Placed(Y, X, np.zeros(3), np.zeros(3))
+                placed = Placed(Y, X, np.zeros(3), np.zeros(3))
                 q = self._solved(j, placed, samples)
                 turned = turns_left(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
                 left = float(np.median(np.linalg.norm(turned, axis=1)))

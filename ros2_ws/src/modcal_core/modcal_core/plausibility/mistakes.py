@@ -184,6 +184,39 @@ def mirror_image() -> Mistake:
     )
 
 
+def of_axes_of_the_pose() -> Iterator[Mistake]:
+    """Positions alone in the axes of the tool, of the inverse pose, or turned once too often."""
+    frame = "give positions and orientations in the tracker's frame"
+    yield Mistake(
+        "positions look as if they were given along the axes of the tool, and orientations in the tracker's frame",
+        frame,
+        lambda s: replace(s, reading=_turned(s.R, s.reading)),
+        "reading",
+    )
+    yield Mistake(
+        "positions look like those of inverse poses (tracker in the tool's frame), and orientations do not",
+        frame,
+        lambda s: replace(s, reading=-_turned(s.R, s.reading)),
+        "reading",
+    )
+    yield Mistake(
+        "positions look turned by the orientation once too often (into a wrong frame)",
+        frame,
+        lambda s: replace(s, reading=_turned(np.swapaxes(s.R, 1, 2), s.reading)),
+        "reading",
+    )
+    yield Mistake(
+        "positions look like those of inverse poses, turned once too often (into a wrong frame)",
+        frame,
+        lambda s: replace(s, reading=-_turned(np.swapaxes(s.R, 1, 2), s.reading)),
+        "reading",
+    )
+
+
+def _turned(R: Array, p: Array) -> Array:
+    return np.asarray((R @ p[..., None])[..., 0])
+
+
 def of_pairing() -> Iterator[Mistake]:
     """Readings that belong to the station before or after."""
     for shift in _SHIFTS:

@@ -20,6 +20,7 @@ from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
 from modcal_core.plausibility.consistency import disagreement
+from modcal_core.plausibility.coordinates import written_otherwise
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
@@ -30,6 +31,7 @@ from modcal_core.plausibility.mistakes import (
     of_several_joints,
     of_units,
 )
+from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
@@ -65,7 +67,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     whole = samples if whole is None else whole
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
-        alone = disagreeing_channel(whole, chain)
+        alone = disagreeing_channel(whole, chain) or written_otherwise(whole, chain) or mispaired(whole, chain)
         if alone is not None:
             raise BadRecording(alone.what, said, alone.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():

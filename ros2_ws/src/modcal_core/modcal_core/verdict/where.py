@@ -10,6 +10,9 @@ import numpy as np
 from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
+from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.screening import wrong_joints
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
@@ -77,10 +80,11 @@ def _apart(case: Case) -> Iterator[str]:
     """What the rejected stations look like, where they are too many to be single wrong readings."""
     if case.wrong.mean() <= MOST_REJECTED:
         return
-    other = None
+    other, chain = None, case.model.chain
     if case.wrong.mean() > 0.5:  # most of them: something is wrong throughout
-        other = disagreeing_channel(case.samples, case.model.chain)
-    other = other or disagreement(case.samples, case.model.chain)
+        looks = (disagreeing_channel, written_otherwise, wrong_joints)
+        other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
+    other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
     if other is not None:
         what = other.what[0].upper() + other.what[1:]
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."

@@ -33,8 +33,13 @@ class Point(Kind):
         spread = float(_norm(position - np.median(position, axis=0)).mean())
         far = float(np.linalg.norm(np.median(position, axis=0)))
         if spread > _SPREAD * reach or far > farthest(reach):
-            said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: it looks like millimetres"
-            return said, "record metres"
+            said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: "
+            wide = [axis for axis, size in zip("xyz", np.ptp(position, axis=0), strict=True) if size > _SPREAD * reach]
+            if far > farthest(reach) or len(wide) in (0, 3):
+                return f"{said}it looks like millimetres", "record metres"
+            which = f"column{'s' if len(wide) > 1 else ''} {' and '.join(wide)}"
+            look = f"{which} alone, in another unit than the rest (millimetres), or angles (polar coordinates)"
+            return f"{said}{look}", "record x, y and z in metres"
         return None
 
 
