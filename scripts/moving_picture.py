@@ -1,16 +1,17 @@
-"""The picture at the top of the README: an arm moves between held-out stations, before and after, and shows what it misses by.
+"""The picture at the top of the README: an arm that moves between held-out stations, with what it misses by.
 
 .venv/bin/python scripts/moving_picture.py      # writes docs/before_after.svg; after `make build`
 
-Calibrates the recording in bags/ and draws stations that neither the fit nor the choice of effects has seen. A ring is where the
-tracker saw the tool, a dot is where the model puts it, SCALE times as far off as it is. The picture is one SVG file without
-scripts; it moves by SMIL, follows the reader's colour scheme, and stands still where the reader asks for less motion.
+Calibrates the recording in bags/ and draws stations that neither the fit nor the choice of effects has seen. A ring is
+where the tracker saw the tool, a dot where the model puts it, SCALE times as far off as it is. The picture is one SVG
+file without scripts: it moves by SMIL, follows the reader's colour scheme, and shows every station where nothing moves.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,17 +30,21 @@ from modcal_nodes.io.recorded import calibrate_bag  # noqa: E402
 Array = NDArray[np.float64]
 SCALE = 100  # how much longer errors are drawn
 STATIONS = 9
+ABOVE = -0.02  # m; postures that reach below the floor are not shown
 MOVE, STAY = 0.9, 1.1  # s
 BETWEEN = 5  # pictures of a move
 WIDTH, HEIGHT, PANEL = 860, 420, 430
-METRE = 185.0  # px
-SEEN_FROM = np.radians([-50.0, 22.0])  # azimuth and elevation
+METRE = 200.0  # px
+SEEN_FROM = np.radians([-50.0, 18.0])  # azimuth and elevation
 
 
 @dataclass(frozen=True)
 class Shots:
-    """What is drawn, in metres in the base: postures' polylines (F, k, 3) and when (F,) [share of the whole]; of each station
-    when the arm is there (S, 2), where the tool was seen (S, 3), and its errors by stage (S, 3)."""
+    """What is drawn, in metres in the base.
+
+    arms: postures as polylines (F, k, 3). when: their times (F,), shares of the whole. Of each station: when the arm is
+    there (S, 2), where the tool was seen (S, 3), its errors before and after (S, 3).
+    """
 
     arms: Array
     when: Array
@@ -56,11 +61,12 @@ def shots(report: Report) -> Shots:
     assert drawn is not None
     assert model is not None
     q = report.scored.q
-    order = _route(q)[:STATIONS]
+    above = [i for i, path in enumerate(_paths(report, q)) if path[:, 2].min() > ABOVE]
+    order = _route(q, above)[:STATIONS]
     round_trip = [*order, order[0]]
     steps, when, stays, now = [q[order[0]]], [0.0], [], 0.0
     whole = STATIONS * (MOVE + STAY)
-    for here, there in zip(round_trip, round_trip[1:], strict=False):
+    for here, there in pairwise(round_trip):
         stays.append((now / whole, (now + STAY) / whole))
         now += STAY
         steps.append(q[here])
@@ -70,10 +76,7 @@ def shots(report: Report) -> Shots:
             steps.append((1.0 - eased) * q[here] + eased * q[there])
             when.append((now + s * MOVE) / whole)
         now += MOVE
-    frames = tool_frames(model.chain, model.T_tip_tool, np.array(steps))
-    T = model.chain.T_base_root
-    p = np.moveaxis(frames.p, -1, 0) @ T[:3, :3].T + T[:3, 3]
-    arms = np.concatenate([np.zeros((len(p), 1, 3)), p], axis=1)
+    arms = _paths(report, np.array(steps))
     sizes = [report.size_mm(stage) for stage in ("nominal", "final")]
     assert sizes[0] is not None
     assert sizes[1] is not None
@@ -83,9 +86,19 @@ def shots(report: Report) -> Shots:
     )  # fmt: skip
 
 
-def _route(q: Array) -> list[int]:
-    """Rows of q, each next to the one before: the nearest that was not there yet."""
-    route, left = [0], set(range(1, len(q)))
+def _paths(report: Report, q: Array) -> Array:
+    """The arm in postures (F, n) as polylines from its base to the tool, (F, k, 3)."""
+    model = report.model
+    assert model is not None
+    frames = tool_frames(model.chain, model.T_tip_tool, q)
+    T = model.chain.T_base_root
+    p = np.moveaxis(frames.p, -1, 0) @ T[:3, :3].T + T[:3, 3]
+    return np.concatenate([np.zeros((len(p), 1, 3)), p], axis=1)
+
+
+def _route(q: Array, rows: list[int]) -> list[int]:
+    """These rows of q, each next to the one before: the nearest that was not there yet."""
+    route, left = rows[:1], set(rows[1:])
     while left:
         nearest = min(left, key=lambda i: float(np.abs(q[i] - q[route[-1]]).max()))
         route.append(nearest)
@@ -99,7 +112,7 @@ def flat(p: Array) -> Array:
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     ahead = np.array([-np.cos(azimuth) * np.cos(elevation), -np.sin(azimuth) * np.cos(elevation), -np.sin(elevation)])
     up = np.cross(right, ahead)
-    out: Array = np.stack([PANEL / 2 + METRE * (p @ right), 318.0 - METRE * (p @ up)], axis=-1)
+    out: Array = np.stack([PANEL / 2 + METRE * (p @ right), 358.0 - METRE * (p @ up)], axis=-1)
     return out
 
 
@@ -120,17 +133,20 @@ def panel(shot: Shots, errors: Array, kind: str, title: str, rms_mm: float) -> s
     marks, numbers = [], []
     for seen, error, (begin, end) in zip(shot.seen, errors, shot.stays, strict=True):
         (x, y), (u, v) = flat(seen), flat(seen - SCALE * error)
-        mark = f'<path class="miss" d="M{x:.1f},{y:.1f}L{u:.1f},{v:.1f}"/><circle class="ring" cx="{x:.1f}" cy="{y:.1f}" r="5"/>'
+        mark = f'<path class="miss" d="M{x:.1f},{y:.1f}L{u:.1f},{v:.1f}"/>'
+        mark += f'<circle class="ring" cx="{x:.1f}" cy="{y:.1f}" r="5"/>'
         mark += f'<circle class="dot" cx="{u:.1f}" cy="{v:.1f}" r="3"/>'
         faded = f'<animate attributeName="opacity" dur="{whole:g}s" repeatCount="indefinite" calcMode="discrete" '
         marks.append(f'<g>{mark}{faded}keyTimes="0;{max(begin, 1e-4):.4f};1" values="0;1;1"/></g>')
-        number = f'<text class="number" x="{PANEL / 2:.0f}" y="404" opacity="0">this station: {1e3 * np.linalg.norm(error):.3f} mm'
+        number = f'<text x="{PANEL / 2:.0f}" y="88" opacity="0">here {1e3 * np.linalg.norm(error):.3f} mm'
         numbers.append(f'{number}{faded}keyTimes="0;{max(begin, 1e-4):.4f};{end:.4f};1" values="0;1;0;0"/></text>')
+    foot = flat(np.zeros(3))
     floor = flat(np.array([[0.6, 0.6, 0], [-0.6, 0.6, 0], [-0.6, -0.6, 0], [0.6, -0.6, 0]], dtype=float))
     return (
         f'<g class="{kind}"><polygon class="floor" points="{points(floor)}"/>'
         f'<text class="title" x="{PANEL / 2:.0f}" y="34">{title}</text>'
         f'<text class="rms" x="{PANEL / 2:.0f}" y="64">{rms_mm:.2g} mm RMS</text>'
+        f'<circle class="foot" cx="{foot[0]:.0f}" cy="{foot[1]:.0f}" r="11"/>'
         f"{arm}{''.join(marks)}{''.join(numbers)}</g>"
     )
 
@@ -144,19 +160,21 @@ def svg(shot: Shots) -> str:
 <style>
 svg {{ {_variables(LIGHT)} font-family: system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; }}
 @media (prefers-color-scheme: dark) {{ svg {{ {_variables(DARK)} }} }}
-@media (prefers-reduced-motion: reduce) {{ animate {{ display: none; }} }}
 .card {{ fill: var(--paper); stroke: var(--line); }}
 text {{ fill: var(--soft); font-size: 15px; text-anchor: middle; }}
 .title {{ fill: var(--ink); font-size: 18px; }}
 .rms {{ font-size: 24px; font-weight: 700; fill: var(--kind); }}
 .floor {{ fill: var(--panel); stroke: var(--line); }}
-.arm {{ fill: none; stroke: var(--ink); stroke-width: 9; stroke-linecap: round; stroke-linejoin: round; opacity: 0.62; }}
+.foot {{ fill: var(--soft); }}
+marker circle {{ fill: var(--paper); stroke: var(--soft); stroke-width: 0.3; }}
+.arm {{ marker-mid: url(#joint); fill: none; stroke: var(--soft); stroke-width: 8; stroke-linecap: round; stroke-linejoin: round; }}
 .ring {{ fill: none; stroke: var(--ink); stroke-width: 1.6; }}
 .miss {{ stroke: var(--kind); stroke-width: 2.4; }}
 .dot {{ fill: var(--kind); }}
 .before {{ --kind: var(--bad); }}
 .after {{ --kind: var(--good); }}
 </style>
+<marker id="joint" viewBox="-1 -1 2 2" markerWidth="1.3" markerHeight="1.3"><circle r="0.8"/></marker>
 <rect class="card" x="0.5" y="0.5" width="{WIDTH - 1}" height="{HEIGHT + 23}" rx="10"/>
 {before}
 <g transform="translate({PANEL} 0)">{after}</g>

@@ -1,8 +1,8 @@
-"""The tables beside this file: ``python examples/tables/make.py``. Arms in MuJoCo that differ from their nominal models.
+"""The tables here, of arms in MuJoCo that differ from their nominal models: ``python examples/tables/make.py``.
 
-tracker.csv: a UR10 with elastic joints, and a laser tracker that sees a reflector on its flange; joints in degrees, points
-in mm. sockets/*.csv: joint angles in degrees of an iiwa whose ball sits in two sockets of a plate, at three placements of
-the plate. door.txt: a point of a door of 0.4 m, with a millimetre of noise.
+tracker.csv: a UR10 with elastic joints, and a laser tracker that sees a reflector on its flange; joints in degrees,
+points in mm. sockets/*.csv: joint angles in degrees of an iiwa whose ball sits in two sockets of a plate, at three
+placements of the plate. door.txt: a point of a door of 0.4 m, with a millimetre of noise.
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from cells import ur10
 from cli.test_bad_input import refused
 from robots.test_tables import assert_same
 from scipy.spatial.transform import Rotation
@@ -123,9 +122,9 @@ def test_a_table_in_millimetres_and_degrees_is_the_same_arm(
         assert row[0] == "shoulder_lift_joint"
         assert float(row[4]) == pytest.approx(612.0, abs=1e-9) or float(row[4]) == pytest.approx(-612.0, abs=1e-9)
         assert abs(float(text.splitlines()[-6].split(",")[5])) == pytest.approx(90.0)
-    assert_same(from_table(from_csv(text)), ur10(), 1e-10)
+    assert_same(from_table(from_csv(text)), read_chain(URDF.read_text()), 1e-10)
     assert run(["import", f"ur10_{convention}.csv", "--out", "again.urdf"]) == 0
-    assert_same(read_chain(Path("again.urdf").read_text(), "base_link", "tool0"), ur10(), 1e-10)
+    assert_same(read_chain(Path("again.urdf").read_text(), "base_link", "tool0"), read_chain(URDF.read_text()), 1e-10)
 
 
 def test_the_nearest_table_says_what_it_loses(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
