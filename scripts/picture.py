@@ -1,6 +1,6 @@
-"""The picture in the README: how far the tool misses before and after, for the recording in bags/.
+"""A picture in docs/results.md: how far the tool misses before and after, for the recording in bags/.
 
-.venv/bin/python scripts/picture.py      # writes docs/before_after.svg; after `make build`
+.venv/bin/python scripts/picture.py      # writes docs/held_out.svg; after `make build`
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main() -> None:
     """Calibrate and draw."""
     done = calibrate_bag(ROOT / "bags" / "ur10_cell", Options())
     with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        picture(done.result.report).savefig(ROOT / "docs" / "before_after.svg", metadata={"Date": None})
+        picture(done.result.report).savefig(ROOT / "docs" / "held_out.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":

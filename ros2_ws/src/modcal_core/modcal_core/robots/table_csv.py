@@ -10,13 +10,15 @@
     name,type,theta,d,a,alpha,lower,upper
     shoulder_pan_joint,revolute,0.0,0.1273,0.0,1.5707963267948966,-6.28,6.28
 
-CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit.
+CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit. With a line
+``# unit: mm deg`` lengths are in millimetres and angles in degrees throughout, as most controllers show them.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,14 +29,23 @@ _DH = ("theta", "d", "a", "alpha")
 _COLUMNS = {"dh": _DH, "mdh": _DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
 _TEXTS = ("convention", "base_link", "tip_link")
 _POSES = ("base", "tool")
-_NOTE = "note"
+_NOTE, _UNIT = "note", "unit"
+# what a metre and a radian are in each unit
+UNITS = {"m rad": (1.0, 1.0), "mm deg": (1e3, 180.0 / math.pi)}
+_LENGTHS, _ANGLES = ("d", "a"), ("theta", "alpha", "beta")
 
 
-def to_csv(table: Mapping[str, Any], notes: Sequence[str] = ()) -> str:
-    """The CSV text of a table as data (see :mod:`modcal_core.robots.table_rows`); notes become comments."""
+def to_csv(table: Mapping[str, Any], notes: Sequence[str] = (), unit: str = "m rad") -> str:
+    """The CSV text of a table as data (see :mod:`modcal_core.robots.table_rows`); notes become comments.
+
+    unit: of :data:`UNITS`, in which the text is; the table is in m and rad.
+    """
     out = io.StringIO()
+    table = _scaled(table, *UNITS[unit])
     for key in _TEXTS:
         out.write(f"# {key}: {table[key]}\n")
+    if unit != "m rad":
+        out.write(f"# {_UNIT}: {unit}\n")
     for key in _POSES:
         out.write(f"# {key}: {' '.join(repr(v) for v in (*table[key]['xyz'], *table[key]['rpy']))}\n")
     for note in notes:
@@ -51,8 +62,9 @@ def to_csv(table: Mapping[str, Any], notes: Sequence[str] = ()) -> str:
 
 
 def from_csv(text: str, source: str = "table") -> dict[str, Any]:
-    """The table as data that a CSV text holds. Raises BadTable with the line."""
+    """The table as data, in m and rad, that a CSV text holds. Raises BadTable with the line."""
     table: dict[str, Any] = {}
+    unit = "m rad"
     lines = text.lstrip("\ufeff").splitlines()
     while lines and (lines[0].startswith("#") or not lines[0].strip()):
         key, _, value = lines.pop(0).lstrip("# ").partition(":")
@@ -62,8 +74,12 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         elif key in _POSES:
             numbers = _numbers(value, 6, f"{source}, {key}")
             table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
+        elif key == _UNIT:
+            if value not in UNITS:
+                raise BadTable(f"{source}, unit", f"is '{value}'", f"write one of {', '.join(UNITS)}")
+            unit = value
         elif key and key != _NOTE:
-            known = ", ".join((*_TEXTS, *_POSES, _NOTE))
+            known = ", ".join((*_TEXTS, *_POSES, _UNIT, _NOTE))
             raise BadTable(f"{source}, comment '{key}'", "is not a key of the table", f"write one of {known}")
     convention = table.get("convention")
     if convention not in _COLUMNS:
@@ -77,7 +93,28 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         said = f"has no column '{odd}'" if odd == "name" else f"column '{odd}' is not one of a {convention} table"
         raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
     table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
-    return table
+    return _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
+
+
+def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
+    """The table with every length and every angle times a factor."""
+    out = dict(table)
+    for key in _POSES:
+        if key in out:
+            pose = out[key]
+            out[key] = {"xyz": [length * v for v in pose["xyz"]], "rpy": [angle * v for v in pose["rpy"]]}
+    out["joints"] = [_scaled_row(row, length, angle) for row in table["joints"]]
+    return out
+
+
+def _scaled_row(row: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
+    out = dict(row)
+    limit = length if row.get("type") == "prismatic" else angle
+    factors = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_ANGLES, angle) | {"lower": limit, "upper": limit}
+    out.update({key: factor * out[key] for key, factor in factors.items() if key in out})
+    if "l" in out:
+        out["l"] = [length * v for v in out["l"]]
+    return out
 
 
 def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:

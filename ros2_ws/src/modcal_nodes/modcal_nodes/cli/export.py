@@ -1,7 +1,8 @@
-"""``modcal export``: an arm's kinematics as a CPC, DH or modified DH table, or as a URDF."""
+"""``modcal export``: an arm's kinematics as a CPC, DH or modified DH table, a URDF, a maker's file or a xacro file."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,16 +17,21 @@ from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.table_csv import from_csv, to_csv
+from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
+from modcal_core.robots.table_csv import UNITS, from_csv, to_csv
 from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
 from modcal_core.robots.tables import from_table
-from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf import joint_origins, read_chain, read_path
 from modcal_core.robots.urdf_elements import chain_urdf
+from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
+from modcal_core.robots.xacro import xacro_origins
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MODELS = ("calibrated", "geometric", "nominal")
+_OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
+_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF)
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,9 @@ class _Source:
 
 @click.command("export")
 @click.argument("source", type=_EXISTING)
-@click.option("--to", "form", type=click.Choice([*CONVENTIONS, "urdf"]), required=True, help="Format to write.")
+@click.option(
+    "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
+)
 @click.option(
     "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
 )
@@ -46,6 +54,21 @@ class _Source:
 @click.option("--base", default=None, metavar="LINK", help="For a URDF: link where the arm begins.")
 @click.option("--tip", default=None, metavar="LINK", help="For a URDF: link where it ends.")
 @click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
+@click.option(
+    "--nearest",
+    is_flag=True,
+    help="For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.",
+)
+@click.option(
+    "--unit", type=click.Choice([*UNITS]), default="m rad", show_default=True, help="Of a table that is written as CSV."
+)
+@click.option(
+    "--factory-kinematics",
+    "factory",
+    type=_EXISTING,
+    default=None,
+    help="For kinematics: the maker's own file of this arm.",
+)
 @click.option(
     "--out", type=click.Path(path_type=Path), default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml."
 )
@@ -58,31 +81,47 @@ def export_command(
     base: str | None,
     tip: str | None,
     largest_offset: float,
+    nearest: bool,
+    unit: str,
+    factory: Path | None,
     out: Path | None,
     output: Output,
 ) -> None:
-    """Write the kinematics of SOURCE as a table, or as a URDF without bodies.
+    """Write the kinematics of SOURCE as a table, as a URDF without bodies, or for a maker's description.
 
     SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
     are read back and must give the same poses. What a table cannot represent is reported, and noted in it.
+
+    kinematics and xacro take the joints' origins of a URDF, or of the calibrated.urdf in the folder of a calibration:
+    kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
+    for a description of your own.
     """
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
+    if form in _OF_URDF:
+        output.result(*_written_origins(source, form, base, tip, factory, out))
+        return
     arm = _read(source, which, tool, base, tip)
     if form == "urdf":
         out = out or Path(f"{source.resolve().stem}_chain.urdf")
         text, off = chain_urdf(arm.chain), None
     else:
-        table = to_table(arm.chain, form, largest_offset)
-        out = out or Path(f"{source.resolve().stem}_{form}.yaml")
+        if nearest and form != "cpc":
+            found = nearest_dh(arm.chain, form, largest_offset)
+            table, arm = found.table, _without(arm, found)
+        else:
+            table = to_table(arm.chain, form, largest_offset)
+        out = out or Path(f"{source.resolve().stem}_{form}.{'yaml' if unit == 'm rad' else 'csv'}")
         notes = [f"left out: {note}" for note in arm.left_out]
         if out.suffix.lower() == ".csv":
-            text = to_csv(table, notes)
+            text = to_csv(table, notes, unit)
             again = from_csv(text, out.name)
+        elif unit != "m rad":
+            raise BadTable(f"--unit '{unit}'", "a YAML table is in m and rad", "give --out FILE.csv")
         else:
             text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
             again = yaml.safe_load(text)
-        off = float(loss(arm.chain, again))
+        off = float(loss(arm.chain if not nearest else from_table(table), again))
     write_file(out, text)
     output.result(*told(out, arm.chain, off, arm.left_out))
 
@@ -116,6 +155,52 @@ def read_table(path: Path) -> dict[str, Any] | None:
             raise BadTable(str(path), "is not UTF-8 text", "give a CSV table") from error
     data = read_yaml(path)
     return dict(data) if isinstance(data, Mapping) and "convention" in data else None
+
+
+def _without(arm: _Source, found: NearestTable) -> _Source:
+    """The arm, what its nearest table cannot hold being said too."""
+    pairs = "; ".join(f"{a} and {b}" for a, b in found.parallel) or "none"
+    said = (
+        f"tilts of nearly parallel axes across their common normal ({pairs}): the tip is off by "
+        f"{1e3 * found.rms:.3g} mm RMS, {1e3 * found.largest:.3g} mm and {math.degrees(found.angle):.2g}° at most"
+    )
+    return replace(arm, left_out=(*arm.left_out, said))
+
+
+def _written_origins(
+    source: Path, form: str, base: str | None, tip: str | None, factory: Path | None, out: Path | None
+) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the origins of a URDF's joints between base and tip, and say so."""
+    left_out: tuple[str, ...] = ()
+    if source.is_dir():
+        calibration = read_calibration(source)
+        chain = calibration.calibrated.chain
+        base, tip = base or chain.base, tip or chain.tip
+        left_out = _of_calibration(calibration, "calibrated", False).left_out[:-1]
+        urdf = source / "calibrated.urdf"
+    else:
+        urdf = source
+    try:
+        text = urdf.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise BadTable(
+            str(urdf), "cannot be read", "give a URDF, or the folder that `modcal calibrate` wrote"
+        ) from error
+    if not text.lstrip("\ufeff \t\r\n").startswith("<"):
+        raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
+    chain, origins = read_chain(text, base, tip), joint_origins(text)
+    if form == "kinematics":
+        data = kinematics_yaml_data(chain, origins, None if factory is None else read_yaml(factory))
+        written = (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
+    else:
+        way = [name for segment in read_path(text, chain.base, chain.tip).segments for name in segment]
+        notes = [f"left out: {note}" for note in left_out]
+        written = xacro_origins({name: origins[name] for name in way}, notes)
+    out = out or Path(
+        f"{source.resolve().stem}_kinematics.yaml" if form == "kinematics" else f"{source.resolve().stem}.xacro"
+    )
+    write_file(out, written)
+    return told(out, chain, None, left_out)
 
 
 def _read(source: Path, which: str, tool: bool, base: str | None, tip: str | None) -> _Source:
