@@ -12,7 +12,9 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.calibration.stated import Stated
+from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable
+from modcal_core.measurements.samples import Samples
 from modcal_core.report.counted import counted
 from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import PoseTest, pose_test
@@ -22,6 +24,10 @@ MOST_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 an
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 _STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
+OWN_RECORDING = (
+    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
+    "it on another one."
+)
 MAX_TEXT = 90  # characters of a text that a person gives, so that the page stays one
 
 
@@ -109,12 +115,17 @@ def certificate(
     stated: Stated | None = None,
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
+    made_from: bool = False,
 ) -> Certificate:
-    """The certificate of a report. stated: of arm and instrument. Raises BadTable where no tolerance was asked for."""
+    """The certificate of a report. Raises BadTable where no tolerance was asked for.
+
+    stated: of arm and instrument. made_from: whether the frozen calibration was made from this very recording.
+    """
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
+    doubts = (OWN_RECORDING, *doubts) if made_from else doubts
     heading = f"{met.result}, with reservations" if met.result == "PASS" and doubts else met.result
     tones: dict[str, Tone] = {"PASS": "warn" if doubts else "good", "FAIL": "bad"}
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
@@ -126,7 +137,7 @@ def certificate(
         because=met.because,
         reservations=doubts,
         scale=_scale(report),
-        facts=_facts(report, stated, said),
+        facts=_facts(report, stated, said, made_from),
         errors=_errors(report),
         floor=_floor(report),
         iso=_iso(tests),
@@ -193,10 +204,12 @@ def _scale(report: Report) -> Scale:
     return Scale(met.asked.mm, start, met.value_mm, low, high, 1.25 * largest)
 
 
-def _facts(report: Report, stated: Stated, said: Particulars) -> tuple[tuple[str, str | None], ...]:
+def _facts(report: Report, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
     trace = report.trace
     sizes, counts = report.set_sizes(), report.samples.stations
-    held = "all scored, none fitted" if report.searched is None else f"{sizes['held_out']} scored that no fit has seen"
+    held = f"{sizes['held_out']} of them scored that no fit has seen"
+    if report.searched is None:
+        held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
     arm = said.robot or trace.robot
     return (
         ("Robot", arm or None),
@@ -209,6 +222,21 @@ def _facts(report: Report, stated: Stated, said: Particulars) -> tuple[tuple[str
         ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report)))) or None),
         ("Program", f"modcal {trace.version}"),
     )
+
+
+def is_made_from(calibration: Calibration, samples: Samples) -> bool:
+    """Whether a calibration was made from this recording: most postures kept in it stand in the samples, digit by
+    digit, and, where both have a clock, within the time that it was made from.
+    """
+    kept, q = calibration.postures, samples.q
+    if not len(kept) or not len(q) or kept.shape[1] != q.shape[1]:
+        return False
+    if calibration.watched is not None and calibration.clock and samples.clock:
+        first, last = calibration.watched
+        if not (samples.stamps.min() <= last and samples.stamps.max() >= first):
+            return False
+    seen = {row.tobytes() for row in np.round(q, 9) + 0.0}
+    return sum(row.tobytes() in seen for row in np.round(kept, 9) + 0.0) > 0.5 * len(kept)
 
 
 def _date(stamp: str | None) -> str | None:
@@ -229,7 +257,8 @@ def _volume(report: Report) -> str | None:
     p = report.model.predict_samples(report.scored)[:, :3, 3] - T[:, :3, 3]
     inside = np.einsum("nji,nj->ni", T[:, :3, :3], p)
     ends = zip("xyz", inside.min(axis=0), inside.max(axis=0), strict=True)
-    return "; ".join(f"{axis} {low:.2f} … {high:.2f} m" for axis, low, high in ends) + " from the base"
+    box = "; ".join(f"{axis} {low:.2f} … {high:.2f} m" for axis, low, high in ends)
+    return f"{box.replace('-', '−')} from the base"
 
 
 def _temperatures(report: Report) -> str:
@@ -253,7 +282,9 @@ def _floor(report: Report) -> str:
     judged = report.judged
     if judged is None or judged.floor_mm is None:
         return "not known"
-    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(judged.repeatability_mm.source or "", "")
+    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(
+        judged.repeatability_mm.source or "", ""
+    )
     angle = "" if judged.floor_deg is None else f" and {judged.floor_deg:.3g}°"
     return f"{judged.floor_mm:.3g} mm{angle} RMS, {how}"
 

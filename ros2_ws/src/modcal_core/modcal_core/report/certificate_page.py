@@ -61,7 +61,7 @@ def ticks(end: float) -> list[float]:
     """Round numbers [mm] from 0 to end, about five."""
     from modcal_core.report.panel import round_numbers
 
-    return [round(float(value), 9) for value in round_numbers(0.0, 0.96 * end)[0]]
+    return [abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * end)[0]]
 
 
 def _text(said: str, x: float, y: float, anchor: str) -> str:

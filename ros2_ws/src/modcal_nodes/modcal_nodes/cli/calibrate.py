@@ -15,6 +15,7 @@ from modcal_core.files import write_folder
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import evaluate
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.certificate import is_made_from
 from modcal_core.report.files import report_files
 from modcal_core.report.report import Report
 from modcal_core.robot import Robot
@@ -210,7 +211,8 @@ def evaluate_command(
         if said is not None:
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
-            files |= certificate_files(report, _stated(cell_file, samples, stated), said, hashes)
+            own = is_made_from(frozen, samples)
+            files |= certificate_files(report, _stated(cell_file, samples, stated), said, hashes, own)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, files)
     return _say(report, out, output)

@@ -23,7 +23,9 @@ CERTIFICATE = (
 )  # fmt: skip
 
 
-def particulars(asked: bool, serial: str | None, cell_file: Path | None, tolerance_mm: float | None) -> Particulars | None:
+def particulars(
+    asked: bool, serial: str | None, cell_file: Path | None, tolerance_mm: float | None
+) -> Particulars | None:
     """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
     if not asked:
         if serial is not None:
@@ -37,12 +39,14 @@ def particulars(asked: bool, serial: str | None, cell_file: Path | None, toleran
     return said if serial is None else replace(said, serial=serial)
 
 
-def certificate_files(report: Report, stated: Stated, said: Particulars, hashes: Hashes) -> dict[str, str | bytes]:
-    """Names and contents of the certificate's files."""
+def certificate_files(
+    report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
+) -> dict[str, str | bytes]:
+    """Names and contents of the certificate's files; the arguments are those of the certificate."""
     from modcal_core.report.certificate_page import to_html
     from modcal_nodes.io.certificate_pdf import to_pdf
 
-    one = certificate(report, stated, said, hashes)
+    one = certificate(report, stated, said, hashes, made_from)
     return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from fpdf import FPDF
 
 _LEFT, _WIDTH, _BOTTOM = 16.0, 178.0, 284.0  # mm, of the text on A4
-_SIZES = (8.6, 8.0, 7.4, 6.8, 6.2)  # pt; the first at which everything stands on one sheet is taken
-_NAME = 34.0  # mm, of the names of facts
+_SIZES = (9.6, 9.0, 8.4, 7.8, 7.2, 6.6, 6.0)  # pt; the first at which everything stands on one sheet is taken
+_NAME = 42.0  # mm, of the names of facts
 
 
 def to_pdf(one: Certificate) -> bytes:
@@ -31,6 +31,7 @@ def _written(one: Certificate, size: float) -> tuple[FPDF, float]:
     """The sheet in letters of this size [pt], and where its text ends [mm]."""
     pdf = _empty(one.title)
     line = 0.49 * size  # mm; the letters' size and a third
+    _ink(pdf, "ink")
     pdf.set_font("text", "B", 15)
     pdf.cell(_WIDTH, 8, one.title, new_x="LMARGIN", new_y="NEXT")
     _result(pdf, one, size, line)
@@ -38,7 +39,7 @@ def _written(one: Certificate, size: float) -> tuple[FPDF, float]:
     _facts(pdf, one, size, line)
     _errors(pdf, one, size, line)
     _paragraphs(pdf, "ISO 9283", one.iso, size, line)
-    _paragraphs(pdf, "What this certificate does not say", [f"•  {said}" for said in one.silent_on], size, line)
+    _paragraphs(pdf, "What this certificate does not say", one.silent_on, size, line, "•")
     if one.hashes:
         _title(pdf, "SHA-256", size)
         for name, digest in one.hashes:
@@ -60,6 +61,7 @@ def _empty(title: str) -> FPDF:
     pdf.set_creation_date(datetime(2000, 1, 1, tzinfo=UTC))  # the same certificate gives the same bytes
     pdf.set_title(title)
     pdf.set_lang("en")
+    pdf.c_margin = 0.0
     pdf.set_margins(_LEFT, 13.0, _LEFT)
     pdf.set_auto_page_break(False)
     pdf.add_page()
@@ -89,9 +91,8 @@ def _result(pdf: FPDF, one: Certificate, size: float, line: float) -> None:
     pdf.cell(_WIDTH - 4.0, 8.5, one.heading, new_x="LMARGIN", new_y="NEXT")
     _ink(pdf, "ink")
     pdf.set_font("text", "", size + 0.6)
-    for said in (one.because, *(f"•  {reason}" for reason in one.reservations)):
-        pdf.set_x(_LEFT + 4.0)
-        pdf.multi_cell(_WIDTH - 4.0, line + 0.3, said, align="L", new_x="LMARGIN", new_y="NEXT")
+    for mark, said in (("", one.because), *(("•", reason) for reason in one.reservations)):
+        _sentence(pdf, said, line + 0.3, 4.0, mark)
     _ink(pdf, one.tone, fill=True)
     pdf.rect(_LEFT, top, 1.6, pdf.get_y() - top + 1.0, style="F")
     _ink(pdf, "ink")
@@ -180,11 +181,20 @@ def _errors(pdf: FPDF, one: Certificate, size: float, line: float) -> None:
     pdf.cell(_WIDTH, line, f"Floor of arm and instrument: {one.floor}.", new_x="LMARGIN", new_y="NEXT")
 
 
-def _paragraphs(pdf: FPDF, title: str, said: tuple[str, ...] | list[str], size: float, line: float) -> None:
+def _paragraphs(pdf: FPDF, title: str, said: tuple[str, ...], size: float, line: float, mark: str = "") -> None:
     _title(pdf, title, size)
     pdf.set_font("text", "", size)
     for sentence in said:
-        pdf.multi_cell(_WIDTH, line, sentence, align="L", new_x="LMARGIN", new_y="NEXT")
+        _sentence(pdf, sentence, line, 0.0, mark)
+
+
+def _sentence(pdf: FPDF, said: str, line: float, indent: float, mark: str) -> None:
+    """A sentence, behind a mark and in line with it where there is one. indent: [mm]."""
+    pdf.set_x(_LEFT + indent)
+    if mark:
+        pdf.cell(4.0, line, mark)
+        indent += 4.0
+    pdf.multi_cell(_WIDTH - indent, line, said, align="L", new_x="LMARGIN", new_y="NEXT")
 
 
 def _signatures(pdf: FPDF, one: Certificate, size: float) -> None:
