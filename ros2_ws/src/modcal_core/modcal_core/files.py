@@ -15,8 +15,8 @@ from modcal_core.errors import BadTable
 _MAX_DEPTH, _MAX_YAML = 100, 1 << 28
 
 
-def write_folder(folder: Path, files: Mapping[str, str]) -> None:
-    """Write these texts into a folder, made if need be; on failure the folder is left as it was.
+def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write these texts, or bytes, into a folder, made if need be; on failure the folder is left as it was.
 
     All files are written elsewhere first, on the same disk. A folder that is new is then moved into place at once, into
     one that is there already its files are moved one after the other.
@@ -28,8 +28,8 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
     try:
         new = stage / "new"
         new.mkdir()
-        for name, text in files.items():
-            (new / name).write_text(text, encoding="utf-8")
+        for name, content in files.items():
+            (new / name).write_bytes(content.encode() if isinstance(content, str) else content)
         if not folder.exists():
             os.rename(new, folder)
             return

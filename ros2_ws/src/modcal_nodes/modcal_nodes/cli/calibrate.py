@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
+from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration
 from modcal_core.files import write_folder
+from modcal_core.measurements.samples import Samples
 from modcal_core.public import evaluate
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.certificate import is_made_from
+from modcal_core.report.files import report_files
 from modcal_core.report.report import Report
 from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
+from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
@@ -127,15 +132,32 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )
 @calibration_options
-@_with(_TOLERANCE)
+@_with((*_TOLERANCE, *CERTIFICATE))
 @_OUT
 @speaking
-def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, output: Output, **options: Any) -> int:
+def calibrate_command(
+    bag: Path,
+    more: tuple[Path, ...],
+    certificate: bool,
+    serial: str | None,
+    out: Path | None,
+    output: Output,
+    **options: Any,
+) -> int:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
+    asked = Options(**options)
+    said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
     with output.working() as watch:
-        done = calibrate_bag(bag, Options(**options), more, watch)
+        done = calibrate_bag(bag, asked, more, watch)
+        files: dict[str, str | bytes] = {**done.files}
+        if said is not None:
+            watch("writing the certificate")
+            described = asked.delta or asked.urdf or done.result.robot.description
+            hashes = certified_hashes(described, done.files["calibration.yaml"])
+            stated = _stated(asked.cell_file, done.result.samples, options)
+            files |= certificate_files(done.result.report, stated, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
-    write_folder(out, done.files)
+    write_folder(out, files)
     return _say(done.result.report, out, output)
 
 
@@ -144,7 +166,7 @@ def calibrate_command(bag: Path, more: tuple[Path, ...], out: Path | None, outpu
 @click.argument("bag", type=EXISTING)
 @click.option("--refit-base", is_flag=True, help="Fit the base again: the tracker or the robot was moved.")
 @click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
-@_with((_CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, _OUT))
+@_with((_CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, *CERTIFICATE, _OUT))
 @speaking
 def evaluate_command(
     calibration: Path,
@@ -160,11 +182,14 @@ def evaluate_command(
     clock_limit: float,
     tolerance_mm: float | None,
     tolerance_of: str,
+    certificate: bool,
+    serial: str | None,
     out: Path | None,
     output: Output,
     **stated: float | None,
 ) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
+    said = particulars(certificate, serial, cell_file, tolerance_mm)
     frozen = Calibration.load(calibration)
     cell = read_cell(cell_file, stated=stated_from(stated))
     with output.working() as watch:
@@ -182,9 +207,21 @@ def evaluate_command(
             tolerance_mm=tolerance_mm,
             tolerance_of=tolerance_of,
         )
+        files: dict[str, str | bytes] = {**report_files(report)}
+        if said is not None:
+            watch("writing the certificate")
+            hashes = certified_hashes(samples.origin.description, calibration)
+            own = is_made_from(frozen, samples)
+            files |= certificate_files(report, _stated(cell_file, samples, stated), said, hashes, own)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
-    report.save(out)
+    write_folder(out, files)
     return _say(report, out, output)
+
+
+def _stated(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:
+    """What options, cell file and instruments state of arm and instrument, in this order."""
+    own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
+    return read_cell(cell_file, stated=stated_from(options)).stated.over(own)
 
 
 def _say(report: Report, out: Path, output: Output) -> int:

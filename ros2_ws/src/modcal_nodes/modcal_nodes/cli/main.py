@@ -123,6 +123,8 @@ _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_p
 
 def _source_of(module: str) -> str | None:
     """Where a module comes from that not every installation has; None for any other."""
+    if module == "fpdf":
+        return "pip install fpdf2"
     if module in _EXTRAS:
         return f"pip install 'modcal[{_EXTRAS[module]}]'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):

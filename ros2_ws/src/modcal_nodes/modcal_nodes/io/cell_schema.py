@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 from modcal_core.calibration.moves import WHATS
 from modcal_core.measurements.schema import Schema
+from modcal_core.report.certificate import Particulars
 
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}
@@ -56,5 +59,6 @@ SCHEMA = _mapping(
         "topics": {"type": ["object", "null"], "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
         "ignore": _TEXTS,
         "tf": {"type": ["string", "null"]},
+        "certificate": {**_mapping({field.name: _TEXT for field in fields(Particulars)}), "type": ["object", "null"]},
     }
 )

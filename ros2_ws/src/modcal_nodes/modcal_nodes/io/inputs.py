@@ -19,6 +19,7 @@ from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.schema import require, shown, told
+from modcal_core.report.certificate import Particulars
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
 from modcal_msgs_py.choosing import Topics
@@ -87,6 +88,12 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
         None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
     )
+
+
+def read_particulars(path: Path | None) -> Particulars:
+    """What a cell file states for a certificate; nothing without a file. Raises BadTable."""
+    data = {} if path is None else _read_cell(path)
+    return Particulars(**{name: str(text) for name, text in (data.get("certificate") or {}).items()})
 
 
 def read_topics(path: Path | None, said: Topics) -> Topics:

@@ -1,0 +1,61 @@
+"""``--certificate``: one page to sign, as HTML and PDF, beside the report of a calibration or an evaluation."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from modcal_core.calibration.stated import Stated
+from modcal_core.errors import BadTable
+from modcal_core.report.certificate import Hashes, Particulars, certificate
+from modcal_core.report.report import Report
+from modcal_nodes.io.inputs import read_particulars
+
+CERTIFICATE = (
+    click.option(
+        "--certificate", is_flag=True,
+        help="Write certificate.html and certificate.pdf, one page to sign. Needs --tolerance-mm.",
+    ),
+    click.option("--serial", default=None, metavar="TEXT", help="Serial number of the robot, for the certificate."),
+)  # fmt: skip
+
+
+def particulars(
+    asked: bool, serial: str | None, cell_file: Path | None, tolerance_mm: float | None
+) -> Particulars | None:
+    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
+    if not asked:
+        if serial is not None:
+            raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
+        return None
+    if tolerance_mm is None:
+        raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
+    import fpdf  # noqa: F401  # where it is missing, that is said before minutes of work
+
+    said = read_particulars(cell_file)
+    return said if serial is None else replace(said, serial=serial)
+
+
+def certificate_files(
+    report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
+) -> dict[str, str | bytes]:
+    """Names and contents of the certificate's files; the arguments are those of the certificate."""
+    from modcal_core.report.certificate_page import to_html
+    from modcal_nodes.io.certificate_pdf import to_pdf
+
+    one = certificate(report, stated, said, hashes, made_from)
+    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+
+
+def certified_hashes(description: str | Path | None, calibration: str | Path) -> Hashes:
+    """SHA-256 of a robot description and a calibration, each a text, or a file (of a folder its calibration.yaml)."""
+    if isinstance(calibration, Path) and calibration.is_dir():
+        calibration = calibration / "calibration.yaml"
+    return Hashes(description=None if description is None else _digest(description), calibration=_digest(calibration))
+
+
+def _digest(content: str | Path) -> str:
+    return hashlib.sha256(content.read_bytes() if isinstance(content, Path) else content.encode()).hexdigest()
