@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
 from modcal_core.measurements.schema import require
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables_schema import SCHEMA
+from modcal_msgs_py.tables.schema import SCHEMA
 from modcal_nodes.cli.main import run
 
 ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))
@@ -83,7 +83,9 @@ WRONG: list[tuple[str, Any, str]] = [
     ("tables.0.joints.columns", {}, "is empty"),
     ("tables.0.joints.columns.j1", None, "is not a text or a whole number"),
     ("tables.0.joints.columns.j1", True, "is not a text or a whole number"),
-    ("tables.0.joints.effort", {"j1": "a"}, "joints: unknown key effort; known are columns, unit"),
+    ("tables.0.joints.torque", {"j1": "a"}, "joints: unknown key torque; known are columns, commanded, effort"),
+    ("tables.0.joints.effort", {"j1": "a"}, "joints: effort: 'columns' is not stated"),
+    ("tables.0.joints.effort", {"columns": {"j9": "a"}}, "joints: effort: j9 has no position column"),
     ("tables.0.time", {"format": 5, "column": "t"}, "time: format: 5 is not a text"),
     ("tables.0.time", {"format": "%Q", "column": "t"}, "is not %Q"),
     ("tables.0.time", {"format": "%Y%Y", "column": "t"}, "is not %Y%Y"),
