@@ -259,13 +259,13 @@ MODULES = _all(
 
 MEASUREMENTS = _all(
     "measurements",
-    ("stations.averaged", "stamped when it began", "0.5 * (start + end)", "start"),
+    ("pairing.averaged", "stamped when it began", "0.5 * (start + end)", "start"),
     ("dwells.deviation_of_mean", "correlation half counted", "/ (1.0 + min(max(rho, 0.0), 0.99))", ""),
     ("dwells.find_dwells", "settling time counted in", "spans[:, 0] += rules.settle - 0.5 * rules.window", "pass"),
     ("dwells.inliers", "glitches are averaged in", "return off <= limit", "return off >= 0.0"),
-    ("stations._approach", "sign of the last motion",
+    ("pairing._approach", "sign of the last motion",
      "np.sign(apart[last, np.arange(q.shape[1])])", "-np.sign(apart[last, np.arange(q.shape[1])])"),
-    ("stations._cut", "moving recordings taken as standing",
+    ("pairing._cut", "moving recordings taken as standing",
      "course(at, 2), moving=True)", "course(at, 2), moving=False)"),
     ("alignment.ClockOffset.corrected", "sign of the offset", "stamps - self.offset -", "stamps + self.offset -"),
     ("alignment.align", "clocks far off are not refused", "if worst > limit:", "if False:"),
