@@ -290,7 +290,7 @@ MESSAGES = _all(
     ("mcap_repair._Copy.finish", "silent topics lost", "if channel not in self._channels:", "if False:"),
     ("messages.RecordingBuilder._stamp", "no stamp is 1970", "if stamp == 0.0 and math.isfinite(received):", "if False:"),
     ("messages._require_joints", "a name may stand twice", "or len(set(names)) != len(names):", "or False:"),
-    ("messages._preferred", "namespaced topics join in", """return {f"/{role}"} if f"/{role}" in topics else topics""",
+    ("topics.preferred", "namespaced topics join in", """return {f"/{role}"} if f"/{role}" in topics else topics""",
      "return topics"),
     ("tables._joints", "unit of the joints ignored", "position = scale * np.stack(", "position = np.stack("),
     ("tables._reading", "inverse poses taken as they are",
