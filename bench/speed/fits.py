@@ -22,7 +22,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.linearise import apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.system import PlainSystem
 from modcal_core.geometry import so3
@@ -42,7 +42,7 @@ PUBLISHED = {
 }
 
 
-def located(samples: Samples) -> tuple[Model, tuple[Parameter, ...]]:
+def located(samples: Samples) -> tuple[Model, tuple[ModelParameter, ...]]:
     """The nominal arm, with base and tool found from a hundred samples, and its parameters."""
     few = samples.select(np.arange(min(len(samples), 100)))
     start = fit_cell(ur10(), few, Cell()).model
@@ -70,7 +70,7 @@ def many(count: int, kind: str, seed: int = 1) -> Samples:
     return samples_of(ur10(), q, T, kind)
 
 
-def scipy_fit(model: Model, parameters: tuple[Parameter, ...], samples: Samples) -> Callable[[], Any]:
+def scipy_fit(model: Model, parameters: tuple[ModelParameter, ...], samples: Samples) -> Callable[[], Any]:
     """The same least squares by SciPy, with derivatives by differences."""
     scale = np.full(len(parameters), 1e-3)
 

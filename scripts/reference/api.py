@@ -74,7 +74,10 @@ def _one(name: str, what: Any) -> Iterator[str]:
         yield _signature(f"modcal.{name}", what)
     yield _prose(what)
     own = {field.name for field in fields(what)} if is_dataclass(what) else set()
-    for member, value in vars(what).items():
+    hidden = [base for base in reversed(what.__mro__[1:]) if is_dataclass(base) and base.__name__ not in modcal.__all__]
+    for base in hidden:
+        yield _prose(base)
+    for member, value in (item for known in (*hidden, what) for item in vars(known).items()):
         if member.startswith("_") or member in own or member in _PRIVATE or not inspect.getdoc(value):
             continue
         if isinstance(value, property):

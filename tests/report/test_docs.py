@@ -14,7 +14,7 @@ from report.reports import delta, warm_cell
 
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.report import STAGES
+from modcal_core.report.contents import STAGES
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 

@@ -51,45 +51,33 @@ OUTSIDE_WHEN_CALLED = {
     "modules/": {"matplotlib", "yaml"},
 }
 
-# Public classes with a method that hands on, when called, to a function in a file above: `from_arrays`, `predict`, `save`.
-HAND_ON = {
-    "modcal_core.measurements.samples",
-    "modcal_core.calibration.store",
-    "modcal_core.report.report",
-}
-
 
 @dataclass(frozen=True)
 class Import:
-    """One module that one line imports. `lazy`: only when a function is called, or for the type checker alone.
-
-    `called`: only when a function is called.
-    """
+    """One module that one line imports. `lazy`: only when a function is called, or for the type checker alone."""
 
     module: str
     line: int
     lazy: bool
-    called: bool = False
 
 
 def imports(source: str, package: str) -> Iterator[Import]:
     """Every import of the source of a module in `package`, names of `from` imports included, relative ones resolved."""
 
-    def walk(node: ast.AST, lazy: bool, called: bool) -> Iterator[Import]:
+    def walk(node: ast.AST, lazy: bool) -> Iterator[Import]:
         if isinstance(node, ast.Import):
-            yield from (Import(alias.name, node.lineno, lazy, called) for alias in node.names)
+            yield from (Import(alias.name, node.lineno, lazy) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             here = package.split(".")
             base = here[: len(here) - node.level + 1] if node.level else []
             module = ".".join([*base, *([node.module] if node.module else [])])
-            yield from (Import(f"{module}.{alias.name}", node.lineno, lazy, called) for alias in node.names)
-        called = called or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        lazy = lazy or called
+            yield from (Import(f"{module}.{alias.name}", node.lineno, lazy) for alias in node.names)
+        lazy = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         lazy = lazy or (isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"))
         for child in ast.iter_child_nodes(node):
-            yield from walk(child, lazy, called)
+            yield from walk(child, lazy)
 
-    yield from walk(ast.parse(source), lazy=False, called=False)
+    yield from walk(ast.parse(source), lazy=False)
 
 
 @cache
@@ -170,14 +158,12 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
 
 @cache
-def import_graph(called: bool = False) -> dict[str, set[str]]:
-    """Modules of the core and what each imports of it: at import, for the type checker, and when a function is called
-    if `called`.
-    """
+def import_graph() -> dict[str, set[str]]:
+    """Modules of the core and what each imports of it: at import, when a function is called, and for the type checker."""
     names = {_module(place): place for place in files("modcal_core")}
     graph: dict[str, set[str]] = {}
     for module, place in names.items():
-        found = {i.module for i in imports_of("modcal_core", place) if called or not i.called}
+        found = {i.module for i in imports_of("modcal_core", place)}
         graph[module] = {name if name in names else name.rpartition(".")[0] for name in found} & set(names) - {module}
     return graph
 
@@ -187,13 +173,6 @@ def test_no_modules_of_the_core_import_each_other_in_a_circle() -> None:
     assert sum(map(len, graph.values())) > 500
     assert not circles(graph)
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
-
-
-def test_what_is_imported_when_called_makes_known_circles_only() -> None:
-    """Methods of the public classes that hand on to a function which takes the class."""
-    whole = import_graph(called=True)
-    assert {module for group in circles(whole) for module in group} > HAND_ON
-    assert not circles({m: import_graph()[m] if m in HAND_ON else found for m, found in whole.items()})
 
 
 def test_no_two_files_are_called_loop() -> None:

@@ -6,10 +6,7 @@ Everything here works on attributes, so that a message from rclpy and one decode
 from __future__ import annotations
 
 import math
-import re
-from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,14 +16,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
     PART,
-    JointTrack,
     Listed,
-    ReadingTrack,
     Recording,
-    SignalTrack,
 )
 from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
 from modcal_msgs_py.choosing import Roles, could_be
+from modcal_msgs_py.descriptions import Descriptions, is_link
 from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
 from modcal_msgs_py.readings import READING, columns_of, stated_by, stated_in
 from modcal_msgs_py.stamps import seconds
@@ -39,51 +34,13 @@ from modcal_msgs_py.topics import (
     TEMPERATURE,
     TF_STATIC,
     TRANSFORMS,
+    preferred,
     role_of,
 )
+from modcal_msgs_py.track_rows import TrackRows, joint_track, reading_track, signal_track
 from modcal_msgs_py.transforms import Transforms
 
 NO_POSITIONS = "it holds names without positions"
-_MAX_DESCRIPTIONS = 8  # different ones that are kept of a topic
-
-
-@dataclass
-class _Rows:
-    """Growing columns of one track, eight bytes a number, however long a node listens."""
-
-    width: int
-    stamps: array[float] = field(default_factory=lambda: array("d"))
-    received: array[float] = field(default_factory=lambda: array("d"))
-    values: array[float] = field(default_factory=lambda: array("d"))
-
-    def append(self, stamp: float, received: float, values: Any) -> None:
-        """Add one row of ``width`` numbers."""
-        self.stamps.append(stamp)
-        self.received.append(received)
-        if isinstance(values, array):
-            self.values.extend(values)
-        else:
-            self.values.frombytes(np.asarray(values, dtype=float).tobytes())
-
-    def extend(self, stamps: Array, received: Array, values: Array) -> None:
-        """Add many rows: stamps and received (n,), values (n, width)."""
-        for column, new in ((self.stamps, stamps), (self.received, received), (self.values, values)):
-            column.frombytes(np.ascontiguousarray(new, dtype=float).tobytes())
-
-    def forget_before(self, received: float) -> None:
-        """Forget all rows but those since the first that was received at this time or later."""
-        late = np.flatnonzero(np.array(self.received) >= received)
-        first = int(late[0]) if len(late) else len(self.received)
-        self.stamps, self.received = self.stamps[first:], self.received[first:]
-        self.values = self.values[first * self.width :]
-
-    def columns(self) -> tuple[Array, Array, Array]:
-        """(stamps (N,), received (N,), values (N, width)), copied."""
-        return (
-            np.array(self.stamps),
-            np.array(self.received),
-            np.array(self.values).reshape(len(self.stamps), self.width),
-        )
 
 
 class RecordingBuilder:
@@ -99,10 +56,10 @@ class RecordingBuilder:
         """
         self._source, self._roles = source, roles
         self._transforms = None if roles is None or roles.tf is None else Transforms(*roles.tf)
-        self._joints: dict[tuple[str, tuple[str, ...]], _Rows] = {}
-        self._readings: dict[tuple[str, str, str], _Rows] = {}
-        self._signals: dict[tuple[str, str], _Rows] = {}
-        self._description: dict[str, list[str]] = {}
+        self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}
+        self._readings: dict[tuple[str, str, str], TrackRows] = {}
+        self._signals: dict[tuple[str, str], TrackRows] = {}
+        self._descriptions = Descriptions()
         self._notes: list[str] = []
         self._unstamped: dict[str, int] = {}
         self._lost: dict[tuple[str, str], int] = {}
@@ -131,7 +88,7 @@ class RecordingBuilder:
         elif role in READINGS:
             self._add_reading(topic, READINGS[role], message, received)
         elif role == ROBOT_DESCRIPTION:
-            self._describe(topic, str(message.data))
+            self._descriptions.add(topic, str(message.data))
         elif role == NOTES:
             self._notes.append(str(message.data))
         elif role == TEMPERATURE:
@@ -174,7 +131,7 @@ class RecordingBuilder:
             own = stated_in(type_name, len(values), column)
             self._reading_rows(topic, kind, frame).extend(stamps, received, np.hstack([values, own]))
         elif role == ROBOT_DESCRIPTION:
-            self._describe(topic, layout.texts["data"])
+            self._descriptions.add(topic, layout.texts["data"])
         elif role == NOTES:
             self._notes += [layout.texts["data"]] * len(rows)
         elif role == TEMPERATURE:
@@ -204,14 +161,14 @@ class RecordingBuilder:
 
     def recording(self) -> Recording:
         """Everything taken so far."""
-        joint_topics = _preferred({topic for topic, _ in self._joints}, JOINT_STATES)
+        joint_topics = preferred({topic for topic, _ in self._joints}, JOINT_STATES)
         reading_topics = {
-            role: _preferred({topic for topic, k, _ in self._readings if k == kind}, role)
+            role: preferred({topic for topic, k, _ in self._readings if k == kind}, role)
             for role, kind in READINGS.items()
         }
         chosen = {topic for topics in reading_topics.values() for topic in topics}
-        joints = tuple(_joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics)
-        description, notes = self._chosen_description(joints)
+        joints = tuple(joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics)
+        description, notes = self._descriptions.chosen(joints)
         warnings = [
             *notes,
             *(
@@ -226,14 +183,14 @@ class RecordingBuilder:
         for (topic, kind, frame), rows in self._readings.items():
             if topic not in chosen:
                 continue
-            if topic in by_type and description is not None and _is_link(frame, description):
+            if topic in by_type and description is not None and is_link(frame, description):
                 found = [note for note in found if not note.startswith(f"{topic} ")]
                 warnings.append(
                     f"{topic} is in {frame}, a link of the robot: it looks computed from the joints and is not used; "
                     f"if it was measured, state --topic {self._role_of_kind(kind)}={topic}."
                 )
                 continue
-            readings.append(_reading_track(kind, frame, rows, topic, topic in by_type))
+            readings.append(reading_track(kind, frame, rows, topic, topic in by_type))
         if self._transforms is not None:
             readings.append(self._transforms.track(description))
         lost: dict[str, int] = {}
@@ -242,7 +199,7 @@ class RecordingBuilder:
         return Recording(
             joints=joints,
             readings=tuple(readings),
-            signals=tuple(_signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
+            signals=tuple(signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
             robot_description=description,
             source=self._source,
             warnings=(*self._notes, *found, *warnings),
@@ -260,30 +217,6 @@ class RecordingBuilder:
     def _role_of_kind(self, kind: str) -> str:
         return next(role for role, name in READINGS.items() if name == kind)
 
-    def _describe(self, topic: str, text: str) -> None:
-        """Keep a robot description, if it is another one than those before."""
-        kept = self._description.setdefault(topic, [])
-        if text not in kept and len(kept) < _MAX_DESCRIPTIONS:
-            kept.append(text)
-
-    def _chosen_description(self, joints: tuple[JointTrack, ...]) -> tuple[str | None, list[str]]:
-        """The description that has most of the recorded joints, the earlier of equals; and what to say of others."""
-        topics = sorted(_preferred(set(self._description), ROBOT_DESCRIPTION))
-        texts = [(topic, text) for topic in topics for text in self._description[topic]]
-        if not texts:
-            return None, []
-        names = {name for track in joints for name in track.names}
-
-        def known(text: str) -> int:
-            return sum(f'"{name}"' in text or f"'{name}'" in text for name in names)
-
-        topic, chosen = max(texts, key=lambda pair: known(pair[1]))  # the first of equals
-        others = len(self._description[topic]) - 1
-        said = (
-            f"{topic} was published with {others + 1} different contents: the one with most recorded joints was used."
-        )
-        return chosen, [said] if others else []
-
     def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
         self._add_joints(topic, message, self._stamp(topic, message, received), received)
 
@@ -293,7 +226,7 @@ class RecordingBuilder:
         # a column that was not sent, or not for every joint, is unknown for all of them
         sent = (message.velocity, message.effort)
         rest = [np.asarray(values, dtype=float) if len(values) == n else np.full(n, np.nan) for values in sent]
-        rows = self._joints.setdefault((topic, names), _Rows(3 * n))
+        rows = self._joints.setdefault((topic, names), TrackRows(3 * n))
         rows.append(stamp, received, np.concatenate([message.position, *rest]))
 
     def _add_joint_rows(
@@ -302,16 +235,16 @@ class RecordingBuilder:
         names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
         n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
-        self._joints.setdefault((topic, names), _Rows(3 * n)).extend(stamps, received, np.hstack(known))
+        self._joints.setdefault((topic, names), TrackRows(3 * n)).extend(stamps, received, np.hstack(known))
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
         rows = self._reading_rows(topic, kind, str(message.header.frame_id))
         values = (*READING[kind](message), *stated_by(message))
         rows.append(self._stamp(topic, message, received), received, values)
 
-    def _reading_rows(self, topic: str, kind: str, frame: str) -> _Rows:
+    def _reading_rows(self, topic: str, kind: str, frame: str) -> TrackRows:
         """The rows of a track: its numbers, and what is stated of the error of position and orientation."""
-        return self._readings.setdefault((topic, kind, frame), _Rows(kinds()[kind].width + 2))
+        return self._readings.setdefault((topic, kind, frame), TrackRows(kinds()[kind].width + 2))
 
     def _add_transforms(self, topic: str, message: Any, received: float) -> None:
         if self._transforms is None:
@@ -348,10 +281,10 @@ class RecordingBuilder:
             )
 
     def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
-        self._signals.setdefault((topic, name), _Rows(1)).extend(stamps, received, values)
+        self._signals.setdefault((topic, name), TrackRows(1)).extend(stamps, received, values)
 
     def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
-        self._signals.setdefault((topic, name), _Rows(len(values))).append(stamp, received, values)
+        self._signals.setdefault((topic, name), TrackRows(len(values))).append(stamp, received, values)
 
     def _stamp(self, topic: str, message: Any, received: float) -> float:
         header = getattr(message, "header", None)
@@ -382,37 +315,8 @@ def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: f
     return len(names)
 
 
-def _joint_track(topic: str, names: tuple[str, ...], rows: _Rows) -> JointTrack:
-    stamps, received, values = rows.columns()
-    position, velocity, effort = np.split(values, 3, axis=1)
-    return JointTrack(names, stamps, position, velocity, effort, received, topic)
-
-
-def _reading_track(kind: str, frame: str, rows: _Rows, topic: str, by_type: bool) -> ReadingTrack:
-    stamps, received, columns = rows.columns()
-    values, stated = columns[:, :-2], columns[:, -2:]
-    return ReadingTrack(
-        kind, frame, stamps, values, received, topic, stated if np.isfinite(stated).any() else None, by_type
-    )
-
-
-def _is_link(frame: str, description: str) -> bool:
-    """Whether a robot description has a link of this name."""
-    frame = frame.strip("/")
-    return bool(frame) and re.search(rf"<link\b[^>]*\bname\s*=\s*[\"']{re.escape(frame)}[\"']", description) is not None
-
-
 def _could(one: Listed) -> tuple[str, ...]:
     return could_be(one.topic, one.type_name)
-
-
-def _signal_track(name: str, rows: _Rows, topic: str) -> SignalTrack:
-    stamps, _, values = rows.columns()
-    return SignalTrack(name, stamps, values, topic)
-
-
-def _preferred(topics: set[str], role: str) -> set[str]:
-    return {f"/{role}"} if f"/{role}" in topics else topics
 
 
 def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:

@@ -55,3 +55,8 @@ def role_of(topic: str, type_name: str) -> str | None:
         if (topic == f"/{role}" or topic.endswith(f"/{role}")) and type_name in types:
             return role
     return None
+
+
+def preferred(topics: set[str], role: str) -> set[str]:
+    """The topic at the contract's own name, where it is among these; else all of them."""
+    return {f"/{role}"} if f"/{role}" in topics else topics

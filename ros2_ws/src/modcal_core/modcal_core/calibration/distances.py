@@ -17,7 +17,7 @@ from modcal_core.calibration.linearise import (
     model_at,
 )
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import all_columns
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -84,7 +84,7 @@ class DistanceRows:
 
 
 def distance_rows(
-    model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[AnyDistance]
+    model: Model, parameters: Sequence[ModelParameter], values: Array, distances: Sequence[AnyDistance]
 ) -> DistanceRows:
     """Residuals of known distances, and derivatives, with the parameters at these values about the given model.
 
@@ -101,14 +101,14 @@ def distance_rows(
 
 
 def distance_cost(
-    model: Model, parameters: Sequence[Parameter], values: Array, distances: Sequence[AnyDistance]
+    model: Model, parameters: Sequence[ModelParameter], values: Array, distances: Sequence[AnyDistance]
 ) -> float:
     """What known distances add to the cost of a fit with the parameters at these values."""
     return distance_rows(model, parameters, values, distances).cost
 
 
 def _between_frames(
-    model: Model, parameters: Sequence[Parameter], values: Array, known: Distance
+    model: Model, parameters: Sequence[ModelParameter], values: Array, known: Distance
 ) -> tuple[float, Array]:
     errors = deviations(model, parameters, values[: len(parameters)])
     now = apply_deviations(model, errors)
@@ -130,7 +130,7 @@ def _between_frames(
 
 
 def _between_stations(
-    model: Model, parameters: Sequence[Parameter], values: Array, known: StationDistance
+    model: Model, parameters: Sequence[ModelParameter], values: Array, known: StationDistance
 ) -> tuple[float, Array]:
     assert known.ends is not None
     now = model_at(model, parameters, values)

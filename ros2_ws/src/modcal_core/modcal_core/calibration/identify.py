@@ -28,7 +28,7 @@ from modcal_core.calibration.noise import (
     robust_weights,
     standard_score,
 )
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.system import system_of
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, prior_stds
@@ -67,7 +67,7 @@ class Fit:
 
     model: Model
     start: Model
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     values: Array
     covariance: Array
     noise: NoiseModel
@@ -99,7 +99,7 @@ class Fit:
 def identify(
     start: Model,
     samples: Samples,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     distances: Sequence[AnyDistance] = (),
     robust: bool = True,
     keep_effects: bool = False,
@@ -160,7 +160,7 @@ class _Minimum:
 def _minimum(
     start: Model,
     samples: Samples,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     distances: Sequence[AnyDistance],
     limit: float | None,
     fitted: Sequence[Effect],
@@ -234,7 +234,7 @@ def _minimum(
     return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or length <= FITTED)
 
 
-def priors(effects: Sequence[Effect], parameters: Sequence[Parameter], around: Drivers) -> tuple[Array, Array]:
+def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], around: Drivers) -> tuple[Array, Array]:
     """Where each value is expected and how far from there: geometry at zero, effects at nothing, settings as found."""
     centre, prior = [np.zeros(len(parameters))], [np.array([p.prior_std for p in parameters])]
     for effect in effects:

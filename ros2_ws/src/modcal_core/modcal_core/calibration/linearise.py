@@ -26,7 +26,7 @@ import numpy as np
 
 from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import INSTRUMENT, Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import READING, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
@@ -79,7 +79,7 @@ class Deviations:
     instruments: tuple[Array, ...] = ()
 
 
-def deviations(model: Model, parameters: Sequence[Parameter], values: Array) -> Deviations:
+def deviations(model: Model, parameters: Sequence[ModelParameter], values: Array) -> Deviations:
     """The errors at every place of a model that these parameter values stand for."""
     own = tuple(np.zeros(len(i.constants)) for i in model.instruments)
     n = model.chain.tool_place
@@ -117,7 +117,7 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
 
 def linearise(
     model: Model,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     values: Array,
     samples: Samples,
     jacobian: bool = True,
@@ -139,14 +139,14 @@ def linearise(
     return Linearised(view.position, view.rotation, J)
 
 
-def model_at(model: Model, parameters: Sequence[Parameter], values: Array) -> Model:
+def model_at(model: Model, parameters: Sequence[ModelParameter], values: Array) -> Model:
     """The model with these values put in: those of the parameters, then, where given, those of its effects."""
     P = len(parameters)
     now = apply_deviations(model, deviations(model, parameters, values[:P]))
     return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
 
 
-def geometry_rows(view: RowView, model: Model, parameters: Sequence[Parameter], values: Array) -> Array:
+def geometry_rows(view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array) -> Array:
     """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values."""
     J = np.empty((len(parameters), view.position.size + view.rotation.size))
     errors = deviations(model, parameters, values[: len(parameters)])

@@ -9,7 +9,7 @@ from typing import Literal
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import CONVERGED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import is_move
 from modcal_core.measurements.samples import Samples
 
@@ -29,7 +29,7 @@ class Move:
 def identify_moved(
     start: Model,
     samples: Samples,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     distances: Sequence[AnyDistance] = (),
     tolerance: float = CONVERGED,
     reject: bool = True,

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import Term, all_columns
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -23,7 +23,7 @@ BLOCK = 2000  # samples
 
 
 def normal_equations(
-    start: Model, parameters: Sequence[Parameter], values: Array, samples: Samples, row_weight: Array
+    start: Model, parameters: Sequence[ModelParameter], values: Array, samples: Samples, row_weight: Array
 ) -> tuple[Array, Array]:
     """(JᵀWJ, JᵀWr) of the parameters, then of the effects' values where there are any, at these values.
 
@@ -43,7 +43,7 @@ def normal_equations(
 
 
 def _add(
-    start: Model, parameters: Sequence[Parameter], values: Array, part: Samples, weight: Array, H: Array, g: Array
+    start: Model, parameters: Sequence[ModelParameter], values: Array, part: Samples, weight: Array, H: Array, g: Array
 ) -> None:
     """Add what one block of samples says."""
     P = len(parameters)

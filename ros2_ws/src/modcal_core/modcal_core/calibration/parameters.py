@@ -42,7 +42,7 @@ _UNITS = ("m", "m", "m", "rad", "rad", "rad", *deltas.UNITS)
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ModelParameter:
     """One direction of error at one place.
 
     name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
@@ -98,7 +98,7 @@ def ordered_candidates(
     views: Sequence[View],
     instruments: Sequence[Instrument] = (),
     leaders: Sequence[int] = (),
-) -> list[Parameter]:
+) -> list[ModelParameter]:
     """Every direction, the ones to keep first.
 
     instruments, leaders: as in the model. Constants of instruments come before the tool, which they may be imitated by.
@@ -112,13 +112,13 @@ def ordered_candidates(
         for d, constant in enumerate(instrument.constants):
             name = f"instrument {instrument.frame}/{constant.name}"
             frame = frames.index(instrument.frame)
-            out.append(Parameter(name, INSTRUMENT, d, frame, constant.prior_std, i, constant.unit))
+            out.append(ModelParameter(name, INSTRUMENT, d, frame, constant.prior_std, i, constant.unit))
     orientation_seen = any(v.kind == "pose" for v in views)
     tool = [
-        Parameter(f"tool/{DIRECTIONS[d]}", chain.tool_place, d, prior_std=_prior(d))
+        ModelParameter(f"tool/{DIRECTIONS[d]}", chain.tool_place, d, prior_std=_prior(d))
         for d in range(6 if orientation_seen else 3)
     ]
-    bases: list[Parameter] = []
+    bases: list[ModelParameter] = []
     led = list(leaders) or list(range(len(frames)))
     of_frame = {f: [v for v in views if led[v.frame] == f] for f in range(len(frames))}
     fixed_point = {f: all(v.same_point or kinds()[v.kind].frame == ORIGIN for v in of_frame[f]) for f in of_frame}
@@ -129,30 +129,32 @@ def ordered_candidates(
         order = (0, 1, 3, 4, 2, 5) if chain.revolute[0] else (3, 4, 0, 1, 2, 5)
         for d in order:
             if d < 3 or not fixed_point[f]:
-                bases.append(Parameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
+                bases.append(ModelParameter(f"frame {frames[f]}/{base[d]}", 0, d, f, wide[f] * _prior(d)))
     # where a Delta's tool hardly turns, its place is the base's, which is then what moves
     return [*out, *(tool + bases if is_serial_arm(chain) else bases + tool), *passing]
 
 
-def _of_arm(chain: Mechanism) -> tuple[list[Parameter], list[Parameter]]:
+def _of_arm(chain: Mechanism) -> tuple[list[ModelParameter], list[ModelParameter]]:
     """What the arm itself may be wrong in, and what of it others can say as well: what passes through joints.
 
     Of a Delta the latter is one arm's azimuth, for turning all arms is turning the base.
     """
     if isinstance(chain, Delta):
         arms = [
-            Parameter(f"{name}/{constant}", chain.first_place + i, len(DIRECTIONS) + row, prior_std=_prior(6 + row))
+            ModelParameter(
+                f"{name}/{constant}", chain.first_place + i, len(DIRECTIONS) + row, prior_std=_prior(6 + row)
+            )
             for row, constant in enumerate(deltas.CONSTANTS)
             for i, name in enumerate(chain.names[: deltas.ARMS])
         ]
         return arms, [arms.pop(deltas.AZIMUTH * deltas.ARMS)]
-    out: list[Parameter] = []
-    passing: list[Parameter] = []
+    out: list[ModelParameter] = []
+    passing: list[ModelParameter] = []
     for k in range(1, chain.n):
         names = direction_names(chain.joint_basis[k])
         stopped = (0, 1, 3, 4) if chain.revolute[k] else (3, 4)
         for d in range(6):
-            parameter = Parameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
+            parameter = ModelParameter(f"{chain.names[k]}/{names[d]}", k, d, prior_std=_prior(d))
             (out if d in stopped else passing).append(parameter)
     return out, passing
 
@@ -182,7 +184,7 @@ def independent_columns(J: Array, tolerance: Sequence[float] | float = 1e-7) -> 
     return np.array(kept, dtype=int)
 
 
-def drop_fixed(parameters: Sequence[Parameter], patterns: Sequence[str]) -> list[Parameter]:
+def drop_fixed(parameters: Sequence[ModelParameter], patterns: Sequence[str]) -> list[ModelParameter]:
     """The parameters that no pattern names; raises BadTable for a pattern that names none.
 
     A pattern is a name such as "elbow_joint/x", a place such as "tool", or has the wildcards of a shell.
@@ -197,6 +199,6 @@ def drop_fixed(parameters: Sequence[Parameter], patterns: Sequence[str]) -> list
     return [p for p in parameters if p.name not in fixed]
 
 
-def with_prior(parameters: Sequence[Parameter], scale: float) -> list[Parameter]:
+def with_prior(parameters: Sequence[ModelParameter], scale: float) -> list[ModelParameter]:
     """The same parameters with every finite prior standard deviation multiplied."""
     return [replace(p, prior_std=p.prior_std * scale) for p in parameters]

@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.typical import TypicalDriver
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.effects.drivers import NominalArm
@@ -101,7 +101,7 @@ def uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
     if data is None:
         return None
     parameters = tuple(
-        Parameter(
+        ModelParameter(
             *(str(p["name"]), int(p["place"]), int(p["direction"]), int(p["frame"]), float(p["prior"])),
             *(int(p.get("instrument", -1)), str(p.get("unit", ""))),
         )

@@ -12,7 +12,7 @@ from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import (
-    Parameter,
+    ModelParameter,
     View,
     drop_fixed,
     independent_columns,
@@ -123,7 +123,7 @@ def _instrument(model: Model, view: View) -> Instrument | None:
 class ParameterChoice:
     """parameters: minimal and of full rank, in order of place. left_out: names whose motion others can make."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     left_out: tuple[str, ...]
 
 
@@ -132,7 +132,7 @@ def choose_parameters(
     views: Sequence[View],
     fixed: Sequence[str] = (),
     distances: Sequence[AnyDistance] = (),
-    among: Callable[[Parameter], bool] = lambda _: True,
+    among: Callable[[ModelParameter], bool] = lambda _: True,
 ) -> ParameterChoice:
     """The minimal, full-rank parameters for this model and these views.
 
@@ -173,7 +173,7 @@ def _counting(model: Model, views: Sequence[View]) -> list[View]:
     return list(dict.fromkeys(out))
 
 
-def _steepest_first(model: Model, candidates: Sequence[Parameter], J: Array) -> list[int]:
+def _steepest_first(model: Model, candidates: Sequence[ModelParameter], J: Array) -> list[int]:
     """The candidates' order with the directions of planes' frames put by how much they show: a plane has three, and
     they must not be written along those that hardly move it.
     """

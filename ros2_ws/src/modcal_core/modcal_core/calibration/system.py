@@ -11,7 +11,7 @@ from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -43,7 +43,7 @@ class PlainSystem:
 
     quick_gradient = False
 
-    def __init__(self, start: Model, parameters: Sequence[Parameter], samples: Samples, around: Drivers) -> None:
+    def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> None:
         """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
 
@@ -66,7 +66,7 @@ class PlainSystem:
         return np.asarray(self._last * float(row_weight.sum()))
 
 
-def system_of(start: Model, parameters: Sequence[Parameter], samples: Samples, around: Drivers) -> System:
+def system_of(start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> System:
     """The equations of these samples, by the quickest way that knows this model."""
     if is_serial(start, samples, parameters):
         return SerialSystem(start, parameters, samples)

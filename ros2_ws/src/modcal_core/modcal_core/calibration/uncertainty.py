@@ -18,7 +18,7 @@ from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit, row_weights
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -33,7 +33,7 @@ class Uncertainty:
     their order.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     covariance: Array
 
     @property
@@ -43,7 +43,11 @@ class Uncertainty:
 
 
 def uncertainty(
-    model: Model, samples: Samples, parameters: Sequence[Parameter], fit: Fit, distances: Sequence[AnyDistance] = ()
+    model: Model,
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    fit: Fit,
+    distances: Sequence[AnyDistance] = (),
 ) -> Uncertainty:
     """The uncertainty of these parameters about a model, and of its effects, as these samples leave it.
 

@@ -16,7 +16,7 @@ import numpy as np
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.normal_equations import normal_equations
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
@@ -91,14 +91,14 @@ def _require_as_described(assembly: Assembly, deviation: Array) -> None:
 def _information(fit: Fit, samples: Samples, chain: Chain) -> Array:
     """JᵀWJ of all six directions of M_1 … M_{n-1}, after base frames and tool have taken what they can."""
     inner = [
-        Parameter(f"{chain.names[k]}/{name}", k, d) for k in range(1, chain.n) for d, name in enumerate(DIRECTIONS)
+        ModelParameter(f"{chain.names[k]}/{name}", k, d) for k in range(1, chain.n) for d, name in enumerate(DIRECTIONS)
     ]
     outer = [
-        Parameter(f"frame {frame}/{name}", 0, d, f)
+        ModelParameter(f"frame {frame}/{name}", 0, d, f)
         for f, frame in enumerate(fit.model.frames)
         for d, name in enumerate(DIRECTIONS)
     ]
-    outer += [Parameter(f"tool/{name}", chain.n, d) for d, name in enumerate(DIRECTIONS)]
+    outer += [ModelParameter(f"tool/{name}", chain.n, d) for d, name in enumerate(DIRECTIONS)]
     everything = [*inner, *outer]
     model = fit.model.with_effects(())
     H, _ = normal_equations(model, everything, np.zeros(len(everything)), samples, _row_weights(fit, samples))

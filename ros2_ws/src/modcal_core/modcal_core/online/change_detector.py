@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import INSTRUMENT, Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.fixed_linearisation import FixedLinearisation
@@ -51,7 +51,9 @@ class Seen:
 class ChangeDetector:
     """Watches the residuals of a model that is trusted."""
 
-    def __init__(self, model: Model, parameters: Sequence[Parameter], covariance: Array, noise: NoiseModel) -> None:
+    def __init__(
+        self, model: Model, parameters: Sequence[ModelParameter], covariance: Array, noise: NoiseModel
+    ) -> None:
         """covariance: of the parameters, (P, P); what effects add to it is left out. noise: of the fit."""
         self.model = model
         self.directions = all_directions(model)
@@ -106,9 +108,9 @@ class ChangeDetector:
         return self.seen[-suffix].stamp
 
 
-def all_directions(model: Model) -> tuple[Parameter, ...]:
+def all_directions(model: Model) -> tuple[ModelParameter, ...]:
     """All six directions of every frame, of every place of the arm, and of the tool."""
-    frames = [Parameter(f"frame {name}/{d}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
+    frames = [ModelParameter(f"frame {name}/{d}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
     n = model.chain.n
-    places = [Parameter(f"place {k}/{d}", k, d) for k in range(1, n + 1) for d in range(6)]
+    places = [ModelParameter(f"place {k}/{d}", k, d) for k in range(1, n + 1) for d in range(6)]
     return (*frames, *places)

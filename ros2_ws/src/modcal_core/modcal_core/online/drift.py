@@ -25,7 +25,7 @@ from modcal_core.calibration.distributions import beyond_chi2
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import exact_samples
@@ -73,7 +73,7 @@ class Drift:
     since: float
     until: float
     recordings: int
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     rate: Array
     covariance: Array
     named: Movable | None
@@ -223,14 +223,14 @@ def _movables(reference: Calibration, known: Uncertainty) -> list[Movable]:
     return movables(model.serial, model.frames, lambda parameters: _rows(model, parameters, exact), known.parameters)
 
 
-def _rows(model: Model, parameters: Sequence[Parameter], samples: Samples) -> Array:
+def _rows(model: Model, parameters: Sequence[ModelParameter], samples: Samples) -> Array:
     bare = replace(model, effects=(), leaders=())
     return linearise(bare, parameters, np.zeros(len(parameters)), samples).J
 
 
 def _in_frames(
-    parameters: Sequence[Parameter], frames: Sequence[str], now: Sequence[str], strange: bool
-) -> list[tuple[int, Parameter]]:
+    parameters: Sequence[ModelParameter], frames: Sequence[str], now: Sequence[str], strange: bool
+) -> list[tuple[int, ModelParameter]]:
     """The parameters with their numbers, as the frames are ordered now; those of frames that are gone are left out.
 
     strange: the frames were found again, and may have other names: the first is taken for the first.

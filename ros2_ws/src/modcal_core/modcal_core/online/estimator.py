@@ -19,7 +19,7 @@ from modcal_core.calibration.identify import priors
 from modcal_core.calibration.linearise import RowView, linearise, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import HUBER_Z, NoiseModel, robust_weights, score_of_one
-from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import general_samples
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
@@ -56,7 +56,7 @@ class RandomWalk:
     radians: float
 
     def directions(
-        self, model: Model, parameters: Sequence[Parameter], count: int, views: Sequence[View]
+        self, model: Model, parameters: Sequence[ModelParameter], count: int, views: Sequence[View]
     ) -> tuple[Array, Array]:
         """How the values (count,) change with each motion of the places, (count, 6 m), and how fast, (6 m,).
 
@@ -84,7 +84,7 @@ class Estimator:
     def __init__(
         self,
         model: Model,
-        parameters: Sequence[Parameter],
+        parameters: Sequence[ModelParameter],
         noise: NoiseModel,
         covariance: Array | None = None,
         random_walk: RandomWalk | None = None,

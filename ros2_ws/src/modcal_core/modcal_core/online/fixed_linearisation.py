@@ -17,7 +17,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import Deviations, RowView, deviations, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import INSTRUMENT, Parameter
+from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.effect import all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import HAT, Array
@@ -33,7 +33,7 @@ _AT_ROOT = np.eye(7, 6)  # the frame of the first joint is the root
 class FixedLinearisation:
     """Residual and derivatives of single samples at these values of a model's parameters and effects."""
 
-    def __init__(self, start: Model, parameters: Sequence[Parameter], values: Array) -> None:
+    def __init__(self, start: Model, parameters: Sequence[ModelParameter], values: Array) -> None:
         """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
         now = model_at(start, parameters, values)
         errors = deviations(start, parameters, values[: len(parameters)])
@@ -101,7 +101,7 @@ class FixedLinearisation:
         return residual, J.T, reading
 
 
-def _twists(now: Model, parameters: Sequence[Parameter], errors: Deviations, frame: int) -> Array:
+def _twists(now: Model, parameters: Sequence[ModelParameter], errors: Deviations, frame: int) -> Array:
     """The twist that each parameter makes per unit, in the frame of its place, (P, 7 (n + 1)); for readings in a frame.
 
     Behind each place's six directions stands a zero, for what goes along with them in :func:`_carried`.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.parameters import Parameter, direction_names
+from modcal_core.calibration.parameters import ModelParameter, direction_names
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS
@@ -54,16 +54,16 @@ class Movable:
 def movables(
     chain: Chain,
     frames: Sequence[str],
-    rows: Callable[[Sequence[Parameter]], Array],
-    parameters: Sequence[Parameter],
+    rows: Callable[[Sequence[ModelParameter]], Array],
+    parameters: Sequence[ModelParameter],
 ) -> list[Movable]:
     """Base and tool (each direction, all shifts, all six), then each direction of each further joint.
 
     rows: derivatives of the readings by parameters, (P, m). parameters: the minimal set that the columns are of.
     """
     n = chain.n
-    bases = [[Parameter("", 0, d, f) for d in range(6)] for f in range(len(frames))]
-    places = [[Parameter("", k, d) for d in range(6)] for k in range(1, n + 1)]
+    bases = [[ModelParameter("", 0, d, f) for d in range(6)] for f in range(len(frames))]
+    places = [[ModelParameter("", k, d) for d in range(6)] for k in range(1, n + 1)]
     wanted = [p for six in (*bases, *places) for p in six]
     J = rows([*parameters, *wanted])
     P = len(parameters)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -129,7 +129,7 @@ def one_frame_model(chain: Chain, T_measuring_base: Array | None = None, T_tip_t
     return Model(chain, ("tracker",), base[None], tool)
 
 
-def chain_of_parameters(model: Model, parameters: Sequence[Parameter]) -> ClosedChain:
+def chain_of_parameters(model: Model, parameters: Sequence[ModelParameter]) -> ClosedChain:
     """The closed chain of a model with one frame, in these parameters of a calibration, in their order."""
     chain = model.serial
     at: dict[int, list[tuple[int, int]]] = {}

@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
@@ -120,7 +120,7 @@ def _rows(
     model: Model,
     imitation: Model,
     truth: Effect,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     samples: Samples,
     noise: NoiseModel,
 ) -> tuple[Array, Array, Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, joint_ranges
 from modcal_core.errors import BadTable, NotPlannable
@@ -44,7 +44,7 @@ class PosturePool:
     model: Model
     site: Site
     spheres: Spheres
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     reading: str
     q: Array
     rows: StationRows

@@ -18,7 +18,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.structure import exact_samples
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
@@ -73,7 +73,7 @@ class StationRows:
 
 def station_rows(
     model: Model,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[ModelParameter],
     q: Array,
     kind: str,
     noise: Noise,
@@ -106,7 +106,7 @@ def station_rows(
     )
 
 
-def position_rows(model: Model, parameters: Sequence[Parameter], q: Array, noise: Noise) -> tuple[Array, Array]:
+def position_rows(model: Model, parameters: Sequence[ModelParameter], q: Array, noise: Noise) -> tuple[Array, Array]:
     """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
     N, n = q.shape
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))

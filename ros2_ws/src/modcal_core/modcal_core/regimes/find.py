@@ -25,7 +25,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import Move as Move
 from modcal_core.calibration.moves import What, identify_moved
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
 from modcal_core.calibration.score import errors, outlying, squared_residuals
 from modcal_core.calibration.structure import choose_parameters, views_of
@@ -124,7 +124,7 @@ class _Search:
 
     arm: Model
     samples: Samples
-    parameters: Sequence[Parameter]
+    parameters: Sequence[ModelParameter]
     cell: Cell
     places: set[str]
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from modcal_core.calibration.score import ErrorSize
 from modcal_core.diagnosis.choice import EffectChoice
+from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.findings import Finding
-from modcal_core.report.report import STAGES, Report
+from modcal_core.report.sentence import sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Tolerance
 from modcal_core.verdict.verdict import Row, Share, Verdict
@@ -20,7 +21,7 @@ FORMAT = 1
 _STRONGEST = 10  # candidates of a scan that report.json names
 
 
-def to_json_data(report: Report) -> dict[str, Any]:
+def to_json_data(report: ReportContents) -> dict[str, Any]:
     """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
     seen = report.identifiability
     rest = report.unexplained_mm
@@ -82,7 +83,7 @@ def to_json_data(report: Report) -> dict[str, Any]:
             {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in report.parameters
         ],
         "notes": list(report.notes),
-        "verdict": report.verdict,
+        "verdict": sentence(report),
         "story": list(report.story),
     }
 
@@ -127,7 +128,7 @@ def _size(size: ErrorSize | None, interval: tuple[float, float] | None = None) -
     return out if interval is None else {**out, "rms_ci95": list(interval)}
 
 
-def _judged(report: Report) -> Mapping[str, Any]:
+def _judged(report: ReportContents) -> Mapping[str, Any]:
     """What follows from the verdict."""
     judged = report.judged or Verdict("cannot_tell")
     return {
@@ -157,7 +158,7 @@ def _share(share: Share | None) -> dict[str, Any] | None:
     return None if share is None else {"share": share.share, "ci95": list(share.ci95)}
 
 
-def _rejection(report: Report) -> dict[str, Any] | None:
+def _rejection(report: ReportContents) -> dict[str, Any] | None:
     out = report.rejection
     return (
         None

@@ -8,10 +8,10 @@ from modcal_core.effects.curve import curve
 from modcal_core.effects.effect import AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.effects.sizes import component_names
 from modcal_core.geometry.so3 import Array
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.figures import label, small, thinned
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
-from modcal_core.report.report import Report
 
 _POINTS = 1600
 _MOST_TICKS = 250  # of samples, below the curve
@@ -19,7 +19,7 @@ _UNITS = {"position": "rad or m", "load": "N m", "effort": "N m", "payload": "N 
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
-def effect_shapes(report: Report) -> tuple[Chart, ...]:
+def effect_shapes(report: ReportContents) -> tuple[Chart, ...]:
     """A chart for each direction of each effect that follows one number; none of what is a single number."""
     out: list[Chart] = []
     for finding in report.effects:
@@ -37,7 +37,7 @@ def _is_curve(effect: Effect) -> bool:
     return not many and kind not in ("velocity", "reading", "constant", "moment")
 
 
-def _shape(report: Report, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
+def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
     effect, direction = effects[0], component_names(effects[0])[component]
     x, size, std = curve(effects, float(driver.min()), float(driver.max()), _POINTS, component)
     at, words = driver, _words(effect.driver)
@@ -61,7 +61,7 @@ def _shape(report: Report, effects: tuple[Effect, ...], driver: Array, component
     return chart(figure, name, alt, title)
 
 
-def _turns(report: Report, place: str) -> bool:
+def _turns(report: ReportContents, place: str) -> bool:
     chain = report.model.chain if report.model is not None else None
     return chain is None or place not in chain.names or bool(chain.revolute[chain.names.index(place)])
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
-from modcal_core.report.report import Report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,7 +70,7 @@ def thinned(count: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
 
 
-def error_histogram(report: Report) -> Chart | None:
+def error_histogram(report: ReportContents) -> Chart | None:
     """How often the tool misses by how much on the held-out set, before and after, on a logarithmic axis."""
     norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("nominal", "final")}
     if not len(norms["final"]):
@@ -102,7 +102,7 @@ def error_histogram(report: Report) -> Chart | None:
     return chart(figure, "histogram", alt, words)
 
 
-def spread_chart(report: Report) -> Chart | None:
+def spread_chart(report: ReportContents) -> Chart | None:
     """How well each combination of parameters is known by the data alone."""
     seen = report.identifiability
     if seen is None or not seen.deviations:
@@ -125,7 +125,7 @@ def spread_chart(report: Report) -> Chart | None:
     return chart(figure, "spread", alt, words)
 
 
-def timeline(report: Report) -> Chart | None:
+def timeline(report: ReportContents) -> Chart | None:
     """The stations in the order of their time, what each was used for, and those that were left out."""
     samples = report.samples
     if not len(report.residuals) or not len(samples):

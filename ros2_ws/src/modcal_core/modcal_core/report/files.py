@@ -11,7 +11,7 @@ from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import so3
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.report import Report
+from modcal_core.report.contents import ReportContents
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_to_data
@@ -22,7 +22,7 @@ from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 
 def calibration_files(
     calibration: Calibration,
-    report: Report,
+    report: ReportContents,
     nominal: Chain,
     urdf: str,
     factory: Mapping[str, Any] | None = None,
@@ -46,7 +46,7 @@ def calibration_files(
     )
 
 
-def delta_files(calibration: Calibration, report: Report, page: bool = True) -> dict[str, str]:
+def delta_files(calibration: Calibration, report: ReportContents, page: bool = True) -> dict[str, str]:
     """The same for a Delta, into whose file the tool that was found is written as well."""
     calibrated = calibration.calibrated.chain
     assert isinstance(calibrated, Delta)
@@ -63,12 +63,12 @@ def delta_files(calibration: Calibration, report: Report, page: bool = True) -> 
     )
 
 
-def report_files(report: Report, page: bool = True) -> dict[str, str]:
+def report_files(report: ReportContents, page: bool = True) -> dict[str, str]:
     """Names and texts of a report."""
     return _with_report(report, {}, page)
 
 
-def _with_report(report: Report, others: dict[str, str], page: bool = True) -> dict[str, str]:
+def _with_report(report: ReportContents, others: dict[str, str], page: bool = True) -> dict[str, str]:
     """A report, whose page names the other files as well, before those."""
     files = {"report.json": to_json(to_json_data(report))}
     if page:

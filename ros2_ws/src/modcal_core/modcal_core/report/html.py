@@ -11,13 +11,13 @@ import numpy as np
 from modcal_core.diagnosis.evidence_map import EvidenceMap
 from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.effect_shapes import effect_shapes
 from modcal_core.report.figures import error_histogram, spread_chart, timeline
 from modcal_core.report.page import as_script_data, render
-from modcal_core.report.report import STAGES, Report
 from modcal_core.report.residuals import comparisons
 from modcal_core.report.scene import scene, still
-from modcal_core.report.sentence import STATUS_WORDS
+from modcal_core.report.sentence import STATUS_WORDS, sentence
 from modcal_core.verdict.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
@@ -58,7 +58,7 @@ FILES = (
 )
 
 
-def to_html(report: Report, files: Iterable[str] = ()) -> str:
+def to_html(report: ReportContents, files: Iterable[str] = ()) -> str:
     """The report as HTML text. files: names of what is written beside it."""
     data = to_json_data(report)
     drawn = scene(report)
@@ -66,7 +66,7 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
     return render(
         "report.html.j2",
         title=f"{report.title}: {'evaluation' if report.searched is None else 'calibration'} report",
-        verdict=report.verdict,
+        verdict=sentence(report),
         tone=TONES[report.status],
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
         accounts=[(one, one.drawn()) for one in accounts(report.judged)],
@@ -91,7 +91,7 @@ def to_html(report: Report, files: Iterable[str] = ()) -> str:
     )
 
 
-def _tiles(report: Report, data: dict[str, Any]) -> list[tuple[str, str]]:
+def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers that are wanted first."""
     out = []
     before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
@@ -149,7 +149,7 @@ def _cell(share: float) -> tuple[str, str] | None:
     return None if np.isnan(share) else (f"{min(max(share, 0.0), 1.0):.2f}", f"{100.0 * share:.0f}")
 
 
-def _rejected(report: Report) -> dict[str, Any] | None:
+def _rejected(report: ReportContents) -> dict[str, Any] | None:
     """The stations that were left out, the farthest first, and against what that is far."""
     rows = report.rejected_rows()
     if not len(rows):

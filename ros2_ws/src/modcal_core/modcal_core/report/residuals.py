@@ -8,11 +8,11 @@ import numpy as np
 
 from modcal_core.calibration.score import Errors
 from modcal_core.geometry.so3 import Array
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.figures import MOST_POINTS, thinned
 from modcal_core.report.page import Chart
 from modcal_core.report.palette import AFTER, BEFORE, OF_AXES
 from modcal_core.report.panel import Panel
-from modcal_core.report.report import Report
 
 _MOST_STEPS = 5  # that are drawn; more effects are drawn together
 _MOST_TEMPERATURES = 4
@@ -38,7 +38,7 @@ class ChartGroup:
     opened: bool = False
 
 
-def comparisons(report: Report) -> tuple[ChartGroup, ...]:
+def comparisons(report: ReportContents) -> tuple[ChartGroup, ...]:
     """Before and after geometry, before and after each effect, and what is left at the end."""
     if not len(report.scored):
         return ()
@@ -61,7 +61,7 @@ def comparisons(report: Report) -> tuple[ChartGroup, ...]:
     return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts, opened=True))
 
 
-def axes_of(report: Report) -> list[Against]:
+def axes_of(report: ReportContents) -> list[Against]:
     """Each joint, time since the first sample, and the recorded temperatures."""
     scored = report.scored
     joints = [Against(name, f"{name}, rad or m", scored.q[:, j]) for j, name in enumerate(scored.names)]
@@ -77,7 +77,7 @@ def axes_of(report: Report) -> list[Against]:
     return [*joints, time, *heat]
 
 
-def _pairs(report: Report) -> list[tuple[str, Errors, Errors]]:
+def _pairs(report: ReportContents) -> list[tuple[str, Errors, Errors]]:
     """What was added, and the errors before and after."""
     stages = [report.errors["nominal"], *(step.errors for step in report.steps)]
     names = [step.added for step in report.steps]

@@ -13,10 +13,10 @@ from modcal_core.effects.effect import motion
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.figures import label, thinned
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
-from modcal_core.report.report import Report
 from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.mechanism import tool_frames
 
@@ -49,7 +49,7 @@ class ReportScene:
         }
 
 
-def scene(report: Report) -> ReportScene | None:
+def scene(report: ReportContents) -> ReportScene | None:
     """The scene of a report's held-out samples; None where no model or no sample is at hand."""
     model, scored = report.model, report.scored
     if model is None or not len(scored):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from modcal_core.measurements.dropped import unexpected
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.counted import counted
-from modcal_core.report.report import Report
 from modcal_core.verdict.verdict import Status, Verdict
 
 REMEDY = (
@@ -19,7 +19,7 @@ STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "
 MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 
 
-def sentence(report: Report) -> str:
+def sentence(report: ReportContents) -> str:
     """What a person reads first, a few sentences."""
     if report.size_mm("final") is None and report.size_deg("final") is None:
         return _counts(report) + " No station was scored, so the error is unknown."
@@ -41,7 +41,7 @@ def short_status(verdict: Verdict | None) -> str:
     return "At the floor: " + _floor(verdict)
 
 
-def _counts(report: Report) -> str:
+def _counts(report: ReportContents) -> str:
     """How many stations there are and how many of them were rejected, and what never became one."""
     rejected = report.rejected_stations()
     said = f"{counted(report.samples.stations, 'station')}, "
@@ -51,7 +51,7 @@ def _counts(report: Report) -> str:
     return said + "."
 
 
-def _error(report: Report) -> str:
+def _error(report: ReportContents) -> str:
     """The error of the scored stations, with and without those that were rejected."""
     angle = report.size_deg("final")
     sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
@@ -63,7 +63,7 @@ def _error(report: Report) -> str:
     return f"{_where(report)} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
 
 
-def _size_mm(report: Report) -> str:
+def _size_mm(report: ReportContents) -> str:
     """The RMS of the final model, without and with the rejected stations."""
     after, out, count = report.size_mm("final"), report.rejection, report.held_out_rejected()
     assert after is not None
@@ -76,27 +76,27 @@ def _size_mm(report: Report) -> str:
     return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
 
 
-def _where(report: Report) -> str:
+def _where(report: ReportContents) -> str:
     held_out = report.set_sizes()["held_out"]
     if not len(report.sets.train):
         return "With the calibration frozen"
     return f"On the {held_out} held out from fitting"
 
 
-def _before(report: Report) -> list[tuple[str, str]]:
+def _before(report: ReportContents) -> list[tuple[str, str]]:
     """Stages to compare with, and what they are called."""
     named = report.searched is None or any(finding.effects for finding in report.effects)
     return [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
 
 
-def _stage(report: Report, stage: str, name: str) -> str:
+def _stage(report: ReportContents, stage: str, name: str) -> str:
     size, angle = report.size_mm(stage), report.size_deg(stage)
     if size is None:
         return "" if angle is None else f"{name} {angle.rms:.3g}°"
     return f"{name} {size.rms:.3f} mm" + ("" if angle is None else f" and {angle.rms:.3g}°")
 
 
-def _status(report: Report) -> str:
+def _status(report: ReportContents) -> str:
     said = short_status(report.judged)
     left = report.left
     if report.status != "at_floor" and left is not None:

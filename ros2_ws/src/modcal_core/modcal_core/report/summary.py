@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from modcal_core.report.account import Account, accounts
-from modcal_core.report.report import STAGES, Report
-from modcal_core.report.sentence import MAX_REASONS
+from modcal_core.report.contents import STAGES, ReportContents
+from modcal_core.report.sentence import MAX_REASONS, sentence
 from modcal_core.verdict.verdict import Status
 
 Tone = Literal["plain", "doubt", "good", "bad", "undecided", "reason"]
@@ -33,7 +33,7 @@ class SummaryTable:
     words: int = 1
 
 
-def summary(report: Report) -> tuple[SummaryTable | SummaryLine, ...]:
+def summary(report: ReportContents) -> tuple[SummaryTable | SummaryLine, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
@@ -45,7 +45,7 @@ def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
     )
 
 
-def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
+def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -65,7 +65,7 @@ def _blocks(report: Report) -> Iterator[SummaryTable | SummaryLine]:
     for note in report.notes:
         yield SummaryLine(note, "doubt")
     yield from map(_account, accounts(report.judged))
-    yield SummaryLine(report.verdict, TONES[report.status])
+    yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")
     if report.tolerance is not None:
@@ -84,7 +84,7 @@ def _account(one: Account) -> SummaryTable:
     return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 
 
-def _effects(report: Report) -> SummaryTable:
+def _effects(report: ReportContents) -> SummaryTable:
     rows = tuple(
         (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
         for f in report.effects

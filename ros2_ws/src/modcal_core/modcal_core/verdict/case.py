@@ -12,7 +12,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.split import Split
 from modcal_core.calibration.store import Calibration
@@ -122,8 +122,8 @@ def _refitted(
     the arm by −B δ, B = (J_bᵀJ_b)⁻¹ J_bᵀJ_a, and noise by (J_bᵀJ_b)⁻¹.
     """
     tool = model.chain.tool_place
-    free = [Parameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
-    free = [*(free if refit_base else ()), *(Parameter("tool", tool, d) for d in range(6) if refit_tool)]
+    free = [ModelParameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
+    free = [*(free if refit_base else ()), *(ModelParameter("tool", tool, d) for d in range(6) if refit_tool)]
     again = [p.place == 0 if refit_base else False for p in known.parameters]
     again = [a or (refit_tool and p.place == tool) for a, p in zip(again, known.parameters, strict=True)]
     rows = np.r_[np.flatnonzero(~np.array(again, bool)), len(again) : len(known.covariance)].astype(int)
@@ -153,7 +153,7 @@ def by_sample(row: Array, pose: np.ndarray, count: int) -> Array:
     return out
 
 
-def derivatives(model: Model, parameters: Sequence[Parameter], samples: Samples) -> tuple[Array, Array]:
+def derivatives(model: Model, parameters: Sequence[ModelParameter], samples: Samples) -> tuple[Array, Array]:
     """Residuals (6, N) from the root and their derivatives (K, 6, N) with respect to parameters and effects."""
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
     at = linearise(model, parameters, values, samples)

@@ -14,7 +14,8 @@ from modcal_core.errors import BadTable
 from modcal_core.planning.returns import RETURNS
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.ros.parameters import SIMULATED_CELL, Parameter
+from modcal_nodes.ros.declaring import Parameter
+from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded
 

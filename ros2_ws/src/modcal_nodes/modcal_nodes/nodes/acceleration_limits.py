@@ -15,9 +15,10 @@ from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm, require_method
 from modcal_msgs_py.commands import JointInput, fill_accelerations
 from modcal_nodes.cli.by_joint import numbers_by_joint
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, declare, follow, values
+from modcal_nodes.ros.parameters import ACCELERATION_LIMITS
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status

@@ -26,9 +26,10 @@ from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
 from modcal_msgs_py.setpoints import wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, declare, follow, values
+from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status

@@ -37,9 +37,10 @@ from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
 from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
 from modcal_nodes.io.inputs import read_cell
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, Health, Status
-from modcal_nodes.ros.parameters import CALIBRATOR, declare, follow, values
+from modcal_nodes.ros.parameters import CALIBRATOR
 from modcal_nodes.ros.running import LATCHED, SENSOR, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status
 from modcal_nodes.ros.tf_broadcaster import Broadcaster

@@ -29,9 +29,10 @@ from modcal_msgs_py.commands import JointInput, desired_pose, fill_pose, require
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
 from modcal_nodes.io.inputs import parse_calibration, read_calibration
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import CORRECTOR, declare, follow, values
+from modcal_nodes.ros.parameters import CORRECTOR
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status

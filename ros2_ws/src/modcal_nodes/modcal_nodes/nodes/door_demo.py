@@ -16,10 +16,11 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
+from modcal_nodes.ros.declaring import declare, values
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import OK, Health, Status
 from modcal_nodes.ros.launch_files import LAUNCHES
-from modcal_nodes.ros.parameters import DOOR_DEMO, declare, values
+from modcal_nodes.ros.parameters import DOOR_DEMO
 from modcal_nodes.ros.running import run
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin

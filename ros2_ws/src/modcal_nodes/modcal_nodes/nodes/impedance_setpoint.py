@@ -30,9 +30,10 @@ from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_msgs_py.commands import JointInput, desired_pose
 from modcal_msgs_py.setpoints import ObjectInput, fill_point, fill_target, fill_wrench, wrench_numbers
 from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT, declare, follow, values
+from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
 from modcal_nodes.ros.pending import waiting
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run

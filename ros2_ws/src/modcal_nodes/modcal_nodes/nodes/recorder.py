@@ -14,9 +14,10 @@ from std_srvs.srv import Trigger
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
 from modcal_msgs_py.topics import READINGS
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import RECORDER, declare, follow, values
+from modcal_nodes.ros.parameters import RECORDER
 from modcal_nodes.ros.running import run
 from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
 

@@ -14,9 +14,10 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
+from modcal_nodes.ros.declaring import declare, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import Health
-from modcal_nodes.ros.parameters import SIMULATED_CELL, declare, values
+from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.ros.running import LATCHED, run
 from modcal_nodes.simulation.commands import legs
 from modcal_nodes.simulation.pace import Beat, CellTime, Grid

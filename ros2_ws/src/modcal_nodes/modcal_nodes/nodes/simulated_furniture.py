@@ -17,9 +17,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
+from modcal_nodes.ros.declaring import declare, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import Health
-from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, declare, values
+from modcal_nodes.ros.parameters import SIMULATED_FURNITURE
 from modcal_nodes.ros.running import LATCHED, run
 from modcal_nodes.simulation.commands import legs
 from modcal_nodes.simulation.furniture import draw

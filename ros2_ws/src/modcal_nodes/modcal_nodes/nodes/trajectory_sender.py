@@ -15,9 +15,10 @@ from modcal_core.files import read_yaml
 from modcal_core.planning.trajectory_file import Trajectory, trajectory_from_data
 from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.stamps import set_seconds
+from modcal_nodes.ros.declaring import declare, values
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import TRAJECTORY_SENDER, declare, values
+from modcal_nodes.ros.parameters import TRAJECTORY_SENDER
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status

@@ -26,9 +26,10 @@ from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.io.inputs import parse_calibration
+from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import VIEWER, declare, follow, values
+from modcal_nodes.ros.parameters import VIEWER
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import LATCHED, SENSOR, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status

@@ -30,7 +30,7 @@ from modcal_core.calibration.kernels.sweeps import (
 )
 from modcal_core.calibration.linearise import Linearised
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
@@ -43,7 +43,7 @@ _KEPT = 4 * BLOCK  # samples whose sweep is kept from residual to gradient; beyo
 _ALIKE = 1e-13  # relative differences of weights that are rounding
 
 
-def is_serial(model: Model, samples: Samples, parameters: Sequence[Parameter]) -> bool:
+def is_serial(model: Model, samples: Samples, parameters: Sequence[ModelParameter]) -> bool:
     """Whether the equations are of the kind that this module knows."""
     return (
         is_serial_arm(model.chain)
@@ -60,7 +60,7 @@ class SerialSystem:
 
     quick_gradient = True
 
-    def __init__(self, start: Model, parameters: Sequence[Parameter], samples: Samples) -> None:
+    def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples) -> None:
         """start, parameters: see :func:`is_serial`."""
         chain = start.serial
         self._n, self._revolute = chain.n, tuple(chain.revolute.tolist())

@@ -1,0 +1,180 @@
+"""What a report holds: the recording, how far the robot misses before and after, and what the data could not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from modcal_core.calibration.identifiability import Identifiability
+from modcal_core.calibration.known_distances import KnownDistance
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.score import Errors, ErrorSize
+from modcal_core.calibration.split import Split
+from modcal_core.diagnosis.choice import EffectChoice
+from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.findings import Finding
+from modcal_core.report.intervals import independent_units
+from modcal_core.report.trace import Trace
+from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.rejection import Rejected
+from modcal_core.verdict.tolerance import Asked, Tolerance, assess, interval
+from modcal_core.verdict.verdict import Status, Verdict
+
+STAGES = ("nominal", "geometric", "final")
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is left after one more thing was added to the model. added: its name. errors: of the scored samples."""
+
+    added: str
+    errors: Errors
+
+    @property
+    def rms_mm(self) -> float:
+        """RMS of the position errors [mm]; 0 where nothing was scored."""
+        size = self.errors.size_mm()
+        return 0.0 if size is None else size.rms
+
+
+@dataclass(frozen=True)
+class ReportContents:
+    """Everything a calibration or an evaluation has to say.
+
+    scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
+    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still
+    but predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out:
+    parameters that say the same as others. notes: a sentence each, for a person.
+
+    steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
+    for effects saw and what the last one did; empty where nothing was looked for. model: the final one. residuals: how
+    far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
+    many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
+    verdict has to know. judged: the verdict; None until it was made.
+    """
+
+    samples: Samples
+    sets: Split
+    scored: Samples
+    rejected: int
+    errors: dict[str, Errors]
+    effects: tuple[Finding, ...] = ()
+    left: EffectChoice | None = None
+    identifiability: Identifiability | None = None
+    parameters: tuple[tuple[str, float, float, str], ...] = ()
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    title: str = "recording"
+    steps: tuple[Step, ...] = ()
+    evidence: tuple[EvidenceMap, ...] = ()
+    model: Model | None = None
+    residuals: Array = field(default_factory=lambda: np.empty(0))
+    wrong: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    rejection: Rejected | None = None
+    distances: tuple[KnownDistance, ...] = ()
+    grounds: Grounds = field(default_factory=Grounds)
+    judged: Verdict | None = None
+    searched: bool | None = None
+    dropped: tuple[tuple[str, int], ...] = ()
+    tolerance: Tolerance | None = None
+    trace: Trace = field(default_factory=Trace)
+
+    @property
+    def measurement(self) -> str:
+        """pose, point, same_point, or mixed."""
+        kinds = {
+            "same_point" if self.samples.is_same_point(f) else str(kind)
+            for f in range(len(self.samples.frames))
+            for kind in np.unique(self.samples.kind[self.samples.frame == f])
+        }
+        return kinds.pop() if len(kinds) == 1 else "mixed"
+
+    def set_sizes(self) -> dict[str, int]:
+        """Stations in each of the three sets."""
+        rows = {"train": self.sets.train, "explain": self.sets.explain, "held_out": self.sets.held_out}
+        return {name: len(np.unique(self.samples.station[r])) for name, r in rows.items()}
+
+    def size_mm(self, stage: str) -> ErrorSize | None:
+        """Sizes of the held-out position errors of a stage [mm]."""
+        return self.errors[stage].size_mm() if stage in self.errors else None
+
+    def size_deg(self, stage: str) -> ErrorSize | None:
+        """Sizes of the held-out orientation errors of a stage [deg]."""
+        return self.errors[stage].size_deg() if stage in self.errors else None
+
+    def units(self) -> np.ndarray:
+        """Numbers of the scored samples, (N,): the same for those whose errors may be alike."""
+        rows = self.sets.held_out
+        unit = independent_units(self.samples, rows, self.sets.unit == "block")
+        return unit if self.counts_rejected else unit[~self.wrong[rows]]
+
+    @property
+    def counts_rejected(self) -> bool:
+        """Whether the score includes the rejected samples: too many to be single wrong readings, or none are."""
+        return len(self.scored) == len(self.sets.held_out)
+
+    def interval_mm(self, stage: str) -> tuple[float, float] | None:
+        """95 % interval of the RMS position error of a stage [mm], by drawing held-out units again."""
+        if stage not in self.errors or not len(self.scored):
+            return None
+        low, high = interval(1e3 * self.errors[stage].position_norm, self.units(), "rms")
+        return None if low is None or high is None else (low, high)
+
+    def with_tolerance(self, asked: Asked | None) -> Self:
+        """The report with the result for a tolerance; the same where none is asked for."""
+        if asked is None:
+            return self
+        norms = 1e3 * self.errors["final"].position_norm
+        return replace(self, tolerance=assess(norms, self.units(), asked, self.judged))
+
+    def rejected_rows(self) -> np.ndarray:
+        """Rows of the samples that were left out, the farthest first."""
+        rows = np.flatnonzero(self.wrong)
+        return rows[np.argsort(-self.residuals[rows], kind="stable")]
+
+    def rejected_stations(self) -> int:
+        """How many stations have a sample that was rejected."""
+        return len(np.unique(self.samples.station[self.wrong])) if len(self.wrong) else 0
+
+    def held_out_rejected(self) -> int:
+        """How many of the stations held out have a sample that was rejected."""
+        rows = self.sets.held_out
+        return len(np.unique(self.samples.station[rows[self.wrong[rows]]])) if len(self.wrong) else 0
+
+    @property
+    def status(self) -> Status:
+        """The verdict in a word; cannot_tell where none was made."""
+        return "cannot_tell" if self.judged is None else self.judged.status
+
+    @property
+    def open_because(self) -> tuple[str, ...]:
+        """The reasons of the verdict *open*, a sentence each; none for any other."""
+        return () if self.judged is None else tuple(self.judged.open_because)
+
+    @property
+    def unexplained_mm(self) -> float | None:
+        """RMS of what is left beyond the floor [mm]; None where nothing shows that there is any.
+
+        The larger of what exceeds a known floor and what a regressor without physics predicts, where the verdict is
+        open for it; else what one more effect would take away.
+        """
+        final = self.size_mm("final")
+        if final is None:
+            return None
+        squares = [] if self.left is None else [final.rms**2 * self.left.share]
+        kinds = set() if self.judged is None else {reason.kind for reason in self.judged.reasons}
+        if self.judged is not None and self.judged.floor_mm is not None and "above_floor" in kinds:
+            squares.append(final.rms**2 - self.judged.floor_mm**2)
+        if self.judged is not None and "predictable" in kinds:
+            squares += [row.value for row in self.judged.account_mm2 or () if row.what == "predictable"]
+        most = max(squares, default=0.0)
+        return float(np.sqrt(most)) if most > 0.0 else None
+
+    @property
+    def story(self) -> tuple[str, ...]:
+        """A sentence for each effect, for a technician."""
+        return tuple(finding.sentence for finding in self.effects)

@@ -1,0 +1,85 @@
+"""A node's parameters: declared with their bounds, read, and followed while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from modcal_core.errors import ModcalError
+
+if TYPE_CHECKING:  # `modcal simulate` takes the cell's parameters, and needs no ROS
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.node import Node
+
+    from modcal_nodes.ros.guarded import GuardedNode
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """default: also gives the type. low, high: bounds of a number, both or neither.
+
+    live: whether it may be changed while the node runs, and then takes effect; every other one is read-only.
+    """
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    live: bool = False
+
+
+def declare(node: Node, parameters: dict[str, Parameter]) -> None:
+    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy.
+
+    A value under a name of release 0.1 counts, and is warned of (:mod:`aliases`).
+    """
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+    from modcal_nodes.ros.aliases import said_under_old_name
+
+    for name, parameter in parameters.items():
+        descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
+        if parameter.low is not None and parameter.high is not None:
+            if isinstance(parameter.default, int):
+                bounds = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=0)
+                descriptor.integer_range = [bounds]
+            else:
+                span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
+                descriptor.floating_point_range = [span]
+        old = said_under_old_name(node, name)
+        node.declare_parameter(name, parameter.default if old is None else old, descriptor)
+
+
+def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
+    """The present values of these parameters."""
+    return {name: node.get_parameter(name).value for name in parameters}
+
+
+def follow(
+    node: GuardedNode,
+    parameters: dict[str, Parameter],
+    chosen: dict[str, Any],
+    check: Callable[[dict[str, Any]], object] = lambda new: None,
+    take: Callable[[], object] = lambda: None,
+) -> None:
+    """Keep ``chosen`` as the parameters are while the node runs.
+
+    check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
+    change.
+    """
+    from rcl_interfaces.msg import SetParametersResult
+
+    def judge(changed: list[Any]) -> SetParametersResult:
+        try:
+            check({**chosen, **{p.name: p.value for p in changed if p.name in parameters}})
+        except ModcalError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def apply(changed: list[Any]) -> None:
+        chosen.update({p.name: p.value for p in changed if p.name in parameters})
+        take()
+
+    node.add_on_set_parameters_callback(judge)
+    node.add_post_set_parameters_callback(apply)
