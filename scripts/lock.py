@@ -3,7 +3,7 @@
 pip resolves the groups of pyproject.toml for an empty environment of the older interpreter; the newer one is then held
 to the same versions and may only add packages. Both files come from one resolution, so they never disagree. With each
 version stand the hashes of all its files, for every kind of machine, as uv takes them from the index; pip then installs
-nothing else. `--hashes` keeps the versions and renews the hashes.
+nothing else. `--keep` keeps the versions and adds what is new in pyproject.toml; `--hashes` renews the hashes only.
 """
 
 from __future__ import annotations
@@ -64,10 +64,13 @@ def pinned(name: str) -> list[str]:
     return re.findall(r"^[a-z0-9-]+==[^\s\\]+", (ROOT / name).read_text(), re.MULTILINE)
 
 
-def resolved() -> tuple[list[str], list[str]]:
-    """Pins of what is needed, and of what only tests need: resolved on the older Python, completed on the newer."""
+def resolved(held: dict[str, str]) -> tuple[list[str], list[str]]:
+    """Pins of what is needed, and of what only tests need: resolved on the older Python, completed on the newer.
+
+    held: versions by name that are kept.
+    """
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
-    everything = resolve(OLDER, groups["runtime"] + groups["test"], {})
+    everything = resolve(OLDER, groups["runtime"] + groups["test"], held)
     everything |= resolve(NEWER, groups["runtime"] + groups["test"], everything)
     runtime = resolve(OLDER, groups["runtime"], everything) | resolve(NEWER, groups["runtime"], everything)
     test = {name: version for name, version in everything.items() if name not in runtime}
@@ -76,7 +79,9 @@ def resolved() -> tuple[list[str], list[str]]:
 
 def main() -> None:
     """Writes both files."""
-    both = tuple(map(pinned, FILES)) if sys.argv[1:] == ["--hashes"] else resolved()
+    present = tuple(map(pinned, FILES))
+    held = dict(pin.split("==") for pin in present[0] + present[1]) if sys.argv[1:] == ["--keep"] else {}
+    both = present if sys.argv[1:] == ["--hashes"] else resolved(held)
     for name, lines in zip(FILES, both, strict=True):
         (ROOT / name).write_text(HEADER + hashed(lines))
     print(f"modcal lock: {len(both[0])} packages, and {len(both[1])} more for the tests")

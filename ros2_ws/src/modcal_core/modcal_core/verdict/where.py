@@ -90,6 +90,6 @@ def _apart(case: Case) -> Iterator[str]:
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
     if case.fitted:
         samples = case.samples.select(np.flatnonzero(case.wrong))
-        found = dependence(case.model, samples, weights(case.noise, samples))
-        if found is not None:
-            yield f"The residual of the rejected stations {found.sentence}."
+        along = dependence(case.model, samples, weights(case.noise, samples))
+        if along is not None:
+            yield f"The residual of the rejected stations {along.sentence}."

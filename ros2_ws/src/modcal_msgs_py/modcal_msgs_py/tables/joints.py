@@ -43,7 +43,7 @@ def merged(tracks: list[JointTrack]) -> JointTrack | None:
     names = tracks[0].names
     if any(track.names != names for track in tracks):
         raise BadTable("tables", "have different joints", "import them into bags of their own")
-    columns = {
+    columns: dict[str, Any] = {
         what: np.concatenate([getattr(t, what) for t in tracks])
         for what in ("stamps", "position", "velocity", "effort", "received")
     }
