@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,10 @@ from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
 from modcal_core.recalibrate import Job
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import TYPES
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
-from modcal_nodes.calibrating.diagnostics import Times, collected, model_status, sample_status
+from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
+from modcal_nodes.calibrating.intake import Intake
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
@@ -83,13 +81,12 @@ class Calibrator(GuardedNode):
         self._trouble = ""  # why the saved model is not used
         self._verdict = _NOTHING
         self._standing: Standing | None = None  # of the trusted model
-        self._refused = 0
         self._said: ChangeHypothesis | None = None
-        self._times = Times()
 
         self._outputs = Publishers(self)
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
+        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise)
         self._inputs = self._listen(chosen["silence_timeout_s"])
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)
@@ -114,10 +111,12 @@ class Calibrator(GuardedNode):
     def _listen(self, patience: float) -> list[MonitoredSubscription]:
         hear = partial(MonitoredSubscription, self, patience=patience, single=True)
         readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
-        inputs = [hear(JointState, "joint_states", self._joint_state, SENSOR, needed=True)]
+        inputs = [hear(JointState, "joint_states", self._intake.joint_state, SENSOR, needed=True)]
         for topic, (message, kind) in readings.items():
-            inputs.append(hear(message, topic, partial(self._reading, topic, kind), SENSOR, single=False))
-        inputs.append(hear(Temperature, "temperature", partial(self._remember, "temperature"), SENSOR, single=False))
+            inputs.append(hear(message, topic, partial(self._intake.reading, topic, kind), SENSOR, single=False))
+        inputs.append(
+            hear(Temperature, "temperature", partial(self._intake.remember, "temperature"), SENSOR, single=False)
+        )
         description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
         return [*inputs, description]
 
@@ -169,42 +168,6 @@ class Calibrator(GuardedNode):
         """Number the frames of readings as the trusted model does."""
         if self._arm.stream is not None and self._supervisor.trusted is not None:
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
-
-    def _joint_state(self, message: JointState) -> None:
-        began = time.thread_time()
-        if self._remember("joint_states", message):
-            if self._arm.chain is None:
-                self._recognise()
-            self._feed(partial(self._arm.joint_state, message))
-        self._times.took.append(time.thread_time() - began)
-
-    def _reading(self, topic: str, kind: str, message: Any) -> None:
-        began = time.thread_time()
-        if self._remember(topic, message):
-            self._feed(partial(self._arm.reading, kind, message))
-        self._times.took.append(time.thread_time() - began)
-        self._times.late.append(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
-
-    def _remember(self, topic: str, message: Any) -> bool:
-        received = 1e-9 * self.get_clock().now().nanoseconds
-        try:
-            self._buffer.add(f"/{topic}", TYPES[topic], message, received)
-        except ModcalError as error:
-            self._refuse(error)
-            return False
-        return True
-
-    def _feed(self, take: Callable[[], None]) -> None:
-        try:
-            take()
-        except ModcalError as error:
-            self._refuse(error)
-        for sample in self._arm.stream.take() if self._arm.stream else ():
-            self._supervisor.add(sample)
-
-    def _refuse(self, error: ModcalError) -> None:
-        self._refused += 1
-        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
     # solving
 
@@ -399,7 +362,7 @@ class Calibrator(GuardedNode):
         if self._tf is not None:
             trouble = self._tf.trouble
             yield Status("tf", ERROR if trouble else OK, trouble or "frames of the trusted model are published")
-        yield sample_status(self._supervisor, self._refused, self._arm.stream, self._times)
+        yield sample_status(self._supervisor, self._intake.refused, self._arm.stream, self._intake.times)
 
 
 def _check(chosen: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -19,17 +19,13 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.articulation.urdf import read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
-from modcal_core.impedance.task import JointPositions, Stop, Wait
-from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_msgs_py.commands import JointInput, desired_pose
-from modcal_msgs_py.setpoints import ObjectInput, fill_point, fill_target, fill_wrench, wrench_numbers
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_core.impedance.task import Stop, Wait
+from modcal_msgs_py.setpoints import ObjectInput
 from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
@@ -38,7 +34,9 @@ from modcal_nodes.ros.pending import waiting
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
-from modcal_nodes.setpoint.arm import SensedArm, limits, task
+from modcal_nodes.setpoint.arm import limits, task
+from modcal_nodes.setpoint.arm_inputs import ArmInputs
+from modcal_nodes.setpoint.publishers import SetpointPublishers
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
@@ -75,14 +73,13 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._chosen = values(self, IMPEDANCE_SETPOINT)
         self._active = self._configured = False
         self._urdf = ""
-        self._arm: SensedArm | None = None
-        self._joints: JointInput | None = None
+        self._arm: ArmInputs | None = None
         self._object = ObjectInput(read)
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = OK
-        self._tool: tuple[float, Any] | None = None
         self._inputs: list[MonitoredSubscription] = []
+        self._outputs: SetpointPublishers | None = None
         self._timer: Timer | None = None
         self._refusals = Refusals(self)
         self._counts = {"setpoints": 0, "late ticks": 0}
@@ -137,11 +134,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         except ModcalError as error:
             self._tell(ERROR, str(error))
             return TransitionCallbackReturn.FAILURE
-        self._pose = self.create_lifecycle_publisher(PoseStamped, "~/target_pose", 1)
-        self._wrench = self.create_lifecycle_publisher(WrenchStamped, "~/target_wrench", 1)
-        self._stiffness = self.create_lifecycle_publisher(WrenchStamped, "~/target_stiffness", 1)
-        self._references = self.create_lifecycle_publisher(JointTrajectoryPoint, "~/joint_references", 1)
-        self._trajectory = self.create_lifecycle_publisher(JointTrajectory, "~/joint_trajectory", 1)
+        self._outputs = SetpointPublishers(self)
         try:
             if urdf := self._chosen["robot_description"] or self._urdf:
                 self._describe(urdf)
@@ -246,9 +239,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if not self._configured:
             return
         self._configured = False
-        for publisher in (self._pose, self._wrench, self._stiffness, self._references, self._trajectory):
-            self.destroy_lifecycle_publisher(publisher)
-        self._arm, self._joints, self._tool = None, None, None
+        if self._outputs is not None:
+            self._outputs.close()
+        self._arm = None
 
     # what it is asked
 
@@ -277,14 +270,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._operation is not None:
             raise BadCommand("pull", f"it is pulling already ({self._operation.phase})", "call ~/stop first")
-        if self._arm is None or self._joints is None:
+        if self._arm is None:
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
-        now = self._now()
-        self._joints.require_fresh(now, self._chosen["timeout_s"])
-        if not abs(now - self._arm.sensor.stamp) <= self._chosen["timeout_s"]:
-            raise BadCommand("wrench", "no message was received recently", "check that its publisher is alive")
-        if self._chosen["calibrated"]:
-            self._measured(now)
+        self._arm.require_fresh(self._now())
         self._operation = Operation(self._arm.chain, task(self._chosen), limits(self._arm.chain, self._chosen))
         self._tell(OK, "tare")
 
@@ -292,7 +280,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _take_description(self, message: String) -> None:
         self._urdf = message.data
-        known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.urdf)
+        known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.arm.urdf)
         if self._configured and not known:
             self._describe(message.data)
 
@@ -300,23 +288,16 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         """Know the arm; one that is pulling stays as it is."""
         if self._operation is not None:
             raise BadCommand("robot_description", "changes while it pulls", "it is applied when the pull is over")
-        self._arm = self._joints = None
-        arm = SensedArm.of(urdf, self._chosen)
-        self._arm, self._joints = arm, JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper)
+        self._arm = None
+        self._arm = ArmInputs(urdf, self._chosen)
 
     def _take_joints(self, message: JointState) -> None:
-        if self._joints is not None:
-            self._joints.receive(message, self._now(), self._chosen["timeout_s"])
+        if self._arm is not None:
+            self._arm.take_joints(message, self._now())
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
-            now = self._now()
-            stamp = seconds(message.header.stamp) or now
-            if self._arm.sensor.stamp > now + self._chosen["timeout_s"]:  # the clock was set back
-                self._arm.sensor.reset()
-            self._arm.sensor.receive(
-                message.header.frame_id, wrench_numbers(message), stamp, now, self._chosen["timeout_s"]
-            )
+            self._arm.take_wrench(message, self._now())
 
     def _take_object(self, message: String) -> None:
         self._object.hear_description(message)
@@ -326,10 +307,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
         if self._arm is not None:
-            if message.header.frame_id not in ("", self._arm.chain.base):
-                said = f"is in frame '{message.header.frame_id}', not '{self._arm.chain.base}'"
-                raise BadCommand("tool_pose", said, "remap it from the corrector's ~/pose")
-            self._tool = seconds(message.header.stamp), desired_pose(message.pose, self._arm.farthest)
+            self._arm.take_tool(message)
 
     # what it does
 
@@ -343,21 +321,20 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             self._let_go(f"the pull was aborted: {self.faults.note('tick', error)}")
 
     def _tick_once(self) -> None:
-        operation, arm, joints = self._operation, self._arm, self._joints
-        if operation is None or arm is None or joints is None:
+        operation, arm = self._operation, self._arm
+        if operation is None or arm is None:
             return
         begun, now = time.perf_counter(), self._now()
         self._counts["late ticks"] += begun - self._before > _LATE / self._chosen["rate_hz"]
         self._before = begun
         try:
-            stamp, T = self._measured(now)
+            stamp, T = arm.measured(now)
         except ModcalError as error:
             stamp, T = -np.inf, np.eye(4)  # too old for anything, which the operation waits for
             self._refusals.refuse("tool_pose", str(error))
-        q = joints.position.copy()
-        answer = operation.tick(now, T, arm.sensor, JointPositions(q, stamp), self._object.at(now))
+        answer = operation.tick(now, T, arm.sensor, arm.positions(stamp), self._object.at(now))
         if isinstance(answer, ArmSetpoint):
-            self._send(answer, now)
+            self._send(answer, arm.chain.tip, now)
             self._tell(OK, operation.phase)
         elif isinstance(answer, Wait):
             self._tell(OK if operation.phase == "tare" else WARN, answer.why)
@@ -365,36 +342,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             self._finish(answer)
         self._took.append(time.perf_counter() - begun)
 
-    def _measured(self, now: float) -> tuple[float, Any]:
-        """When and where the tool was measured: by the corrector, if the arm is calibrated, else by its joints."""
-        assert self._arm is not None
-        assert self._joints is not None
-        stamp = float(self._joints.stamps.min())
-        if not self._chosen["calibrated"]:
-            return stamp, pose_and_jacobian(self._arm.chain, self._joints.position)[0]
-        if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["timeout_s"]:
-            raise BadCommand(
-                "tool_pose", "no message was received recently", "start the corrector, or set calibrated: false"
-            )
-        return min(stamp, self._tool[0]), self._tool[1]
-
-    def _send(self, setpoint: ArmSetpoint, now: float) -> None:
-        assert self._arm is not None
-        tip = self._arm.chain.tip
-        self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, 1.0 / self._chosen["rate_hz"]))
-        # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
-        if self._trajectory.get_subscription_count():
-            trajectory = JointTrajectory(joint_names=list(setpoint.names))
-            set_seconds(trajectory.header.stamp, now)
-            point = fill_point(JointTrajectoryPoint(), setpoint, self._chosen["horizon_s"], with_speed=False)
-            trajectory.points = [point]
-            self._trajectory.publish(trajectory)
-        if self._pose.get_subscription_count():
-            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
-        if self._wrench.get_subscription_count():
-            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
-        if self._stiffness.get_subscription_count():
-            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+    def _send(self, setpoint: ArmSetpoint, tip: str, now: float) -> None:
+        assert self._outputs is not None
+        self._outputs.send(setpoint, tip, now, 1.0 / self._chosen["rate_hz"], self._chosen["horizon_s"])
         self._counts["setpoints"] += 1
 
     def _finish(self, stop: Stop) -> None:

@@ -1,0 +1,70 @@
+"""Messages of the cell on their way into the buffer, and through the arm's stream to the supervisor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rclpy.node import Node
+
+from modcal_core.errors import ModcalError
+from modcal_core.online.supervisor import Supervisor
+from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.topics import TYPES
+from modcal_nodes.calibrating.arm import KnownArm
+from modcal_nodes.calibrating.buffer import Buffer
+from modcal_nodes.calibrating.diagnostics import Times
+
+
+class Intake:
+    """times: how long messages took, and how late they came. refused: how many could not be used."""
+
+    def __init__(
+        self, node: Node, buffer: Buffer, arm: KnownArm, supervisor: Supervisor, recognise: Callable[[], None]
+    ) -> None:
+        """recognise: called with each joint state while the arm is not known."""
+        self._clock, self._log = node.get_clock(), node.get_logger()
+        self._buffer, self._arm, self._supervisor, self._recognise = buffer, arm, supervisor, recognise
+        self.times = Times()
+        self.refused = 0
+
+    def joint_state(self, message: Any) -> None:
+        """Take a joint state."""
+        began = time.thread_time()
+        if self.remember("joint_states", message):
+            if self._arm.chain is None:
+                self._recognise()
+            self._feed(partial(self._arm.joint_state, message))
+        self.times.took.append(time.thread_time() - began)
+
+    def reading(self, topic: str, kind: str, message: Any) -> None:
+        """Take a reading of this kind."""
+        began = time.thread_time()
+        if self.remember(topic, message):
+            self._feed(partial(self._arm.reading, kind, message))
+        self.times.took.append(time.thread_time() - began)
+        self.times.late.append(1e-9 * self._clock.now().nanoseconds - seconds(message.header.stamp))
+
+    def remember(self, topic: str, message: Any) -> bool:
+        """Put a message into the buffer; returns whether it could be used."""
+        received = 1e-9 * self._clock.now().nanoseconds
+        try:
+            self._buffer.add(f"/{topic}", TYPES[topic], message, received)
+        except ModcalError as error:
+            self._refuse(error)
+            return False
+        return True
+
+    def _feed(self, take: Callable[[], None]) -> None:
+        try:
+            take()
+        except ModcalError as error:
+            self._refuse(error)
+        for sample in self._arm.stream.take() if self._arm.stream else ():
+            self._supervisor.add(sample)
+
+    def _refuse(self, error: ModcalError) -> None:
+        self.refused += 1
+        self._log.warning(str(error), throttle_duration_sec=5.0)

@@ -1,0 +1,73 @@
+"""What ``impedance_setpoint`` hears of one arm: its joints, the wrench at its wrist, and where its tool is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.task import JointPositions
+from modcal_core.robots.kinematics import pose_and_jacobian
+from modcal_msgs_py.commands import JointInput, desired_pose
+from modcal_msgs_py.setpoints import wrench_numbers
+from modcal_msgs_py.stamps import seconds
+from modcal_nodes.setpoint.arm import SensedArm
+
+
+class ArmInputs:
+    """The newest of everything about one arm."""
+
+    def __init__(self, urdf: str, chosen: dict[str, Any]) -> None:
+        """chosen: the node's parameters, as they are at any time. Raises BadRobot."""
+        self._chosen = chosen
+        self.arm = SensedArm.of(urdf, chosen)
+        self.chain, self.sensor = self.arm.chain, self.arm.sensor
+        self._joints = JointInput(self.chain.names, self.chain.lower, self.chain.upper)
+        self._tool: tuple[float, Array] | None = None
+
+    def take_joints(self, message: JointState, now: float) -> None:
+        """Raises BadCommand for joint states that cannot be used."""
+        self._joints.receive(message, now, self._chosen["timeout_s"])
+
+    def take_wrench(self, message: WrenchStamped, now: float) -> None:
+        """Raises BadCommand for a wrench that cannot be used."""
+        timeout = self._chosen["timeout_s"]
+        if self.sensor.stamp > now + timeout:  # the clock was set back
+            self.sensor.reset()
+        stamp = seconds(message.header.stamp) or now
+        self.sensor.receive(message.header.frame_id, wrench_numbers(message), stamp, now, timeout)
+
+    def take_tool(self, message: PoseWithCovarianceStamped) -> None:
+        """Raises BadCommand for a pose in another frame, or farther off than the tool can be."""
+        if message.header.frame_id not in ("", self.chain.base):
+            said = f"is in frame '{message.header.frame_id}', not '{self.chain.base}'"
+            raise BadCommand("tool_pose", said, "remap it from the corrector's ~/pose")
+        self._tool = seconds(message.header.stamp), desired_pose(message.pose, self.arm.farthest)
+
+    def measured(self, now: float) -> tuple[float, Array]:
+        """When [s] and where (4, 4) the tool was measured: by the corrector, if the arm is calibrated, else by its
+        joints. Raises BadCommand where the corrector has been silent.
+        """
+        stamp = float(self._joints.stamps.min())
+        if not self._chosen["calibrated"]:
+            return stamp, pose_and_jacobian(self.chain, self._joints.position)[0]
+        if self._tool is None or not abs(now - self._tool[0]) <= self._chosen["timeout_s"]:
+            raise BadCommand(
+                "tool_pose", "no message was received recently", "start the corrector, or set calibrated: false"
+            )
+        return min(stamp, self._tool[0]), self._tool[1]
+
+    def positions(self, stamp: float) -> JointPositions:
+        """The joints' positions, as of this stamp [s]."""
+        return JointPositions(self._joints.position.copy(), stamp)
+
+    def require_fresh(self, now: float) -> None:
+        """Raises BadCommand unless everything that a pull needs was heard of late."""
+        timeout = self._chosen["timeout_s"]
+        self._joints.require_fresh(now, timeout)
+        if not abs(now - self.sensor.stamp) <= timeout:
+            raise BadCommand("wrench", "no message was received recently", "check that its publisher is alive")
+        self.measured(now)
