@@ -280,7 +280,11 @@ class _Search:
                 q[:, j] = self.rng.uniform(-np.pi, np.pi, len(q)) * min(1.0, 0.15 * k)
             last = np.inf
             for _ in range(_ROUNDS):
-                placed = self._placed(forward(self.chain, q), samples)
+                A = forward(self.chain, q)
+                if self.poses:  # turns alone tell it, and are quicker
+                    placed = Placed(*base_and_tool_turns(A[:, :3, :3], samples.R), np.zeros(3), np.zeros(3))
+                else:
+                    placed = self._placed(A, samples)
                 q = self._solved(j, placed, samples)
                 turned, gap = placed.residual(forward(self.chain, q), samples)
                 left = float(np.median(turned if self.poses else gap))

@@ -55,7 +55,7 @@ def judge(
         *_reasons("rejected", _rejected(case, grounds)),
         *_reasons("not_applied", _not_applied(case, grounds)),
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
-        *_reasons("contradiction", _loose(case, known, stated)),
+        *(loose := tuple(_reasons("contradiction", _loose(case, known, stated)))),
         *_reasons("contradiction", _two_groups(case)),
         *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
         *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
@@ -65,10 +65,9 @@ def judge(
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
         reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
-    if not reasons:  # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
-        reasons = (*_reasons("predictable", (*_uneven(case), *_scatter(case, stated))),)
-    elif not grounds.rejected_runs and all(reason.kind == "rejected" for reason in reasons):
-        reasons = (*reasons, *_reasons("predictable", _uneven(case)))
+    # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
+    if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
+        reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
     told = known.position is not None and (known.rotation is not None or not angles)
     status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
     return Verdict(
