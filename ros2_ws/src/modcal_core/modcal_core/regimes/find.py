@@ -54,7 +54,6 @@ _BETTER = 0.9  # share of the error of anything that is smooth in time that may 
 _SETTLING = 0.12  # time constant to begin from, as a share of the recording
 _ROUGHLY = 1.0  # standard deviations to which rivals are fitted
 _WAVES = 4  # a turn, of a joint that errs with its position
-_ALONE = 6  # moves that are looked at one by one, where all together are not believed; for time
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
 
 
@@ -207,7 +206,7 @@ class _Search:
             moves = [replace(m, what=only) for m in moves]
         score = _Score(self, sorted([*moves, *stated], key=lambda m: m.at))
         if moves and (score.needless(moves) or score.has_rival(moves)):
-            score = self._by_itself(moves, stated) or _Score(self, list(stated))
+            score = _Score(self, list(stated))
         for move in score.own(stated) if both else ():
             score.simplify(move)
         for move in score.own(stated):
@@ -217,19 +216,6 @@ class _Search:
         if own and score.has_rival(own):
             score.leave_out(own)
         return list(score.moves)
-
-    def _by_itself(self, moves: list[Move], stated: tuple[Move, ...]) -> _Score | None:
-        """The one of several moves that is believed alone, where all together are not: cuts that are none cost the rest
-        their proof. None where none is.
-        """
-        if len(moves) < 2:
-            return None
-        scores = [_Score(self, sorted([move, *stated], key=lambda m: m.at)) for move in moves[:_ALONE]]
-        known = [(float(s.now.sum()), k) for k, s in enumerate(scores) if s.now is not None]
-        if not known:
-            return None
-        k = min(known)[1]
-        return None if scores[k].needless([moves[k]]) or scores[k].has_rival([moves[k]]) else scores[k]
 
     def _same(self, a: float, b: float) -> bool:
         """Whether no station lies between two times."""
