@@ -10,14 +10,18 @@ from dataclasses import replace
 import numpy as np
 from case import Case, calibrated, frozen, kind
 from conventions import ORIENTATION, UNIT
+from fresh_again import CLOCK
+from fresh_third import LEFT_OUT, _recorded, _stream
 from physics import LOAD
 from regimes import BASE, TOOL
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from workcell import Array, Session, Works
+from workcell import BEGIN, Array, Session, Works, from_, joined
 
 FRAME = ("frame", r"\baxes\b", "invers", "turned")
 ROWS = (r"\brows?\b", r"\border\b", "late", "early", r"another station|other stations")
 POLAR = ("polar", "azimuth", "angles?", "spherical")
+READ = (r"\btracker", r"readings? (?:look|depend|stand)")
 SCATTER = ("scatter", "wobbl", "spread")
 near = kind("nearby")
 
@@ -337,9 +341,94 @@ def payload_on_a_third_of_the_stations(w: Works, rng: np.random.Generator) -> Ca
     """From two thirds on a part hangs in the gripper: springs give more."""
     session = w.clean(100, w.elastic())
     more = w.observe(w.postures(60)[0], None, w.elastic(payload=4.0), begin=500.0)
-    from workcell import joined
-
     return calibrated(joined(session, more), (*LOAD, r"stations \d", *TOOL, *w.names))
+
+
+# --- streams ---------------------------------------------------------------------------------------------------------
+
+
+@near
+def tracker_holds_its_last_value(w: Works, rng: np.random.Generator) -> Case:
+    """After each motion the tracker repeats what it read before for more than a second."""
+    session, t, q, p, R = _stream(w, 80)
+    k = len(t) // 80
+    since = np.arange(len(t)) % k
+    rows = np.maximum(np.arange(len(t)) - np.where((since >= k // 2) & (since < k - 18), k // 2, 0), 0)
+    return calibrated(
+        _recorded(w, session, t, q, p[rows], R[rows], BEGIN + t), (*CLOCK, *LEFT_OUT, *READ), shown="if left"
+    )
+
+
+@near
+def tracker_smooths(w: Works, rng: np.random.Generator) -> Case:
+    """The tracker's positions follow with a time constant of six tenths of a second."""
+    session, t, q, p, R = _stream(w, 80)
+    share = 1.0 - np.exp(-0.04 / 0.6)
+    slow = lfilter([share], [1.0, share - 1.0], p - p[0], axis=0) + p[0]
+    words = (*CLOCK, *LEFT_OUT, *READ, "filter", "last move", "settl")
+    return calibrated(_recorded(w, session, t, q, slow, R, BEGIN + t), words, shown="if left")
+
+
+@near
+def joint_states_delayed(w: Works, rng: np.random.Generator) -> Case:
+    """Readings bear stamps of four tenths of a second before the joints' clock."""
+    session, t, q, p, R = _stream(w, 80)
+    return calibrated(_recorded(w, session, t, q, p, R, BEGIN + t - 0.4), CLOCK, shown="if left")
+
+
+# --- more ------------------------------------------------------------------------------------------------------------
+
+
+@near
+def two_couplings_loose(w: Works, rng: np.random.Generator) -> Case:
+    """Two joints' encoders are loose: they read anything within half a milliradian."""
+    session = w.clean(160)
+    some = np.sort(rng.choice(4, 2, replace=False))
+    q = session.q.copy()
+    q[:, some] += rng.normal(0, 4e-4, (160, 2))
+    return calibrated(_q(session, q), tuple(w.names[i] for i in some))
+
+
+@near
+def drive_slips_by_a_tooth(w: Works, rng: np.random.Generator) -> Case:
+    """A belt slips by a tooth half way: one joint's zero is another by 3.6 degrees; points."""
+    session, i = w.clean(150, kind="point"), w.any_joint(0, 4)
+    q = session.q.copy()
+    q[70:, i] += np.radians(3.6)
+    return calibrated(_q(session, q), (w.names[i],))
+
+
+@near
+def tool_and_base_at_different_times(w: Works, rng: np.random.Generator) -> Case:
+    """The tool is bent after a third, and the tracker is moved after two thirds, both by millimetres."""
+    tool, base = w.tool(w.way(2e-3), w.way(0.01), from_(55)), w.base(w.way(3e-3), w.way(2e-3), from_(110))
+    return calibrated(w.clean(165, tool, base), (*TOOL, *BASE))
+
+
+@near
+def readings_stuck_for_a_while(w: Works, rng: np.random.Generator) -> Case:
+    """The tracker repeats one reading at eight stations, with its noise."""
+    session = w.clean(150)
+    rows = _block(70, 78, 150, np.full(8, 69))
+    stuck = _rows(session, rows)
+    return calibrated(replace(stuck, p=stuck.p + rng.normal(0, 1e-5, (150, 3))), ("stations 7", "still", *ROWS))
+
+
+@near
+def every_third_with_a_second_target(w: Works, rng: np.random.Generator) -> Case:
+    """Two targets on the tool, 3 mm apart and alike: every third reading is of the other one; points."""
+    session = w.clean(150)
+    other = (np.arange(150) % 3 == 2)[:, None]
+    p = session.p + np.where(other, session.R.apply(w.way(3e-3)), 0.0)
+    return calibrated(replace(session, p=p, kind="point"), (*TOOL, "target", "two"))
+
+
+@near
+def yaw_of_the_other_sign(w: Works, rng: np.random.Generator) -> Case:
+    """The yaw of each orientation has the other sign."""
+    session = w.clean(130)
+    angles = session.R.as_euler("ZYX") * [-1.0, 1.0, 1.0]
+    return calibrated(replace(session, R=Rotation.from_euler("ZYX", angles)), ORIENTATION)
 
 
 # --- use -------------------------------------------------------------------------------------------------------------

@@ -144,3 +144,16 @@ def test_joints_that_are_wrong_throughout(clean: Samples) -> None:
         said = wrong_joints(samples, CHAIN)
         assert said is not None
         assert said.what == f"joints {CHAIN.names[1]} and {CHAIN.names[2]} look swapped"
+
+
+def test_a_joint_of_another_arm_and_a_coupled_one_seen_by_points(clean: Samples) -> None:
+    points = replace(clean, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
+    other = np.random.default_rng(2).permutation(clean.q[:, ELBOW])
+    said = found(with_joint(points, ELBOW, other)).what
+    assert said == f"joint {CHAIN.names[ELBOW]} was not where it was reported"
+    coupled = with_joint(points, ELBOW, clean.q[:, ELBOW] + clean.q[:, 1])
+    known = wrong_joints(coupled, CHAIN)
+    assert known is not None
+    assert known.what.startswith(f"joint {CHAIN.names[ELBOW]} looks counted together with {CHAIN.names[1]}")
+    order = np.random.default_rng(3).permutation(80)
+    assert disagreement(replace(points, reading=points.reading[order]), CHAIN) is None

@@ -46,6 +46,12 @@ def test_a_loose_encoder_is_named(made: Recorded, joint: int) -> None:
     assert "scatters" not in said(samples, known)
 
 
+def test_two_loose_encoders_are_named(made: Recorded) -> None:
+    text = said(scattered(made, [1e-5, 5e-4, 1e-5, 5e-4, 1e-5, 1e-5]))
+    names = ur10().names
+    assert f"Joints {names[1]} and {names[3]} scatter by at least" in text or f"Joint {names[1]} scatters" in text, text
+
+
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_joints_that_are_alike_are_not(made: Recorded, kind: str) -> None:
     assert "scatters" not in said(scattered(made, [3e-4, 1e-4, 1e-4, 1e-4, 2e-4, 1e-4], kind))

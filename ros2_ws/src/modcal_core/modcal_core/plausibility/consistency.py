@@ -257,8 +257,6 @@ class _Search:
 
     def _joint_throughout(self, before: float) -> Disagreement | None:
         """One joint that is off everywhere. before: share of the stations that agree as they are."""
-        if not self.poses:
-            return None
         everything = np.arange(len(self.samples))
         best: tuple[float, int, Array] | None = None
         for j in self._joints():
@@ -274,24 +272,26 @@ class _Search:
         return self._joint_said(j, everything, self.samples.q[:, j], seen)
 
     def _unknown(self, j: int) -> Iterator[Array]:
-        """Postures with angles of joint j that orientations agree on, from several starts."""
+        """Postures with angles of joint j that the readings agree on, from several starts."""
         samples = self.samples
-        for k in range(_STARTS):
+        for k in range(_STARTS if self.poses else _STARTS // 4):
             q = samples.q.copy()
             if k:
                 q[:, j] = self.rng.uniform(-np.pi, np.pi, len(q)) * min(1.0, 0.15 * k)
             last = np.inf
             for _ in range(_ROUNDS):
                 A = forward(self.chain, q)
-                Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
-                placed = Placed(Y, X, np.zeros(3), np.zeros(3))
+                if self.poses:  # turns alone tell it, and are quicker
+                    placed = Placed(*base_and_tool_turns(A[:, :3, :3], samples.R), np.zeros(3), np.zeros(3))
+                else:
+                    placed = self._placed(A, samples)
                 q = self._solved(j, placed, samples)
-                turned = turns_left(Y, forward(self.chain, q)[:, :3, :3], X, samples.R)
-                left = float(np.median(np.linalg.norm(turned, axis=1)))
+                turned, gap = placed.residual(forward(self.chain, q), samples)
+                left = float(np.median(turned if self.poses else gap))
                 if left > 0.999 * last:
                     break
                 last = left
-            if last < self.limit[0]:
+            if last < self.limit[0 if self.poses else 1]:
                 yield q
                 return
 

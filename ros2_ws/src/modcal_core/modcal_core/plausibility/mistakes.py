@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ def of_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
 
 def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
     """Two joints or more that turn the other way, two that are swapped and turn the other way, three that stand under
-    each other's names, all in reverse order.
+    each other's names, all in reverse order, one that is counted together with another.
     """
     n = len(names)
     for count in range(2, n + 1):
@@ -115,6 +115,16 @@ def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
         order[i], order[j], order[k] = j, k, i
         yield _reordered(f"joints {_listed([names[x] for x in sorted((i, j, k))])} look interchanged", order)
     yield _reordered("joints look written in reverse order", list(range(n))[::-1])
+    for i, j in permutations(range(n), 2):
+        for sign, how in ((-1.0, "the sum of both"), (1.0, "its difference to the other")):
+            to = np.eye(n)
+            to[i, j] = sign
+            yield Mistake(
+                f"joint {names[i]} looks counted together with {names[j]} ({how}, as coupled drives are)",
+                f"write the angle between its two links as the position of {names[i]}",
+                lambda s, to=to: replace(s, q=s.q @ to.T),  # type: ignore[misc]
+                "joints",
+            )
 
 
 def _reordered(offender: str, order: list[int]) -> Mistake:

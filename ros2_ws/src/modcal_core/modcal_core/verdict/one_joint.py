@@ -35,11 +35,11 @@ _AXES = np.array([[0, 1, 1.618034], [0, 1, -1.618034], [1, 1.618034, 0], [1, -1.
 
 @dataclass(frozen=True)
 class OneJoint:
-    """name: of the joint. scatter: its RMS, and others: what that of each other joint is surely below [rad or m].
-    turns: whether it is revolute. share: of the squared error that it makes.
+    """names: of the joint, or of two. scatter: RMS of the lesser of them, and others: what that of each other joint is
+    surely below [rad or m]. turns: whether it is revolute. share: of the squared error that they make.
     """
 
-    name: str
+    names: tuple[str, ...]
     scatter: float
     others: float
     turns: bool
@@ -49,16 +49,18 @@ class OneJoint:
     def sentence(self) -> str:
         """For a person."""
         unit = "mrad" if self.turns else "mm"
+        one = len(self.names) == 1
+        who = f"Joint {self.names[0]} scatters by" if one else f"Joints {' and '.join(self.names)} scatter by at least"
         return (
-            f"Joint {self.name} scatters by {1e3 * self.scatter:.2g} {unit} RMS and each of the others by less than "
-            f"{1e3 * self.others:.2g} {unit} ({self.share:.0%} of the squared error). See its encoder, coupling and "
-            "brake, and whether it stands still when readings are taken; if the arm is like that, state its "
-            "repeatability."
+            f"{who} {1e3 * self.scatter:.2g} {unit} RMS and each of the others by less than "
+            f"{1e3 * self.others:.2g} {unit} ({self.share:.0%} of the squared error). See {'its' if one else 'their'} "
+            f"encoder, coupling and brake, and whether {'it stands' if one else 'they stand'} still when readings are "
+            "taken; if the arm is like that, state its repeatability."
         )
 
 
 def one_joint(case: Case) -> OneJoint | None:
-    """The joint that most of what a case leaves is the scatter of, None where there is none."""
+    """The joint, or the two, that most of what a case leaves is the scatter of, None where there is none."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[~case.samples.moving[rows]]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
@@ -68,29 +70,34 @@ def one_joint(case: Case) -> OneJoint | None:
     residual, motions, more = _parts(case, chain, rows)
     whole = max(float(np.sum(residual**2)), 1e-300)
     along = np.sum(motions * residual, axis=1) ** 2 / np.maximum(np.sum(motions**2, axis=1), 1e-300)
-    if along.sum(axis=1).max() < _MOSTLY * whole:  # no more than that can be any joint's
+    if along.sum(axis=1).max() < 0.5 * _MOSTLY * whole:  # no more than that can be any joint's; two may share it
         return None
     directions = np.concatenate([motions, more])
     products = np.einsum("jcn,kcn->njk", directions, directions) ** 2
     seen = np.einsum("jcn,cn->nj", directions, residual) ** 2
     variance = _variances(products.sum(axis=0), seen.sum(axis=0))[: chain.n]
     share = variance * np.sum(motions**2, axis=(1, 2)) / whole
-    j = int(np.argmax(share))
-    alike = [k for k in range(chain.n) if k != j and chain.revolute[k] == chain.revolute[j]]
-    if share[j] < _MOSTLY or len(alike) < _LEAST_JOINTS:
-        return None
-    if variance[j] < _TIMES**2 * float(np.median(variance[alike])):
-        return None
-    rng = np.random.default_rng(0)
-    drawn = []
-    for _ in range(_DRAWS):
-        some = rng.integers(len(rows), size=len(rows))
-        drawn.append(_variances(products[some].sum(axis=0), seen[some].sum(axis=0)))
-    others = np.percentile(np.array(drawn)[:, alike], 97.5, axis=0).max()
-    if np.percentile(np.array(drawn)[:, j], 1.0) <= others:
-        return None
-    sizes = np.sqrt([variance[j], others])
-    return OneJoint(chain.names[j], float(sizes[0]), float(sizes[1]), bool(chain.revolute[j]), float(share[j]))
+    first, second = (int(j) for j in np.argsort(-share)[:2])
+    rng, drawn = np.random.default_rng(0), []
+    for loose in ([first], [first, second]):
+        alike = [k for k in range(chain.n) if k not in loose and chain.revolute[k] == chain.revolute[first]]
+        if share[loose].sum() < _MOSTLY or len(alike) < _LEAST_JOINTS:
+            continue
+        if chain.revolute[second] != chain.revolute[first] and len(loose) > 1:
+            continue
+        if variance[loose].min() < _TIMES**2 * float(np.median(variance[alike])):
+            continue
+        for _ in range(_DRAWS - len(drawn)):
+            some = rng.integers(len(rows), size=len(rows))
+            drawn.append(_variances(products[some].sum(axis=0), seen[some].sum(axis=0)))
+        others = float(np.percentile(np.array(drawn)[:, alike], 97.5, axis=0).max())
+        if np.percentile(np.array(drawn)[:, loose], 1.0, axis=0).min() <= others:
+            continue
+        names = tuple(chain.names[k] for k in sorted(loose))
+        sizes = np.sqrt([variance[loose].min(), others])
+        turns = bool(chain.revolute[first])
+        return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, float(share[loose].sum()))
+    return None
 
 
 def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Array]:

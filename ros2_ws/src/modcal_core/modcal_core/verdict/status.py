@@ -15,9 +15,11 @@ from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.one_joint import one_joint
+from modcal_core.verdict.one_place import one_place
 from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.two_groups import two_groups
+from modcal_core.verdict.uneven import uneven
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
 MOST_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading
@@ -53,7 +55,7 @@ def judge(
         *_reasons("rejected", _rejected(case, grounds)),
         *_reasons("not_applied", _not_applied(case, grounds)),
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
-        *_reasons("contradiction", _loose(case, known, stated)),
+        *(loose := tuple(_reasons("contradiction", _loose(case, known, stated)))),
         *_reasons("contradiction", _two_groups(case)),
         *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
         *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
@@ -63,8 +65,9 @@ def judge(
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
         reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
-    if not reasons:  # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
-        reasons = (*_reasons("predictable", _one_joint(case, stated)),)
+    # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
+    if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
+        reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
     told = known.position is not None and (known.rotation is not None or not angles)
     status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
     return Verdict(
@@ -151,9 +154,15 @@ def _two_groups(case: Case) -> Iterator[str]:
         yield found.sentence
 
 
-def _one_joint(case: Case, stated: Stated | None) -> Iterator[str]:
-    """A joint that scatters by far more than the others, unless it was stated what this arm does not repeat."""
-    found = None if stated is not None and stated.rms_mm is not None else one_joint(case)
+def _scatter(case: Case, stated: Stated | None) -> Iterator[str]:
+    """A joint, base or tool that scatters by far more than the rest, unless it was stated what does not repeat."""
+    found = None if stated is not None and stated.rms_mm is not None else one_joint(case) or one_place(case)
+    if found is not None:
+        yield found.sentence
+
+
+def _uneven(case: Case) -> Iterator[str]:
+    found = uneven(case)
     if found is not None:
         yield found.sentence
 

@@ -34,8 +34,10 @@ class Point(Kind):
         far = float(np.linalg.norm(np.median(position, axis=0)))
         if spread > _SPREAD * reach or far > farthest(reach):
             said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: "
-            wide = [axis for axis, size in zip("xyz", np.ptp(position, axis=0), strict=True) if size > _SPREAD * reach]
-            if far > farthest(reach) or len(wide) in (0, 3):
+            size = dict(zip("xyz", np.ptp(position, axis=0), strict=True))
+            wide = [axis for axis in size if size[axis] > _SPREAD * reach]
+            narrow = [axis for axis in size if 1e-3 * reach < size[axis] <= _SPREAD * reach]
+            if not wide or not narrow:
                 return f"{said}it looks like millimetres", "record metres"
             which = f"column{'s' if len(wide) > 1 else ''} {' and '.join(wide)}"
             look = f"{which} alone, in another unit than the rest (millimetres), or angles (polar coordinates)"
