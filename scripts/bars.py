@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 TABLE, PICTURE = ROOT / "docs" / "results.md", ROOT / "docs" / "real_arms.svg"
 STAGES = ("nominal", "geometry", "with unmodelled effects")
-LEFT, RIGHT, BAR, GAP, TOP = 300, 850, 13, 16, 44  # px
+LEFT, RIGHT, BAR, GAP, TOP = 335, 850, 13, 16, 44  # px
 COLOURS = {  # on light paper and on dark
     "ink": ("#1c2430", "#e6eaf0"), "soft": ("#566172", "#a9b3c1"), "line": ("#d5dbe4", "#3a4350"),
     "paper": ("#ffffff", "#12161c"), "nominal": ("#b3263c", "#ff8f99"), "geometry": ("#b98a2b", "#e3b560"),
