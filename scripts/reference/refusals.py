@@ -29,8 +29,8 @@ parts. Here are all of them as they stand in the sources; {GAP} stands for a nam
 vertical bar is between texts of which one is said. Search for the words of your line. What the checks are for is in
 [bad_input.md](../bad_input.md) and [faults.md](../faults.md).
 
-Exit codes of `modcal`: 0 done; 1 a fault of modcal itself; 2 refused; 3 done, but the tolerance asked for is not met, or
-it cannot be told."""
+Exit codes of `modcal`: 0 done; 1 a fault of modcal itself; 2 refused; 3 done, but the tolerance asked for is not met,
+or it cannot be told."""
 
 
 @dataclass(frozen=True, order=True)
