@@ -67,7 +67,9 @@ def iso() -> None:
     rng, chain = np.random.default_rng(5), read_chain((ROBOTS / "ur10.urdf").read_text())
     with tempfile.TemporaryDirectory() as folder:
         samples = cell(Path(folder), stations=POSES, visit=2)
-    q, p = np.tile(samples.q[:POSES], (CYCLES, 1)), np.tile(samples.reading[:POSES], (CYCLES, 1))
+    # it comes from the last pose to the first, also the first time: each pose is always reached from the same side
+    order = np.r_[POSES - 1, np.tile(np.arange(POSES), CYCLES)]
+    q, p = samples.q[order], samples.reading[order].copy()
     for i, posture in enumerate(q):
         T, J = pose_and_jacobian(chain, posture)
         # how the flange moves has the same size in the base and in the tracker, whose axes it is not seen along
