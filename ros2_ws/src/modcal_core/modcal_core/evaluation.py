@@ -13,8 +13,9 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.diagnosis.locate import frozen, located
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.conventions import proved
+from modcal_core.report.contents import Step
 from modcal_core.report.notes import moved_note, unseen_note
-from modcal_core.report.report import Report, Step
+from modcal_core.report.report import Report
 from modcal_core.verdict.case import frozen_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.not_applied import applicable

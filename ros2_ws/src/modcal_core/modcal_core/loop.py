@@ -35,9 +35,10 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.conventions import proved
 from modcal_core.plausibility.require import require_plausible
 from modcal_core.regimes.find import find_regimes, moves_of
+from modcal_core.report.contents import Step
 from modcal_core.report.findings import findings
 from modcal_core.report.notes import instrument_notes
-from modcal_core.report.report import Report, Step
+from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.case import fitted_case
