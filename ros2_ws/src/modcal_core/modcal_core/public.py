@@ -19,10 +19,10 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry.read_only import sealed
-from modcal_core.measurements.arrays import as_recording
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropped import BETWEEN
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.stations import as_recording
 from modcal_core.planning.plan import Plan, PlanRequest
 from modcal_core.planning.plan import plan as plan_stations
 from modcal_core.planning.site import Site
