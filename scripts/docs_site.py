@@ -1,6 +1,7 @@
 """Hooks of mkdocs: the README is the first page, links that leave docs/ become plain names, code is coloured twice.
 
-What lies outside docs/ (sources, examples) is not part of the site: of such a link the name of the file is left.
+What lies outside docs/ (sources, examples) is not part of the site: of such a link the name of the file is left. The
+search is one that works from disk (docs_search.js).
 """
 
 from __future__ import annotations
@@ -49,6 +50,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     ]
     files.append(File.generated(config, "site.css", content=LINKS + "\n".join(rules) + "\n"))
     return files
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Replace the search that needs a server by one that needs none: the index as a script, and who reads it."""
+    folder = Path(config.site_dir) / "search"
+    index = (folder / "search_index.json").read_text(encoding="utf-8")
+    (folder / "search_index.js").write_text(f"window.modcal_search_index = {index};\n", encoding="utf-8")
+    (folder / "main.js").write_text((ROOT / "scripts" / "docs_search.js").read_text(encoding="utf-8"), encoding="utf-8")
+    for unused in ("search_index.json", "worker.js"):
+        (folder / unused).unlink()
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

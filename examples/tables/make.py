@@ -2,7 +2,8 @@
 
 tracker.csv: a UR10 with elastic joints, and a laser tracker that sees a reflector on its flange; joints in degrees,
 points in mm. sockets/*.csv: joint angles in degrees of an iiwa whose ball sits in two sockets of a plate, at three
-placements of the plate. door.txt: a point of a door of 0.4 m, with a millimetre of noise.
+placements of the plate. iso_9283.csv: five poses of the UR10, thirty times each. door.txt: a point of a door of 0.4 m,
+with a millimetre of noise.
 """
 
 from __future__ import annotations
@@ -27,27 +28,53 @@ BALL = [0.0, 0.0, 0.05]  # m, seen from the hand
 SPAN = 0.05  # m, between the sockets of a plate
 PLATES = {"front": [0.5, 0.0, 0.2], "left": [0.1, 0.5, 0.3], "raised": [0.3, -0.4, 0.5]}
 POSTURES = 12  # in each socket
+NOISE, REPEATABILITY = 2e-5, 1e-5  # m of the tracker, rad of a joint
+POSES, CYCLES = 5, 30  # of ISO 9283
+
+
+def cell(folder: Path, **more: float) -> modcal.Samples:
+    """Stations of the simulated cell; the same arm each time."""
+    words = ["simulate", str(ROBOTS / "ur10.urdf"), "--out", str(folder / "cell")]
+    for name, value in {
+        "measurement": "point", "noise_m": NOISE, "repeatability_rad": REPEATABILITY,
+        "joint_compliance_rad_per_nm": 4e-6, "joint_rate_hz": 50.0, "tracker_rate_hz": 20.0, **more,
+    }.items():  # fmt: skip
+        words += ["-p", f"{name}={value}"]
+    if run(words):
+        raise SystemExit(1)
+    read = modcal.read_bag(folder / "cell")
+    return read.samples(read.robot(tip="tool0"))
+
+
+def written(name: str, q: np.ndarray, p: np.ndarray) -> None:
+    """A table of joints (N, 6) [rad] in degrees and points (N, 3) [m] in millimetres."""
+    with (HERE / name).open("w", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["Point", *(f"J{k} [deg]" for k in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]"])
+        for i, (joints, point) in enumerate(zip(np.degrees(q), 1e3 * p, strict=True)):
+            table.writerow([f"P{i + 1}", *(f"{v:.5f}" for v in joints), *(f"{v:.4f}" for v in point)])
 
 
 def tracker() -> None:
-    """Stations of the simulated cell, six of them twice, as one row each."""
+    """Ninety stations, six of them twice."""
     with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "cell"
-        words = ["simulate", str(ROBOTS / "ur10.urdf"), "--out", str(bag)]
-        for name, value in {
-            "measurement": "point", "stations": 90, "noise_m": 2e-5, "repeatability_rad": 1e-5,
-            "joint_compliance_rad_per_nm": 4e-6, "joint_rate_hz": 50.0, "tracker_rate_hz": 20.0,
-        }.items():  # fmt: skip
-            words += ["-p", f"{name}={value}"]
-        if run(words):
-            raise SystemExit(1)
-        read = modcal.read_bag(bag)
-        samples = read.samples(read.robot(tip="tool0"))
-    with (HERE / "tracker.csv").open("w", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["Point", *(f"J{k} [deg]" for k in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]"])
-        for i, (q, p) in enumerate(zip(np.degrees(samples.q), 1e3 * samples.reading, strict=True)):
-            table.writerow([f"P{i + 1}", *(f"{v:.5f}" for v in q), *(f"{v:.4f}" for v in p)])
+        samples = cell(Path(folder), stations=90)
+    written("tracker.csv", samples.q, samples.reading)
+
+
+def iso() -> None:
+    """Five other stations of that cell in turn, as often as the standard asks; the joints stop a little elsewhere."""
+    rng, chain = np.random.default_rng(5), read_chain((ROBOTS / "ur10.urdf").read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        samples = cell(Path(folder), stations=POSES, visit=2)
+    # it comes from the last pose to the first, also the first time: each pose is always reached from the same side
+    order = np.r_[POSES - 1, np.tile(np.arange(POSES), CYCLES)]
+    q, p = samples.q[order], samples.reading[order].copy()
+    for i, posture in enumerate(q):
+        T, J = pose_and_jacobian(chain, posture)
+        # how the flange moves has the same size in the base and in the tracker, whose axes it is not seen along
+        p[i] += T[:3, :3] @ J[:3] @ (REPEATABILITY * rng.normal(size=6)) + NOISE * rng.normal(size=3)
+    written("iso_9283.csv", q, p)
 
 
 def sockets() -> None:
@@ -89,5 +116,6 @@ def door() -> None:
 
 if __name__ == "__main__":
     tracker()
+    iso()
     sockets()
     door()

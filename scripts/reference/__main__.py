@@ -13,12 +13,19 @@ from pathlib import Path
 import api
 import constants
 import graph
+import messages
+import refusals
 import settings
 import verbs
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES: dict[str, Callable[[], str]] = {
-    **{"cli.md": verbs.page, "parameters.md": settings.page, "topics.md": graph.page, "constants.md": constants.page},
+    "cli.md": verbs.page,
+    "parameters.md": settings.page,
+    "topics.md": graph.page,
+    "messages.md": messages.page,
+    "refusals.md": refusals.page,
+    "constants.md": constants.page,
     **api.pages(),
 }
 HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
@@ -26,6 +33,8 @@ SOURCES = {
     "cli.md": "modcal_nodes/cli",
     "parameters.md": "modcal_nodes/ros/parameters.py",
     "topics.md": "the running nodes",
+    "messages.md": "the running nodes and `scripts/reference/messages.py`",
+    "refusals.md": "the refusals in the sources",
     "constants.md": "modcal_core",
     **dict.fromkeys(api.pages(), "the docstrings of `modcal_core` and `modcal_msgs_py`"),
 }

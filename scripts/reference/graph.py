@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -92,9 +93,24 @@ def page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def _asked(node: str) -> list[dict[str, str]]:
+    """Parameters with which a node is started: none, and each of those that decide."""
+    return [{}, *({name: value} for name, value in DECIDING.get(node, []))]
+
+
+@cache
+def _runs(node: str) -> list[set[Opened]]:
+    """What a node opens with each of these."""
+    return [set(_opened(node, NEEDED.get(node, {}) | more)) for more in _asked(node)]
+
+
+def opened(node: str) -> set[Opened]:
+    """All that a node opens, whatever its parameters."""
+    return set().union(*_runs(node))
+
+
 def _sections(node: str) -> Iterator[str]:
-    asked = [{}, *({name: value} for name, value in DECIDING.get(node, []))]
-    runs = [set(_opened(node, NEEDED.get(node, {}) | more)) for more in asked]
+    asked, runs = _asked(node), _runs(node)
     if node == "recorder":
         yield RECORDS
     if node in FRAMES:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
+import time
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
 from lxml import html
+from report.browser import browser
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
@@ -118,6 +121,31 @@ def test_links_of_the_site_lead_somewhere_and_nothing_is_fetched(site: Path) -> 
                 said.append(f"{page.name}: {link}: no such place")
     assert followed > 500
     assert not said
+
+
+@pytest.mark.slow
+def test_search_works_from_disk(site: Path) -> None:
+    """No server, no network: a word of a refusal, an option and a topic are found where they are explained."""
+    wanted = {
+        "nearest dh table": "howto/use_the_result.html",
+        "no xacro expression": "reference/refusals.html",
+        "tracker/pose orientation zeros": "reference/messages.html",
+        "factory-kinematics": "reference/cli.html",
+    }
+    with browser() as page:
+        page.open(site / "terms.html")
+        for words, place in wanted.items():
+            page.run(f"document.getElementById('mkdocs-search-query').value = {json.dumps(words)}")
+            page.run("document.getElementById('mkdocs-search-query').dispatchEvent(new Event('input'))")
+            script = "[...document.querySelectorAll('#mkdocs-search-results a')].map(a => a.href.split('#')[0])"
+            deadline, found = time.monotonic() + 60.0, []
+            while time.monotonic() < deadline and (site / place).as_uri() not in found[:8]:
+                time.sleep(0.1)
+                found = page.run(script)
+            assert (site / place).as_uri() in found[:8], f"{words}: {found[:8]}"
+            assert all((site / link.removeprefix(site.as_uri() + "/")).is_file() for link in found)
+        assert not page.complaints()
+        assert all(request.startswith("file:") for request in page.requests())
 
 
 def test_the_site_has_two_colour_schemes_and_styles_fetch_nothing(site: Path) -> None:

@@ -1,0 +1,231 @@
+"""The page of messages: of each topic of each node, what the fields of its message mean, and which are left alone.
+
+Topics come from the running nodes, fields from the message types; only what they mean is written here. A topic without
+a meaning, a meaning without a topic and a field that its type does not have end the making of the page.
+"""
+
+# ruff: noqa: E501 (a table of sentences)
+from __future__ import annotations
+
+from importlib import import_module
+
+from cells import code, prose, table
+from graph import executables, opened
+
+STAMP = "time of the measurement, on one clock with the others"
+ANY_FRAME = "a name of your own; each is a frame with an unknown place of its own"
+JOINTS = {
+    "header.stamp": STAMP,
+    "header.frame_id": "not looked at",
+    "name": "joints, in any order; others may be among them, or come in messages of their own",
+    "position": "rad, m; NaN and values that no joint can have are left out and counted",
+    "velocity": "rad/s, m/s; may be empty: then it is taken from the positions",
+    "effort": "torque of the actuator on the joint, N m, N, friction included; may be empty",
+}
+POSE = {
+    "header.stamp": STAMP,
+    "header.frame_id": ANY_FRAME,
+    "pose.position": "of the target, m",
+    "pose.orientation": "unit quaternion x y z w of the target; zeros: target lost",
+}
+OWN_POSE = {"header.stamp": "of the joint states it follows from", "header.frame_id": "base link of the arm"}
+WRENCH = {
+    "header.stamp": STAMP,
+    "header.frame_id": "link of the sensor",
+    "wrench.force": "N, as the sensor feels it; tared at rest",
+    "wrench.torque": "N m, about the frame's origin",
+}
+TRAJECTORY = {
+    "header.stamp": "0: at once",
+    "joint_names": "of the arm, base to tip",
+    "points": "positions rad, m and time_from_start; velocities where they are known",
+}
+URDF = {"data": "a URDF; sent once and kept for whoever comes later"}
+TEMPERATURE = {
+    "header.stamp": STAMP,
+    "header.frame_id": "the link or joint; the driver is called `temperature:FRAME`",
+    "temperature": "°C",
+    "variance": "not looked at",
+}
+MARKERS = {"markers": "in the base link; ns says what each group shows ([live view](../live_view.md))"}
+# by topic, or by node and topic where one node means something else
+MEANINGS: dict[str, dict[str, str]] = {
+    "joint_states": JOINTS,
+    "robot_description": URDF,
+    "tracker/pose": POSE,
+    "tracker/point": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "point": "of the target, m"},
+    "temperature": TEMPERATURE,
+    "wrench": WRENCH,
+    "tool_pose": {
+        **OWN_POSE,
+        "pose.pose": "true pose of the tool, such as a corrector's `~/pose`, m and unit quaternion",
+        "pose.covariance": "not looked at",
+    },
+    "calibration": {"data": "text of a calibration.yaml, such as the calibrator's `~/calibration`"},
+    "desired_pose": {
+        "header.stamp": "when it was asked for; too old is refused",
+        "header.frame_id": "base link, or empty, or a tracker's frame that was calibrated",
+        "pose.position": "where the target is to be in truth, m",
+        "pose.orientation": "unit quaternion; anything else is refused",
+    },
+    "/clock": {"clock": "simulated time"},
+    "/diagnostics": {
+        "header.stamp": "when it was sent: once a second, and at once when a level changes",
+        "status": "name `NODE: PART`, level OK, WARN or ERROR, message for a person, values by key; hardware_id is modcal",
+    },
+    "door_demo /diagnostics": {
+        "header.stamp": "when it was sent",
+        "status": "its own, and of `impedance_setpoint: pull` the phase and how it ended",
+    },
+    "calibrator ~/robot_description": {"data": "the trusted corrected URDF"},
+    "calibrator ~/calibration": {"data": "the trusted calibration.yaml"},
+    "calibrator ~/change": {"data": "JSON: place, direction, driver, since when, how large, what else it may be; `{}`: nothing"},
+    "calibrator ~/report": {"data": "report.json of the trusted model ([report](../report.md))"},
+    "calibrator ~/residual": {"data": "held-out RMS of the last result, m"},
+    "calibrator ~/residual_before": {"data": "the same of the model trusted before, m"},
+    "calibrator ~/estimate": {"data": "values, then standard deviations, m and rad", "layout": "left empty"},
+    "calibrator ~/estimate_names": {"data": "names of the estimate's values, a line each"},
+    "calibrator ~/trusted": {"data": "false while a change is suspected"},
+    "corrector ~/joint_states": {
+        "header.stamp": "of the joint states it follows from",
+        "name": "joints of the calibration",
+        "position": "true positions, with what effects do along the joints' axes, rad, m",
+    },
+    "corrector ~/joint_trajectory": {**TRAJECTORY, "points": "one point that brings the target to the desired pose"},
+    "corrector ~/pose": {
+        **OWN_POSE,
+        "pose.pose": "true pose of the target",
+        "pose.covariance": "x y z, then turns about the base's x y z, m², rad²: parameters, effects and scatter",
+    },
+    "corrector ~/robot_description": {"data": "the corrected URDF, beside the nominal one"},
+    "articulation_estimator ~/expected_pose": {
+        **OWN_POSE, "pose": "where the handle will be `lookahead_m` further on its path",
+    },
+    "articulation_estimator ~/object_axis": MARKERS,
+    "articulation_estimator ~/object_description": {"data": "the object as a URDF with one joint, `object_joint`; empty: forgotten"},
+    "articulation_estimator ~/object_state": {
+        "header.stamp": "of the pose it follows from",
+        "name": "`object_joint`",
+        "position": "how far it is open since it was gripped, rad, m",
+    },
+    "articulation_estimator ~/object_status": {
+        "header.stamp": "of the pose it follows from",
+        "status": "kind, probabilities, trusted or not, error of the last prediction, event (locked, jammed, changed)",
+    },
+    "impedance_setpoint object_description": {"data": "of the estimator"},
+    "impedance_setpoint object_status": {"header.stamp": "its age counts", "status": "of the estimator: kind, trusted, event"},
+    "impedance_setpoint ~/joint_references": {
+        "positions": "of the arm's joints, base to tip, rad, m",
+        "velocities": "rad/s, m/s",
+        "time_from_start": "0",
+    },
+    "impedance_setpoint ~/joint_trajectory": TRAJECTORY,
+    "impedance_setpoint ~/target_pose": {
+        "header.stamp": "of the tick", "header.frame_id": "base link of the arm", "pose": "setpoint of the tip, checked by the safety monitor",
+    },
+    "impedance_setpoint ~/target_stiffness": {
+        "header.stamp": "of the tick", "header.frame_id": "tip link", "wrench": "stiffness to ask for, N/m and N m/rad by axis",
+    },
+    "impedance_setpoint ~/target_wrench": {
+        "header.stamp": "of the tick", "header.frame_id": "tip link", "wrench": "force and torque to add, N and N m",
+    },
+    "acceleration_limits ~/lower": {
+        "header.stamp": "of the joint states it is of",
+        "joint_names": "of the arm, base to tip",
+        "points": "one, with accelerations only, rad/s², m/s²: no controller takes it for a motion",
+    },
+    "acceleration_limits ~/upper": {
+        "header.stamp": "of the joint states it is of",
+        "joint_names": "of the arm, base to tip",
+        "points": "one, with accelerations only, rad/s², m/s²",
+    },
+    "viewer calibrator/calibration": {"data": "text of a calibration.yaml"},
+    "viewer calibrator/change": {"data": "JSON, as of the calibrator"},
+    "viewer ~/axes": MARKERS,
+    "viewer ~/residuals": MARKERS,
+    "viewer ~/stations": MARKERS,
+    "viewer ~/uncertainty": MARKERS,
+    "simulated_cell joint_trajectory": {
+        "joint_names": "all joints of the arm, in any order",
+        "points": "positions and time_from_start, rising; refused outside the limits",
+    },
+    "simulated_cell ~/true_tool": {**POSE, "header.frame_id": "`tracker`", "pose.orientation": "without noise"},
+    "simulated_cell ~/true_tool_in_base": {
+        **POSE, "header.frame_id": "base link", "pose.orientation": "without noise",
+    },
+    "simulated_furniture joint_references": {"positions": "of the arm's joints, rad", "velocities": "rad/s"},
+    "simulated_furniture joint_trajectory": {"joint_names": "of the arm", "points": "the first is followed"},
+    "simulated_furniture ~/contact_force": {
+        "header.stamp": STAMP, "header.frame_id": "the handle", "wrench": "what hand and handle exert on each other, N, N m",
+    },
+    "simulated_furniture ~/object_truth": {
+        "header.stamp": STAMP, "name": "the object's joint", "position": "how far it is open in truth, rad, m",
+    },
+    "door_demo simulated_furniture/object_truth": {"position": "how far it is open in truth, rad, m", "name": "not looked at"},
+    "trajectory_sender ~/joint_trajectory": TRAJECTORY,
+}  # fmt: skip
+SERVICES = {
+    "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",
+    "lifecycle_msgs": "of every lifecycle node: configure, activate, deactivate, clean up, shut down",
+}
+
+INTRODUCTION = """# Messages
+
+What each node hears and says, field by field. Units are SI, quaternions x y z w, frames as REP 103 and 105 have them; a field
+that is not named is left at its default, or not looked at. QoS and the parameters on which a topic depends are on the page
+of [topics](topics.md), what nodes are for in [nodes.md](../nodes.md). In a bag the same topics stand with a leading `/`; what else
+a bag may hold is in [recordings.md](../recordings.md)."""
+
+
+def page() -> str:
+    """Text of the page. Raises ValueError where meanings, topics and types do not go together."""
+    parts, used = [INTRODUCTION], set()
+    for node in executables():
+        parts.append(f"## {node}")
+        for kind, title in (("subscribes to", "hears"), ("publishes", "says")):
+            rows = []
+            for name, type_name in sorted({(o.name, o.type) for o in opened(node) if o.kind == kind}):
+                key = next((k for k in (f"{node} {name}", name) if k in MEANINGS), None)
+                if key is None:
+                    raise ValueError(f"{node} {title} {name}: say in {__file__} what it means")
+                used.add(key)
+                for i, (field, meaning) in enumerate(MEANINGS[key].items()):
+                    if not has(type_name, field):
+                        raise ValueError(f"{key}: {type_name} has no field {field}")
+                    rows.append((code(name) if not i else "", type_name if not i else "", code(field), _said(meaning)))
+            if rows:
+                parts.append(table((title, "type", "field", ""), rows))
+        served = sorted({(o.name, o.type) for o in opened(node) if o.kind == "serves"})
+        if served:
+            rows_served = [
+                (code(name), kind, SERVICES.get(kind, SERVICES.get(kind.split("/")[0], ""))) for name, kind in served
+            ]
+            parts.append(table(("serves", "type", ""), rows_served))
+        if node == "recorder":
+            parts.append(
+                "It hears whatever its parameter `topics` names, of any type, and writes each message as it came."
+            )
+    unused = set(MEANINGS) - used
+    if unused:
+        raise ValueError(f"no node opens {', '.join(sorted(unused))}")
+    return "\n\n".join(parts) + "\n"
+
+
+def has(type_name: str, field: str) -> bool:
+    """Whether a message type has this field, by dots."""
+    package, _, name = type_name.split("/")
+    fields = getattr(import_module(f"{package}.msg"), name).get_fields_and_field_types()
+    first, _, rest = field.partition(".")
+    if first not in fields:
+        return False
+    return not rest or has(_whole(fields[first]), rest)
+
+
+def _whole(type_name: str) -> str:
+    package, _, name = type_name.rpartition("/")
+    return f"{package.removesuffix('/msg')}/msg/{name}"
+
+
+def _said(meaning: str) -> str:
+    """A cell: prose, but for links and code, which may stand in it."""
+    return meaning if "](" in meaning or "`" in meaning else prose(meaning)

@@ -1,0 +1,94 @@
+"""The pictures of the README: small, self-contained, moving, and of the figures that the pages state."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from report.browser import browser
+
+ROOT = Path(__file__).resolve().parents[2]
+MOVING, BARS = ROOT / "docs" / "before_after.svg", ROOT / "docs" / "real_arms.svg"
+
+
+@pytest.mark.parametrize("picture", [MOVING, BARS], ids=lambda p: p.stem)
+def test_a_picture_is_small_and_whole(picture: Path) -> None:
+    """No script, nothing fetched, a title for who cannot see it, both colour schemes."""
+    text = picture.read_text()
+    assert len(text) < 40_000
+    tags = {element.tag.rpartition("}")[2] for element in ET.fromstring(text).iter()}
+    assert "title" in tags
+    assert not tags & {"script", "image", "foreignObject"}
+    assert not re.findall(r"(?:href|src)=|url\((?!#)|@import", text)
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_the_bars_are_the_table() -> None:
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        import bars
+    finally:
+        sys.path.pop(0)
+    table = bars.rows((ROOT / "docs" / "results.md").read_text())
+    assert len(table) == 6
+    assert BARS.read_text() == bars.svg(table)
+    widths = [
+        float(v)
+        for v in re.findall(
+            r'class="(?:nominal|geometry|final)" x="\d+" y="\d+" width="([\d.]+)" height="11"', BARS.read_text()
+        )
+    ]
+    shown = [mm for row in table for mm in row.mm]
+    assert len(widths) == len(shown)
+    assert all(abs(w / widths[0] - mm / shown[0]) < 0.01 for w, mm in zip(widths, shown, strict=True))
+
+
+def test_the_readme_states_what_the_table_has() -> None:
+    readme = (ROOT / "README.md").read_text()
+    alt = next(line for line in readme.splitlines() if "docs/real_arms.svg" in line)
+    table = (ROOT / "docs" / "results.md").read_text()
+    figures = re.findall(r"\d\.\d\d", alt)
+    assert len(figures) == 8
+    assert all(f"| {figure}" in table for figure in figures)
+
+
+@pytest.mark.slow
+def test_it_moves_and_follows_the_colour_scheme(tmp_path: Path) -> None:
+    """As a repository page shows it: an image, which may run no script. Takes the second until something has moved."""
+    page = tmp_path / "page.html"
+    page.write_text(f'<img src="{MOVING.as_uri()}" width="860" height="444">')
+    with browser() as opened:
+        shots = []
+        for dark in (False, True):
+            opened.dark(dark)
+            opened.open(page, width=880, height=470)
+            for k in range(2):
+                file = tmp_path / f"{dark}{k}.png"
+                opened.picture(file, whole=False)
+                shots.append(file.read_bytes())
+                time.sleep(2.0)
+        assert not opened.complaints()
+        assert {request.partition(":")[0] for request in opened.requests()} == {"file"}
+    assert len(set(shots)) == 4
+
+
+def test_words_that_people_search_for_are_in_the_readme() -> None:
+    readme = (ROOT / "README.md").read_text()
+    for word in (
+        "Leica",
+        "FARO",
+        "Vicon",
+        "OptiTrack",
+        "Qualisys",
+        "NDI",
+        "ISO 9283",
+        "Franka",
+        "UR",
+        "KUKA",
+        "MoveIt",
+    ):
+        assert re.search(rf"\b{word}\b", readme), word
