@@ -116,23 +116,23 @@ def _degrees(angle: float) -> str:
 
 def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake, Match, Match] | None:
     """The mistake that was made beyond doubt, and how well the readings fit with it and without."""
-    few, more = (_thinned(samples, count) for count in (_FEW, _MOST))
-    whole = _match(more, chain, parts=(1,))
+    few, more = (thinned(samples, count) for count in (_FEW, _MOST))
+    whole = match(more, chain, parts=(1,))
     if whole.perfect:
         return None
     mistakes = list(_all(samples.names, stated, turned=_turned(whole)))
-    as_is, *roughly = _roughly(few, chain, mistakes)
+    as_is, *roughly = rough_scores(few, chain, mistakes)
     plausible = [(score, i) for i, score in enumerate(roughly) if score > as_is - _REFINED * len(few)]
     if not plausible:  # as of almost every recording: nothing has to be fitted for it
         return None
-    before = _match(more, chain)
+    before = match(more, chain)
     if before.perfect:
         return None
     if not _turned(before):
         plausible = [(score, i) for score, i in plausible if mistakes[i].touches != "rotation"]
     found = [(score, i, mistakes[i]) for score, i in sorted(plausible, key=lambda c: (-c[0], c[1]))]
     parts = tuple(dict.fromkeys((1, before.parts)))  # where base or tool changed, they did so by any convention
-    judged = [(_match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
+    judged = [(match(m.undone(more), chain, m.log_volume, parts), i, m) for _, i, m in found[:_CANDIDATES]]
     judged = [c for c in judged if c[0].typical <= _AN_ARM * chain.reach() and _explains(c[0], before)]
     top = max((after.score for after, _, _ in judged), default=-np.inf)
     if top - before.score <= BEYOND_DOUBT:
@@ -141,9 +141,9 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     return mistake, before, after
 
 
-def _turned(match: Match) -> bool:
+def _turned(found: Match) -> bool:
     """Whether orientations fit so badly that they alone may mean something else, as most candidates say."""
-    return match.angle > _TURNED * _NOMINAL_ANGLE
+    return found.angle > _TURNED * _NOMINAL_ANGLE
 
 
 def _explains(after: Match, before: Match) -> bool:
@@ -167,7 +167,8 @@ def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[M
     yield from of_joints(names)
 
 
-def _thinned(samples: Samples, most: int) -> Samples:
+def thinned(samples: Samples, most: int) -> Samples:
+    """No more than so many of the samples, evenly along the recording."""
     order = np.argsort(samples.stamps, kind="stable")
     return samples.select(order[np.unique(np.linspace(0, len(order) - 1, min(len(order), most)).astype(int))])
 
@@ -191,8 +192,8 @@ class _Scale:
         return _log_likelihood(turns, self.rotation, self.turns) + _log_likelihood(gaps, self.position, self.extent)
 
 
-def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
-    """Log-likelihood of these readings as they are, and with each mistake undone, without the last refinement."""
+def rough_scores(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
+    """Log-likelihood of these poses as they are, and with each mistake undone, without the last refinement."""
     each = [samples, *(mistake.undone(samples) for mistake in mistakes)]
     position, R = (np.stack(x) for x in zip(*((s.reading, s.R) for s in each), strict=True))
     A = np.broadcast_to(forward(chain, samples.q), (len(each), len(samples), 4, 4)).copy()
@@ -215,8 +216,11 @@ def _roughly(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> lis
     return [float(x) for x in score + len(samples) * np.array(volume)]
 
 
-def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
-    """How well these readings fit, cut into as many of these numbers of parts as pay."""
+def match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[int, ...] = _PARTS) -> Match:
+    """How well these poses fit, cut into as many of these numbers of parts as pay.
+
+    log_volume: by how much the readings' volume was shrunk to have them in metres, in logarithm.
+    """
     A, size = forward(chain, samples.q), len(samples)
     scale = _Scale.of(chain, samples.reading)
     best: Match | None = None
@@ -237,6 +241,17 @@ def _match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple
             break
     assert best is not None
     return best
+
+
+def points_match(chain: Chain, q: Array, position: Array, log_volume: float = 0.0) -> Match:
+    """How well points (N, 3) [m] of the tool fit, as :func:`match` of poses; angles are zero."""
+    A, size = forward(chain, q)[None], len(q)
+    gaps = tool_and_place(base_by_positions(A, position[None]), A, position[None])[0][0]
+    scale = _Scale.of(chain, position)
+    total = _log_likelihood(gaps, scale.position, scale.extent) + size * log_volume
+    score = total * min(1.0, _INDEPENDENT / size) - 4.5 * np.log(size)
+    typical = float(np.median(np.linalg.norm(gaps, axis=1)))
+    return Match(float(score), 0.0, _rms(gaps), _perfect(np.zeros_like(gaps), gaps, scale), typical, 0.0, 1)
 
 
 def _perfect(turns: Array, gaps: Array, scale: _Scale) -> bool:

@@ -171,6 +171,12 @@ _TABLE = _mapping(
 SCHEMA = _mapping(
     {
         "urdf": {"type": ["string", "null"], "description": "robot description, beside the mapping or in --data"},
+        "undecided": {
+            "type": "array",
+            "items": {"type": "string"},
+            "maxItems": 0,
+            "description": "what a proposed mapping could not tell: decide, correct what is below, and remove this",
+        },
         "tables": {"type": "array", "items": _TABLE, "minItems": 1},
     },
     "tables",
@@ -188,6 +194,10 @@ def json_schema() -> dict[str, Any]:
 
 def require_mapping(mapping: Any, source: str) -> Mapping[str, Any]:
     """The mapping, if it is one. Raises BadTable with the key that is not as it must be."""
+    if isinstance(mapping, Mapping) and (questions := mapping.get("undecided")) and isinstance(questions, list):
+        more = f" ({len(questions) - 1} more)" if len(questions) > 1 else ""
+        said = f"{str(questions[0])[:300]}{more}"
+        raise BadTable(f"{source}: undecided", said, "correct what is below it, and remove the line")
     require(mapping, SCHEMA, source, _REMEDY)
     for i, table in enumerate(mapping["tables"]):
         _require_table(table, f"{source}: tables, entry {i + 1}")

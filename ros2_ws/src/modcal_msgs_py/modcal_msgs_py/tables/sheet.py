@@ -59,16 +59,25 @@ def read_sheet(path: Path, form: Form) -> Sheet:
         ]
     except (csv.Error, TypeError) as error:
         raise BadTable(str(path), f"is not a table ({error})", "state its delimiter, or give a CSV file") from error
-    header = tuple(cell.strip() for cell in filled[0][1]) if form.header and filled else ()
     rows = filled[int(form.header) + form.units_rows :]
     if not rows:
         raise BadTable(str(path), "has no row", "leave the file out")
+    header = labels(filled[0][1], len(rows[0][1])) if form.header else ()
     return Sheet(path, header, [cells for _, cells in rows], [line for line, _ in rows], form.decimal)
+
+
+def labels(cells: list[str], width: int) -> tuple[str, ...]:
+    """Labels of so many columns; a mark of a comment (#, %) before the first is left out."""
+    out = [cell.strip() for cell in cells]
+    if out and out[0][:1] in ("#", "%"):
+        first = out[0].lstrip("#% ")
+        out = [first, *out[1:]] if first or len(out) <= width else out[1:]
+    return tuple(out)
 
 
 def cells_of(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
     """(number of the line from 1, cells) of every line of a text. Raises csv.Error."""
-    lines = text.splitlines(keepends=True)
+    lines = [f"{line}\n" for line in text.split("\n")]
     if delimiter == BLANKS:
         reader = csv.reader((line.strip().replace("\t", " ") for line in lines), delimiter=" ", skipinitialspace=True)
     else:

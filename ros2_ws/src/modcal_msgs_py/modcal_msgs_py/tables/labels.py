@@ -1,0 +1,181 @@
+"""What a column's label says: of which quantity it is, along which axis, of which joint, in which unit. Words only."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]*)\s*[\])>}]")
+_WORD = re.compile(r"[A-Za-z°µ]+|\d+")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+# Units as labels have them, and as a mapping does
+UNITS = {
+    "mm": "mm", "millimeter": "mm", "millimeters": "mm", "cm": "cm", "m": "m", "meter": "m", "meters": "m",
+    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg",
+    "rad": "rad", "radian": "rad", "radians": "rad", "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us",
+    "µs": "us", "ns": "ns",
+}  # fmt: skip
+MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
+_ROLES = (
+    (OTHER, {"current", "temp", "temperature", "error", "err", "std", "sigma", "stdev", "deviation", "residual", "acc",
+             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality"}),
+    (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
+    (VELOCITY, {"velocity", "vel", "qd", "dq", "speed", "rate"}),
+    (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",
+                 "nominal", "soll", "planned", "goal"}),
+)  # fmt: skip
+_COMPUTED = {
+    "tcp",
+    "flange",
+    "fk",
+    "nominal",
+    "target",
+    "commanded",
+    "cmd",
+    "desired",
+    "setpoint",
+    "controller",
+    "robot",
+    "soll",
+}
+TURNS = {
+    "r",
+    "rot",
+    "rotation",
+    "orientation",
+    "euler",
+    "q",
+    "quat",
+    "quaternion",
+    "angle",
+    "ori",
+    "rpy",
+    "rotvec",
+    "attitude",
+}
+_ANGLE_TRIPLES = (
+    ("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("a", "b", "c"), ("w", "p", "r"), ("alpha", "beta", "gamma"),
+    ("phi", "theta", "psi"), ("e1", "e2", "e3"), ("u", "v", "w"), ("heading", "pitch", "roll"), ("ax", "ay", "az"),
+    ("ox", "oy", "oz"), ("omega", "phi", "kappa"), ("wx", "wy", "wz"), ("rotx", "roty", "rotz"), ("o", "a", "t"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Label:
+    """A label in parts. words: in small letters, numbers apart. unit: as a mapping names it, None: not told."""
+
+    text: str
+    words: tuple[str, ...]
+    unit: str | None
+
+    @classmethod
+    def of(cls, text: str, unit: str = "") -> Label:
+        """A label, and what a row of units says below it."""
+        told = [*_BRACKETS.findall(text), unit.strip("[]()<> ")]
+        found = next((UNITS[t.strip().lower()] for t in told if t.strip().lower() in UNITS), None)
+        inside = _BRACKETS.sub(lambda m: f" {m[1]} " if m[1].strip().isdigit() else " ", text)
+        words = [w for part in _WORD.findall(inside) for w in _CAMEL.split(part)]
+        words = [w.lower() for w in words]
+        if found is None and len(words) > 1 and words[-1] in UNITS:  # x_mm
+            found = UNITS[words[-1]]
+            words = words[:-1]
+        return cls(text, tuple(words), found)
+
+    @property
+    def role(self) -> str:
+        """What a joint's column holds."""
+        return next((role for role, said in _ROLES if said & set(self.words)), MEASURED)
+
+    @property
+    def computed(self) -> bool:
+        """Whether it sounds like a pose that the controller computed, not one that was measured."""
+        return bool(_COMPUTED & set(self.words))
+
+    @property
+    def axis(self) -> tuple[str, str] | None:
+        """("x", rest of the label) of a coordinate of a position, None for others."""
+        if not self.words:
+            return None
+        last, rest = self.words[-1], self.words[:-1]
+        if last in ("x", "y", "z") and not TURNS & set(rest) and self.role != OTHER:
+            return last, " ".join(rest)
+        if len(last) == 2 and last[0] in "tpd" and last[1] in "xyz":  # Tx, px
+            return last[1], " ".join((*rest, last[0]))
+        for i, word in enumerate(self.words):  # X tool
+            if word in ("x", "y", "z") and not TURNS & set(self.words) and self.role != OTHER:
+                return word, " ".join(self.words[:i] + self.words[i + 1 :])
+        return None
+
+
+def angle_triples(labels: dict[int, Label]) -> list[tuple[int, int, int]]:
+    """Columns whose labels are those of three angles, each three in the order of their names."""
+    out = []
+    flat = {i: _turn_word(label) for i, label in labels.items()}
+    for names in _ANGLE_TRIPLES:
+        by_stem: dict[str, dict[str, int]] = {}
+        for i, (word, stem) in flat.items():
+            if word in names:
+                by_stem.setdefault(stem, {}).setdefault(word, i)
+        out += [tuple(found[n] for n in names) for found in by_stem.values() if len(found) == 3]
+    return list(dict.fromkeys((t[0], t[1], t[2]) for t in out))
+
+
+def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
+    """Columns whose labels are those of quaternions, in the order x y z w or as they are numbered."""
+    out: list[tuple[int, int, int, int]] = []
+    by_stem: dict[str, dict[str, int]] = {}
+    for i, label in labels.items():
+        words = label.words
+        if not words:
+            continue
+        last, rest = words[-1], words[:-1]
+        turned = bool(TURNS & set(rest))
+        if last in ("qx", "qy", "qz", "qw"):
+            by_stem.setdefault(" ".join(rest), {})[last[1]] = i
+        elif (turned and last in ("x", "y", "z", "w")) or (
+            last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e")
+        ):
+            by_stem.setdefault(" ".join(rest), {})[last] = i
+    for found in by_stem.values():
+        if set(found) == {"0"}:  # Q0 Qx Qy Qz
+            for other in by_stem.values():
+                if set(other) == {"x", "y", "z"}:
+                    other["w"] = found["0"]
+    for found in by_stem.values():
+        for names in (("x", "y", "z", "w"), ("0", "1", "2", "3"), ("1", "2", "3", "4")):
+            if set(names) <= set(found):
+                out.append((found[names[0]], found[names[1]], found[names[2]], found[names[3]]))
+    return out
+
+
+def matrices(labels: dict[int, Label]) -> list[tuple[int, ...]]:
+    """Columns whose labels are those of the nine elements of a matrix, row by row or as they are numbered."""
+    cells: dict[str, dict[str, int]] = {}
+    for i, label in labels.items():
+        numbers = [w for w in label.words if w.isdigit()]
+        rest = " ".join(w for w in label.words if not w.isdigit())
+        if not numbers or not rest:
+            continue
+        cells.setdefault(rest, {})["".join(numbers)] = i
+    out = []
+    for found in cells.values():
+        for base in (1, 0):
+            names = [f"{r}{c}" for r in range(base, base + 3) for c in range(base, base + 3)]
+            numbered = [str(k) for k in range(base, base + 9)]
+            for wanted in (names, numbered):
+                if set(wanted) <= set(found):
+                    out.append(tuple(found[name] for name in wanted))
+    return out
+
+
+def _turn_word(label: Label) -> tuple[str, str]:
+    """(word of an angle, rest of the label); ("", "") for others."""
+    words = label.words
+    if not words:
+        return "", ""
+    last, rest = words[-1], words[:-1]
+    if last in ("x", "y", "z") and TURNS & set(rest):
+        return f"r{last}", " ".join(w for w in rest if w not in TURNS)
+    if last.isdigit() and rest and rest[-1] == "e":
+        return f"e{last}", " ".join(rest[:-1])
+    return last, " ".join(w for w in rest if w not in TURNS)

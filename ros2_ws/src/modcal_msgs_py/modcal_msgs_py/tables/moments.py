@@ -1,0 +1,105 @@
+"""The columns of a table that say when a row was taken: dates, seconds, or nothing but the order of the rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from modcal_msgs_py.tables.candidates import Numbers
+from modcal_msgs_py.tables.stamps import LAST, SECONDS
+
+_NAMES = {
+    "time",
+    "timestamp",
+    "stamp",
+    "t",
+    "zeit",
+    "seconds",
+    "sec",
+    "secs",
+    "epoch",
+    "datetime",
+    "date",
+    "uhrzeit",
+    "temps",
+}
+_FORMATS = (
+    "%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%SZ",
+    "%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%dT%H:%M:%S%z", "%Y/%m/%d %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S",
+    "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p", "%d/%m/%Y %H:%M:%S", "%Y%m%d%H%M%S",
+    "%d.%m.%Y %H:%M", "%H:%M:%S", "%H:%M:%S.%f",
+)  # fmt: skip
+_ORDER_S = 10.0  # s between rows of which only the order is known
+_EPOCH = 1e9  # s since 1970 are more than this, from 2001 on
+_ROWS = 200  # that are tried with a format
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What a mapping states of the time, which columns it is in, and what had to be assumed."""
+
+    stated: dict[str, Any]
+    columns: tuple[int, ...]
+    said: str
+
+
+def find_time(numbers: Numbers, taken: set[int]) -> Moments:
+    """When the rows were taken, as far as labels and cells say."""
+    named = [k for k, label in numbers.labels.items() if k not in taken and _NAMES & set(label.words)]
+    for k in named:
+        if (found := _dates(numbers, (k,))) is not None:
+            return found
+    for a, b in zip(named, named[1:], strict=False):
+        if (found := _dates(numbers, (a, b))) is not None:
+            return found
+    for k in named:
+        if (found := _seconds(numbers, k)) is not None:
+            return found
+    said = f"no column says when a row was taken: rows count as {_ORDER_S:g} s apart, and nothing is told of drift"
+    return Moments({"order": {"period_s": _ORDER_S}}, (), said)
+
+
+def _dates(numbers: Numbers, columns: tuple[int, ...]) -> Moments | None:
+    rows = numbers.sniffed.rows[:_ROWS]
+    cells = [" ".join(row[k].strip() for k in columns if k < len(row)).strip() for row in rows]
+    cells = [cell for cell in cells if cell]
+    if not cells or (not any(sign in cells[0] for sign in ":-/.") and len(cells[0]) != 14):
+        return None
+    fits = [form for form in _FORMATS if all(_reads(cell, form) for cell in cells)]
+    if not fits:
+        return None
+    keys = [numbers.key(k) for k in columns]
+    names = " and ".join(numbers.shown(k) for k in columns)
+    also = f" ({fits[1]} would read them, too)" if len(fits) > 1 and "%m" in fits[1] else ""
+    said = f"{names} holds the time, as {fits[0]}{also}, in UTC"
+    return Moments({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
+
+
+def _reads(cell: str, form: str) -> bool:
+    try:
+        datetime.strptime(cell, form)
+    except ValueError:
+        return False
+    return True
+
+
+def _seconds(numbers: Numbers, k: int) -> Moments | None:
+    column = numbers.values[:, k]
+    column = column[np.isfinite(column)]
+    if len(column) < 2 or column.min() < 0.0 or (np.diff(column) < 0.0).mean() > 0.01 or np.ptp(column) == 0.0:
+        return None
+    label = numbers.labels[k]
+    told = label.unit if label.unit in SECONDS else next((w for w in label.words if w in SECONDS), None)
+    powers = {"s": _EPOCH, "ms": 1e3 * _EPOCH, "us": 1e6 * _EPOCH, "ns": 1e9 * _EPOCH}
+    since_1970 = [u for u, low in powers.items() if low < column.min() and SECONDS[u] * column.max() < LAST]
+    unit = since_1970[0] if len(since_1970) == 1 else told or "s"
+    how = "since 1970, by its size" if len(since_1970) == 1 else "by its label" if told else "assumed: no unit is told"
+    if SECONDS[unit] * column.max() >= LAST:
+        return None
+    stated: dict[str, Any] = {"seconds": numbers.key(k)}
+    if unit != "s":
+        stated["unit"] = unit
+    return Moments(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")

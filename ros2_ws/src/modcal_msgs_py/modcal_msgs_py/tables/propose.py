@@ -1,0 +1,333 @@
+"""A mapping for a table that has none: what its columns are, proved by the nominal arm that fits, or asked.
+
+The text says how the file is written (``sniff``), labels and numbers which columns may be what (``candidates``,
+``labels``), and the hand-eye problem of the nominal arm which reading of them is right
+(:mod:`modcal_core.plausibility.meanings`). Where two readings fit alike, nothing is chosen in silence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.plausibility.conventions import BEYOND_DOUBT
+from modcal_core.plausibility.joint_columns import likely_orders
+from modcal_core.plausibility.meanings import LEAST_ROWS, LENGTHS, Judged, Postures, judge, rivals, same_poses
+from modcal_core.robots.chain import Chain
+from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, pool
+from modcal_msgs_py.tables.labels import MEASURED
+from modcal_msgs_py.tables.moments import Moments, find_time
+from modcal_msgs_py.tables.sniff import sniff
+
+_MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+_COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
+_ORDERS = 6  # of columns without labels that are judged in full
+_MOST_BODIES = 10  # that are judged where labels do not tell
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the joints' columns are taken for. unit of turning joints, and of sliding ones."""
+
+    joints: JointColumns
+    angle: str
+    length: str
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One place of columns with its meanings, best first."""
+
+    body: Body
+    choices: tuple[Choice, ...]
+    found: tuple[Judged, ...]
+    rows: np.ndarray
+
+    @property
+    def best(self) -> Judged:
+        """The likeliest meaning."""
+        return self.found[0]
+
+    @property
+    def choice(self) -> Choice:
+        """What it takes the joints for."""
+        return self.choices[self.best.meaning.postures]
+
+    @property
+    def computed(self) -> bool:
+        """Whether the nominal arm says the same to some micrometres: then nobody measured it."""
+        return self.best.match.typical < _COMPUTED
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that was found out of a table. questions: what the data cannot tell; the mapping is refused till they
+    are answered. others: places of columns that fit as well and are not used.
+    """
+
+    numbers: Numbers
+    chain: Chain
+    time: Moments
+    fitted: Fitted
+    questions: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    others: tuple[Fitted, ...] = field(default=())
+    commanded: JointColumns | None = None
+
+
+def find(path: Path, chain: Chain, watch: Callable[[str], None] = lambda stage: None) -> Findings:
+    """What the columns of a file are. Raises BadTable where no reading of them has to do with the arm at all."""
+    watch(f"reading {path.name}")
+    numbers = Numbers.of(sniff(path))
+    if len(numbers.values) < LEAST_ROWS:
+        said = f"has {len(numbers.values)} rows, {LEAST_ROWS} are needed to tell what its columns are"
+        raise BadTable(path.name, said, "write a mapping, see docs/recordings.md")
+    labelled = joints(numbers, chain.names)
+    measured = [j for j in labelled if j.role == MEASURED]
+    taken = {k for j in labelled for k in j.columns}
+    time = find_time(numbers, taken)
+    places = bodies(numbers, taken, set(time.columns))
+    watch("comparing what columns may mean")
+    fits = _fits(numbers, chain, places, measured) if measured else []
+    if not any(f.best.explained(chain) for f in fits):
+        watch("looking for the joints' columns")
+        by_fit = bodies(numbers, set(), set(time.columns)) if not measured else places
+        fits += _without_labels(numbers, chain, by_fit, set(time.columns))
+    if not fits:
+        said = "no columns are found that could be the joints, and the position of a target, of this arm"
+        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/recordings.md")
+    return _decided(numbers, chain, time, fits, labelled)
+
+
+def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
+    """Every likely place of the readings with its meanings; those without labels only where labels lead nowhere."""
+    out: list[Fitted] = []
+    for stage in (
+        [b for b in places if b.named and b.turned],
+        [b for b in places if not b.named and b.turned],
+        [b for b in places if b.turned is None],
+    ):
+        for body in stage[:_MOST_BODIES]:
+            if any(_covers(f.body, body) and f.best.explained(chain) and not f.computed for f in out):
+                continue
+            if (fitted := _fitted(numbers, chain, body, choices)) is not None:
+                out.append(fitted)
+        if any(f.best.explained(chain) and not f.computed for f in out):
+            break
+    return out
+
+
+def _covers(known: Body, body: Body) -> bool:
+    """Whether a body's columns are told already by another one."""
+    return bool(set(known.position) & set(body.position)) and (
+        known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned)) or not body.named
+    )
+
+
+def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
+    used = [*body.position, *(body.turned or ()), *(k for j in joint_columns for k in j.columns)]
+    rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
+    rows = rows[~(numbers.values[np.ix_(rows, list(body.turned or body.position))] == 0.0).all(axis=1)]
+    if len(rows) < LEAST_ROWS:
+        return None
+    values = numbers.values[rows]
+    choices: list[Choice] = []
+    postures: list[Postures] = []
+    for one in joint_columns:
+        for angle, length in _units(chain, values[:, list(one.columns)]):
+            choices.append(Choice(one, angle, length))
+            postures.append(Postures(scales(chain, angle, length) * values[:, list(one.columns)], one.how))
+    turned = None if body.turned is None else values[:, list(body.turned)]
+    found = judge(chain, postures, values[:, list(body.position)], turned)
+    return Fitted(body, tuple(choices), tuple(found), rows) if found else None
+
+
+def _units(chain: Chain, q: Array) -> list[tuple[str, str]]:
+    """Units that the joints may be in, of turning and of sliding ones."""
+    turning = np.asarray(chain.revolute, bool)
+    largest = float(np.abs(q[:, turning]).max(initial=0.0))
+    angles = ["deg"] if largest > _MOST_RAD else ["rad", "deg"]
+    lengths = ["m"] if turning.all() else list(LENGTHS)
+    return list(product(angles if turning.any() else ["rad"], lengths))
+
+
+def scales(chain: Chain, angle: str, length: str) -> Array:
+    """What a unit of each joint is in rad or m, (n,)."""
+    turning = np.asarray(chain.revolute, bool)
+    return np.where(turning, np.pi / 180.0 if angle == "deg" else 1.0, LENGTHS[length])
+
+
+def _without_labels(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
+    """Places of the readings with joints' columns that are told by what they explain."""
+    tried: dict[tuple[int, int, int], list[JointColumns]] = {}
+    for body in places:
+        if len(tried) >= _MOST_BODIES:
+            break
+        if body.position not in tried:
+            taken = {*body.position, *(body.turned or ()), *time}
+            tried[body.position] = _orders(numbers, chain, body, pool(numbers, taken))
+    out: list[Fitted] = []
+    for position, choices in tried.items():
+        if not choices:
+            continue
+        for body in [b for b in places if b.position == position][:4]:
+            clear = [c for c in choices if not set(c.columns) & {*body.position, *(body.turned or ())}]
+            if clear and (fitted := _fitted(numbers, chain, body, clear)) is not None:
+                out.append(fitted)
+                if fitted.best.explained(chain) and body.turned is not None:
+                    return out
+    return out
+
+
+def _orders(numbers: Numbers, chain: Chain, body: Body, columns: Sequence[int]) -> list[JointColumns]:
+    used = [*columns, *body.position]
+    values = numbers.values[np.isfinite(numbers.values[:, used]).all(axis=1)]
+    if not len(values) or len(columns) < chain.n:
+        return []
+    q = values[:, list(columns)]
+    largest = float(np.median(np.abs(q).max(axis=0)))
+    out: list[JointColumns] = []
+    for scale in (np.pi / 180.0,) if largest > _MOST_RAD else (1.0, np.pi / 180.0):
+        for order in likely_orders(chain, scale * q, values[:, list(body.position)], _ORDERS):
+            chosen = JointColumns(tuple(columns[i] for i in order), "what they explain of the readings")
+            out += [chosen] if chosen not in out else []
+    return out
+
+
+def _decided(
+    numbers: Numbers, chain: Chain, time: Moments, fits: list[Fitted], labelled: Sequence[JointColumns]
+) -> Findings:
+    """The place that is proposed, with what is to be asked and what is to be said."""
+    fits.sort(
+        key=lambda f: (
+            not f.best.explained(chain), f.computed, f.body.computed, f.body.turned is None, not f.body.named,
+        )
+    )  # fmt: skip
+    if not fits[0].best.explained(chain):
+        fits.sort(key=lambda f: -f.best.match.score)
+    chosen, *rest = fits
+    questions, assumed = [], []
+    best = chosen.best
+    if not best.explained(chain):
+        questions.append(
+            f"no reading of the columns makes the nominal arm fit; the best leaves {missed(best)}: check the URDF, --tip, "
+            "and every line below"
+        )
+    if chosen.computed:
+        questions.append(
+            "the nominal arm reproduces the readings to some micrometres: they look computed from the joints, not measured"
+        )
+    others = tuple(f for f in rest if f.best.explained(chain))
+    for other in others:
+        if _alike(chosen, other):
+            continue
+        names = f"{_names(numbers, chosen.body)} and {_names(numbers, other.body)}"
+        if other.computed or (other.body.computed and not chosen.body.computed):
+            assumed.append(f"{_names(numbers, other.body)} look computed by the controller and are not used")
+        elif set(chosen.body.position) != set(other.body.position):
+            questions.append(f"{names} both move with the tool: keep the columns of the target that was measured")
+    if chosen.body.turned is None and any(f.body.turned for f in rest):
+        questions.append(
+            "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, rotvec "
+            "or matrix, or leave the orientation out"
+        )
+    for other in rivals(chosen.found):
+        questions.append(f"cannot tell {differences(numbers, chosen, best, other)}")
+    by_labels = [j for j in labelled if j.role == MEASURED]
+    if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
+        named = ", ".join(numbers.shown(k) for k in by_labels[0].columns)
+        questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
+    commanded = next((j for j in labelled if j.role == "commanded" and _follows(numbers, j, chosen)), None)
+    return Findings(numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(assumed), others, commanded)
+
+
+def _follows(numbers: Numbers, commanded: JointColumns, chosen: Fitted) -> bool:
+    """Whether commanded joints are near the measured ones."""
+    difference = numbers.values[:, list(commanded.columns)] - numbers.values[:, list(chosen.choice.joints.columns)]
+    size = 5.0 if chosen.choice.angle == "deg" else 0.1
+    return bool(np.nanmedian(np.abs(difference)) < size) and bool(np.isfinite(difference).any())
+
+
+def _alike(one: Fitted, other: Fitted) -> bool:
+    """Whether two places of columns say the same poses."""
+    if one.body.position != other.body.position or (one.body.turned is None) != (other.body.turned is None):
+        return False
+    if len(one.best.R) != len(other.best.R) or one.body.turned is None:
+        return False
+    return same_poses(se3.transform(one.best.R, one.best.position), other.best.R, other.best.position)
+
+
+def _names(numbers: Numbers, body: Body) -> str:
+    return ", ".join(numbers.shown(k) for k in body.position)
+
+
+def missed(judged: Judged) -> str:
+    """What a meaning leaves, in words."""
+    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.turning is not None else ""
+    return f"{1e3 * judged.match.typical:.3g} mm{turn}"
+
+
+def turning_words(judged: Judged) -> str:
+    """How orientations are read, in words."""
+    turning = judged.meaning.turning
+    if turning is None:
+        return "positions only"
+    unit = " in degrees" if turning.degrees else " in radians"
+    if turning.form == "quaternion":
+        order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
+        return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
+    if turning.form == "matrix":
+        return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
+    if turning.form == "rotvec":
+        return f"a rotation vector{unit}, columns {', '.join(str(i + 1) for i in turning.order)}"
+    columns = ", ".join(str(i + 1) for i in turning.order)
+    fixed = turning.sequence[::-1].lower()
+    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes){unit}, columns {columns}"
+
+
+def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> str:
+    """In what another meaning differs from the best, and how much worse it fits."""
+    a, b = best.meaning, other.meaning
+    parts = []
+    if a.turning != b.turning:
+        parts.append(f"{turning_words(best)} from {turning_words(other)}")
+    if a.unit != b.unit:
+        parts.append(f"{a.unit} from {b.unit}")
+    if a.inverse != b.inverse:
+        ways = ("the tool in the tracker", "the tracker in the tool")
+        parts.append(f"{ways[a.inverse]} from {ways[b.inverse]}")
+    if a.postures != b.postures:
+        one, two = chosen.choices[a.postures], chosen.choices[b.postures]
+        if one.joints != two.joints:
+            shown = [", ".join(numbers.shown(k) for k in c.joints.columns) for c in (one, two)]
+            parts.append(f"joints {shown[0]} from {shown[1]}")
+        if (one.angle, one.length) != (two.angle, two.length):
+            parts.append(f"joints in {one.angle} from {two.angle}")
+    worse = best.match.score - other.match.score
+    return f"{'; '.join(parts)} (worse by {worse:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; {missed(other)})"
+
+
+def second(fitted: Fitted) -> Judged | None:
+    """The meaning that fits second best."""
+    return fitted.found[1] if len(fitted.found) > 1 else None
+
+
+__all__ = [
+    "Choice",
+    "Findings",
+    "Fitted",
+    "differences",
+    "find",
+    "missed",
+    "replace",
+    "scales",
+    "second",
+    "turning_words",
+]
