@@ -102,7 +102,7 @@ def _same_side(group: np.ndarray, side: Array) -> np.ndarray:
     unknown = ~(side[group] != 0.0).any(axis=1)
     if unknown.all():
         return group
-    kinds, which, count = np.unique(side[group[~unknown]], axis=0, return_inverse=True, return_counts=True)
+    _, which, count = np.unique(side[group[~unknown]], axis=0, return_inverse=True, return_counts=True)
     same = unknown.copy()
     same[~unknown] = which.ravel() == np.argmax(count)
     return group[same]
