@@ -23,8 +23,9 @@ from modcal_core.calibration.typical import outside_drivers
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import KIND_NAMES, Samples
+from modcal_core.measurements.samples import Samples
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
 _MOST = 300  # postures; the differences are smooth, and more say the same
