@@ -179,7 +179,8 @@ def _reasons(report: Report) -> tuple[str, ...]:
         out.append(f"And {counted(more, 'more reason')}, in report.json.")
     if report.status == "cannot_tell" and report.judged is not None and report.judged.remedy:
         out.append(f"The floor is not known. {report.judged.remedy}")
-    if count := report.rejected_stations():
+    said = report.judged is not None and any(reason.kind == "rejected" for reason in report.judged.reasons)
+    if (count := report.rejected_stations()) and not said:
         out.append(_rejected(report, count))
     return tuple(out)
 
@@ -316,19 +317,20 @@ def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ..
     assert met is not None
     standing = "in motion" if report.samples.moving.all() else "at rest" if not report.samples.moving.any() else "these"
     of = _NAMES[met.asked.statistic]
+    constant = "Errors that are constant in the instrument, such as its scale"
+    constant += "." if stated.instrument_mm is not None else "; it is not traced to a standard."
     out = [
-        f"Nothing on other postures, loads, temperatures or tools than those recorded ({standing}).",
-        f"The {of} is judged; single postures may be off by more.",
-        "Nothing on the path between stations, and nothing on an error that is constant in the instrument, such as "
-        "its scale." + ("" if stated.instrument_mm is not None else " The instrument is not traced to a standard."),
+        f"Other postures, loads, temperatures and tools than those recorded ({standing}), and paths between them.",
+        f"Single postures: the {of} is judged, and one of them may be off by more.",
+        constant,
     ]
     if report.searched is not None:
         out.append(
-            "Scored on stations of the same session: a later recording (modcal evaluate) shows what lasts. "
+            "What lasts: stations of the same session were scored. modcal evaluate judges a later recording. "
             "calibrated.urdf and kinematics.yaml hold the geometry alone."
         )
     if tests.missing:
-        out.append("It is no test by ISO 9283.")
+        out.append("Results of a test by ISO 9283.")
     return tuple(out)
 
 

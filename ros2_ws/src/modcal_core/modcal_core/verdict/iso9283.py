@@ -65,13 +65,13 @@ def pose_test(samples: Samples, errors: Mapping[str, Errors]) -> PoseTest:
     often = np.bincount(samples.frame[plain], minlength=1)  # of several instruments the one that read most
     rows = np.flatnonzero(plain & (samples.frame == np.argmax(often)))
     if not len(rows):
-        return PoseTest(missing=_lacking(0, 0, "no scored reading is a position taken at rest"))
+        return PoseTest(missing=_lacking(0, 0, 0, "no scored reading is a position taken at rest"))
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
     groups = [group for group in visits(samples, rows) if len(group) > 1]
     enough = [group for group in groups if len(group) >= CYCLES]
     if len(enough) < POSES:
         most = max(map(len, groups), default=1)
-        return PoseTest(missing=_lacking(len(groups), most))
+        return PoseTest(missing=_lacking(len(groups), most, len(enough)))
     return PoseTest(tuple(_figures(samples, errors, group) for group in enough))
 
 
@@ -98,11 +98,14 @@ def visits(samples: Samples, rows: np.ndarray) -> list[np.ndarray]:
 
 
 def _same_side(group: np.ndarray, side: Array) -> np.ndarray:
-    """Of these visits those from the side that most of them came from."""
-    kinds, which, count = np.unique(side[group], axis=0, return_inverse=True, return_counts=True)
-    known = np.where((kinds != 0.0).any(axis=1), count, 0)
-    best = int(np.argmax(known)) if known.any() else int(np.argmax(count))
-    return np.asarray(group[which.ravel() == best])
+    """Of these visits those from the side that most of them came from; one from an unknown side counts with them."""
+    unknown = ~(side[group] != 0.0).any(axis=1)
+    if unknown.all():
+        return group
+    _, which, count = np.unique(side[group[~unknown]], axis=0, return_inverse=True, return_counts=True)
+    same = unknown.copy()
+    same[~unknown] = which.ravel() == np.argmax(count)
+    return group[same]
 
 
 def _figures(samples: Samples, errors: Mapping[str, Errors], group: np.ndarray) -> PoseFigures:
@@ -121,11 +124,17 @@ def _figures(samples: Samples, errors: Mapping[str, Errors], group: np.ndarray) 
     return PoseFigures(station, len(group), ap, 1e3 * rp, accuracy, 3.0 * spread)
 
 
-def _lacking(poses: int, most: int, because: str = "") -> str:
+def _lacking(poses: int, most: int, enough: int, because: str = "") -> str:
     asked = f"ISO 9283 asks for {CYCLES} visits from one side to each of {POSES} poses"
     if because:
         return f"{asked}; {because}."
     if not poses:
         return f"{asked}; no scored pose was visited twice from one side."
-    which = "one pose was" if poses == 1 else f"{poses} poses were"
-    return f"{asked}; here {which} visited more than once from one side, at most {most} times."
+    if enough:
+        return f"{asked}; so often {_counted(enough)} visited here."
+    return f"{asked}; here {_counted(poses)} visited more than once from one side, at most {most} times."
+
+
+def _counted(count: int) -> str:
+    """``one pose was``, ``2 poses were``."""
+    return "one pose was" if count == 1 else f"{count} poses were"

@@ -23,6 +23,7 @@ VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
     "fleet": ("fleet", "fleet_command", "Calibrate many recordings and report which robots drift."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
+    "compare": ("compare", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
     "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
     "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),

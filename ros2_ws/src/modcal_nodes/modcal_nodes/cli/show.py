@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console
 from rich.table import Table
 
@@ -22,7 +24,12 @@ STATUS_STYLES: dict[Status, str] = {status: STYLES[tone] for status, tone in TON
 
 def show_report(report: Report, console: Console) -> None:
     """Print before and after, what the data could not tell, and the verdict."""
-    for block in summary(report):
+    show_blocks(summary(report), console)
+
+
+def show_blocks(blocks: Sequence[SummaryTable | SummaryLine], console: Console) -> None:
+    """Print tables and sentences, each in the colour of its meaning."""
+    for block in blocks:
         if isinstance(block, SummaryLine):
             console.print(block.text, style=STYLES[block.tone], highlight=False, markup=False)
         else:

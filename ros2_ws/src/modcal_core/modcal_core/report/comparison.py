@@ -1,0 +1,438 @@
+"""Two calibrations, or two reports, side by side: what differs, and whether that is more than their uncertainty.
+
+Base and tool are other ones in every session, and say nothing of the arm. So the tool is predicted by both models at
+the postures of both recordings, one model's base and tool are fitted to the other's, and what then is left is compared
+with what two calibrations of the same arm would differ by: draws from the covariance of both, treated the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import ndtri
+
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.score import ErrorSize
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.structure import exact_samples
+from modcal_core.calibration.typical import outside_drivers
+from modcal_core.errors import BadRobot, NotEnoughData
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.recording import POSE
+from modcal_core.measurements.samples import Samples
+
+Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
+_MOST = 300  # postures; the differences are smooth, and more say the same
+_DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it
+_TAIL = 0.05
+_NORMAL = 1.96  # deviations of a 95 % interval
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two. name: as the user gave it. report: the data of its report.json; None where there is none."""
+
+    name: str
+    calibration: Calibration | None = None
+    report: Mapping[str, Any] | None = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, from whatever is there."""
+        if self.calibration is not None:
+            return tuple(self.calibration.nominal.chain.names)
+        return tuple((self.report or {}).get("recording", {}).get("joints", ()))
+
+    @property
+    def parameters(self) -> tuple[tuple[str, float, float, str], ...]:
+        """(name, value, standard deviation, unit) of every fitted parameter."""
+        if self.calibration is not None:
+            return self.calibration.parameters
+        rows = (self.report or {}).get("parameters", ())
+        return tuple((str(r["name"]), float(r["value"]), float(r["std"]), str(r["unit"])) for r in rows)
+
+
+@dataclass(frozen=True)
+class ParameterDifference:
+    """A parameter of both: values and standard deviations [unit]; None in one where it was not fitted there.
+
+    shown: whether the difference is more than the uncertainty of both, at 95 % for all parameters together.
+    """
+
+    name: str
+    unit: str
+    first: tuple[float, float] | None
+    second: tuple[float, float] | None
+    shown: bool | None
+
+    @property
+    def difference(self) -> float | None:
+        """Second less first; None where one of them has none."""
+        return None if self.first is None or self.second is None else self.second[0] - self.first[0]
+
+    @property
+    def std(self) -> float | None:
+        """Its standard deviation."""
+        return None if self.first is None or self.second is None else float(np.hypot(self.first[1], self.second[1]))
+
+
+@dataclass(frozen=True)
+class EffectDifference:
+    """An effect with its sizes in either, {name: (value, standard deviation, unit)}; None where it is not there."""
+
+    name: str
+    first: Mapping[str, tuple[float, float | None, str]] | None
+    second: Mapping[str, tuple[float, float | None, str]] | None
+
+
+@dataclass(frozen=True)
+class ToolDifference:
+    """What the two models differ by at the tool, second less first, in the arm's base.
+
+    q: postures (N, n). points: where the tool is (N, 3) [m]. apart: (N, 3) [m], base and tool fitted to each other.
+    size_mm, size_deg: of that, None for readings without orientations. as_they_are_mm: of the arms from base link to tip, nothing fitted. expected_mm: what
+    the uncertainty of both explains, 95 % quantile of the RMS; None where one of them does not keep its uncertainty.
+    left_out: effects of either that postures alone do not determine.
+    """
+
+    q: Array
+    points: Array
+    apart: Array
+    size_mm: ErrorSize
+    size_deg: ErrorSize | None
+    as_they_are_mm: ErrorSize
+    expected_mm: float | None
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs. result: whether it matters. sentence: the same for a person. notes: what to know beside it."""
+
+    sides: tuple[Side, Side]
+    result: Result
+    sentence: str
+    tolerance_mm: float | None
+    parameters: tuple[ParameterDifference, ...]
+    effects: tuple[EffectDifference, ...]
+    tool: ToolDifference | None
+    notes: tuple[str, ...]
+
+
+def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Comparison:
+    """The comparison. tolerance_mm: what may differ at the tool, 95th percentile; None: not judged.
+
+    Raises BadRobot for arms with other joints, NotEnoughData where there is nothing that both have.
+    """
+    if first.joints and second.joints and first.joints != second.joints:
+        raise BadRobot(
+            f"{first.name} has joints {', '.join(first.joints)}",
+            f"{second.name} has {', '.join(second.joints)}",
+            "compare calibrations of one arm",
+        )
+    one, two = first.calibration, second.calibration
+    tool = None if one is None or two is None else tool_difference(one, two)
+    errors = tuple(_final(side) for side in (first, second))
+    if tool is None and None in errors:
+        where = " and ".join(s.name for s, e in zip((first, second), errors, strict=True) if e is None)
+        raise NotEnoughData(where, "holds no error to compare", "give folders of modcal calibrate or modcal evaluate")
+    result, sentence = _judged_tool(tool, tolerance_mm) if tool is not None else _judged_errors(first, second)
+    return Comparison(
+        sides=(first, second),
+        result=result,
+        sentence=sentence,
+        tolerance_mm=tolerance_mm,
+        parameters=_parameters(first, second),
+        effects=_effects(first, second),
+        tool=tool,
+        notes=_notes(first, second, tool),
+    )
+
+
+def tool_difference(first: Calibration, second: Calibration) -> ToolDifference | None:
+    """What the two predict differently at the tool; None where neither keeps the postures that it was made from."""
+    kept = [c.postures for c in (first, second) if len(c.postures)]
+    if not kept:
+        return None
+    q = np.concatenate(kept)
+    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), _MOST)).astype(int))]
+    turns = first.kind == second.kind == "pose"
+    (one, left_one), (two, left_two) = _standing(first), _standing(second)
+    # one tool for both, so that the point that is compared is the same on the arm
+    models = (one, replace(two, T_tip_tool=one.T_tip_tool))
+    samples = tuple(_samples(model, q) for model in models)
+    T = [model.predict_samples(at) for model, at in zip(models, samples, strict=True)]
+    gauge = _gauge(T[0], turns)
+    left = _without(_twist(T[0], T[1])[:, : 6 if turns else 3], gauge)
+    bare = [replace(model, T_tip_tool=np.eye(4)) for model in models]
+    tips = [model.predict_samples(at)[:, :3, 3] for model, at in zip(bare, samples, strict=True)]
+    mm = ErrorSize.of(1e3 * np.linalg.norm(left[:, :3], axis=1))
+    raw = ErrorSize.of(1e3 * np.linalg.norm(tips[1] - tips[0], axis=1))
+    assert mm is not None
+    assert raw is not None
+    return ToolDifference(
+        q=q,
+        points=T[0][:, :3, 3],
+        apart=left[:, :3],
+        size_mm=mm,
+        size_deg=ErrorSize.of(np.degrees(np.linalg.norm(left[:, 3:], axis=1))) if turns else None,
+        as_they_are_mm=raw,
+        expected_mm=_expected((first, second), models, samples, gauge),
+        left_out=tuple(dict.fromkeys((*left_one, *left_two))),
+    )
+
+
+def _standing(calibration: Calibration) -> tuple[Model, tuple[str, ...]]:
+    """The calibrated model in its base, with the effects that a posture alone determines; names of the others."""
+    model = calibration.calibrated
+    kept = tuple(e for e in model.effects if not outside_drivers(e))
+    others = tuple(e.label for e in model.effects if outside_drivers(e))
+    frames = np.tile(np.eye(4), (len(model.frames), 1, 1))
+    return replace(model.with_effects(kept), T_frame_base=frames, instruments=()), others
+
+
+def _samples(model: Model, q: Array) -> Samples:
+    return exact_samples(model, q, np.zeros(len(q), int), np.full(len(q), POSE, dtype=KIND_NAMES))
+
+
+def _twist(T: Array, to: Array) -> Array:
+    """Small motions (N, 6) that take poses T to others, as the base sees them: shift at the tool, turn."""
+    turn = so3.log(to[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
+    return np.c_[to[:, :3, 3] - T[:, :3, 3], turn]
+
+
+def _gauge(T: Array, turns: bool) -> Array:
+    """What small motions of base and tool do at poses T, (N, 6, 12); of positions alone (N, 3, 12)."""
+    out = np.zeros((len(T), 6, 12))
+    out[:, :3, :3] = out[:, 3:, 3:6] = np.eye(3)
+    out[:, :3, 3:6] = -so3.hat(T[:, :3, 3])  # the base turns about its origin
+    out[:, :3, 6:9] = out[:, 3:, 9:12] = T[:, :3, :3]
+    return out if turns else out[:, :3]
+
+
+def _without(twists: Array, gauge: Array) -> Array:
+    """Twists (..., N, 6), or shifts, less what base and tool can take up; a turn of 1 rad counts as much as 1 m."""
+    rows = gauge.shape[0] * gauge.shape[1]
+    flat = twists.reshape(*twists.shape[:-2], rows)
+    basis = np.linalg.svd(gauge.reshape(rows, 12), full_matrices=False)
+    kept = basis[0][:, basis[1] > 1e-9 * basis[1][0]]
+    return np.asarray((flat - (flat @ kept) @ kept.T).reshape(twists.shape))
+
+
+def _expected(
+    calibrations: tuple[Calibration, Calibration],
+    models: tuple[Model, ...],
+    samples: tuple[Samples, ...],
+    gauge: Array,
+) -> float | None:
+    """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
+    rng = np.random.default_rng(0)  # the same calibrations give the same bytes
+    total = np.zeros((_DRAWS, *gauge.shape[:2]))
+    for calibration, model, at in zip(calibrations, models, samples, strict=True):
+        moved = _drawn(calibration, model, at, rng)
+        if moved is None:
+            return None
+        total = total + moved[:, :, : gauge.shape[1]]
+    left = _without(total, gauge)[..., :3]
+    return 1e3 * float(np.quantile(np.sqrt(np.mean(np.sum(left**2, axis=-1), axis=-1)), 1.0 - _TAIL))
+
+
+def _drawn(calibration: Calibration, model: Model, at: Samples, rng: np.random.Generator) -> Array | None:
+    """Twists at the tool (draws, N, 6) for parameters drawn from the covariance; None where none is kept."""
+    known = calibration.uncertainty
+    if known is None:
+        return None
+    usable = [k for k, p in enumerate(known.parameters) if p.instrument < 0]
+    parameters = tuple(known.parameters[k] for k in usable)
+    index, here = list(usable), len(known.parameters)
+    for effect in calibration.calibrated.effects:
+        index += range(here, here + len(effect.values)) if not outside_drivers(effect) else ()
+        here += len(effect.values)
+    values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
+    J = linearise(model, parameters, values, at).J.reshape(len(index), 6, -1)
+    C = known.covariance[np.ix_(index, index)]
+    size, axes = np.linalg.eigh(C)
+    draws = rng.standard_normal((_DRAWS, len(index))) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
+    R = model.chain.T_base_root[:3, :3]  # derivatives are seen from the root
+    J = np.concatenate([np.einsum("ij,kjn->kin", R, J[:, rows]) for rows in (slice(3), slice(3, 6))], axis=1)
+    return np.asarray(np.tensordot(draws, J, 1).transpose(0, 2, 1))
+
+
+def _parameters(first: Side, second: Side) -> tuple[ParameterDifference, ...]:
+    """Those of the arm in the order of the chain, then base, tool and instruments."""
+    tables = [{name: (value, std, unit) for name, value, std, unit in side.parameters} for side in (first, second)]
+    names = list(dict.fromkeys([*tables[0], *tables[1]]))
+    names = sorted(names, key=lambda name: name.startswith(("frame ", "tool/", "instrument ")))
+    both = sum(name in tables[0] and name in tables[1] for name in names)
+    limit = float(-ndtri(0.5 * _TAIL / max(both, 1)))  # Bonferroni: all together hold with 95 %
+    out = []
+    for name in names:
+        rows = [table.get(name) for table in tables]
+        unit = next(row[2] for row in rows if row is not None)
+        one, two = (None if row is None else (row[0], row[1]) for row in rows)
+        shown = None
+        if one is not None and two is not None and (std := np.hypot(one[1], two[1])) > 0.0:
+            shown = bool(abs(two[0] - one[0]) > limit * std)
+        out.append(ParameterDifference(name, unit, one, two, shown))
+    return tuple(out)
+
+
+def _effects(first: Side, second: Side) -> tuple[EffectDifference, ...]:
+    tables = [_effects_of(side) for side in (first, second)]
+    names = dict.fromkeys([*tables[0], *tables[1]])
+    return tuple(EffectDifference(name, tables[0].get(name), tables[1].get(name)) for name in names)
+
+
+def _effects_of(side: Side) -> dict[str, dict[str, tuple[float, float | None, str]]]:
+    """Sizes of the effects by name, as its report has them; of a calibration alone the names."""
+    if side.report is not None and (rows := side.report.get("effects")):
+        return {
+            f"{e['family'].replace('_', ' ')}: {e['place']} {e['direction']} by {e['driver'].replace(':', ' of ')}": {
+                name: (q["value"], q["std"], q["unit"]) for name, q in e["parameters"].items()
+            }
+            for e in rows
+        }
+    effects = () if side.calibration is None else side.calibration.calibrated.effects
+    return {
+        f"{e.family.replace('_', ' ')}: {e.place} {e.direction} by {e.public_driver.replace(':', ' of ')}": {}
+        for e in effects
+    }
+
+
+def _final(side: Side) -> Mapping[str, Any] | None:
+    """Sizes of the final error of its report [mm]."""
+    errors = (side.report or {}).get("error_mm") or {}
+    return errors.get("final") or None
+
+
+def _judged_tool(tool: ToolDifference, tolerance: float | None) -> tuple[Result, str]:
+    size, expected = tool.size_mm, tool.expected_mm
+    angle = "" if tool.size_deg is None else f" and {tool.size_deg.rms:.3g}°"
+    said = (
+        f"At the tool the two differ by {size.rms:.3f} mm RMS ({size.p95:.3f} mm at 95 %, {size.max:.3f} mm at most)"
+        f"{angle} over {len(tool.q)} postures, base and tool fitted to each other."
+    )
+    within = expected is not None and size.rms <= expected
+    if expected is None:
+        said += " One of them does not keep its uncertainty."
+    else:
+        how = "no more than" if within else "more than"
+        said += f" That is {how} their uncertainty explains ({expected:.3f} mm RMS with 95 %)."
+    if tolerance is None:
+        return ("same", f"No difference is shown. {said}") if within else ("differs", f"They differ. {said}")
+    if size.p95 > tolerance and not within:
+        return "beyond tolerance", f"They differ by more than {tolerance:g} mm. {said}"
+    if within and expected is not None and expected > tolerance:
+        return "cannot tell", f"Their uncertainty is larger than {tolerance:g} mm: it cannot be told. {said}"
+    if size.p95 > tolerance:
+        return "cannot tell", f"They differ by more than {tolerance:g} mm, but within their uncertainty. {said}"
+    if within:
+        return "same", f"No difference is shown, and {tolerance:g} mm would matter. {said}"
+    return "within tolerance", f"They differ, by less than {tolerance:g} mm. {said}"
+
+
+def _judged_errors(first: Side, second: Side) -> tuple[Result, str]:
+    """Of two reports: whether the errors differ by more than their intervals."""
+    one, two = _final(first), _final(second)
+    assert one is not None
+    assert two is not None
+    said = f"The error is {one['rms']:.3f} mm RMS in {first.name} and {two['rms']:.3f} mm in {second.name}"
+    ends = [e.get("rms_ci95") for e in (one, two)]
+    if None in ends:
+        return "cannot tell", f"{said}; one of them has no interval."
+    apart = ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0]
+    how = "do not overlap" if apart else "overlap"
+    spans = " and ".join(f"{low:.3f} … {high:.3f} mm" for low, high in ends)
+    word = "They differ" if apart else "No difference is shown"
+    return "differs" if apart else "same", f"{word}. {said}; their 95 % intervals, {spans}, {how}."
+
+
+def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str, ...]:
+    out = []
+    one, two = first.calibration, second.calibration
+    if one is not None and two is not None:
+        if one.robot != two.robot:
+            out.append("The nominal kinematics differ: parameters are deviations from different descriptions.")
+        if one.kind != two.kind:
+            out.append(f"Readings are of different kinds ({one.kind}, {two.kind}): other parameters may be fitted.")
+        low, high = np.maximum(one.seen[0], two.seen[0]), np.minimum(one.seen[1], two.seen[1])
+        wide = np.maximum(one.seen[1] - one.seen[0], two.seen[1] - two.seen[0])
+        few = [n for n, a, b, w in zip(first.joints, low, high, wide, strict=True) if b - a < 0.5 * w]
+        if few:
+            out.append(
+                f"The recordings share less than half of the range of {', '.join(few)}: there one of the two "
+                "calibrations is used where it has seen nothing."
+            )
+        out.append("The uncertainty is that of the fits: an effect that neither model has is not in it.")
+    for side in (first, second):
+        if side.report is not None and side.report.get("status") == "open":
+            reasons = side.report.get("open_because") or ["no reason is given"]
+            out.append(f"{side.name} is open: {reasons[0]}")
+    if tool is not None and tool.left_out:
+        out.append(f"Not compared at the tool, for a posture does not determine them: {', '.join(tool.left_out)}.")
+    return tuple(out)
+
+
+def to_json_data(found: Comparison) -> dict[str, Any]:
+    """The data of comparison.json: plain dictionaries, None where something does not apply."""
+    tool = found.tool
+    return {
+        "modcal_comparison": 1,
+        "result": found.result,
+        "verdict": found.sentence,
+        "tolerance_mm": found.tolerance_mm,
+        "sides": [_side(side) for side in found.sides],
+        "tool": None
+        if tool is None
+        else {
+            "postures": len(tool.q),
+            "mm": asdict(tool.size_mm),
+            "deg": None if tool.size_deg is None else asdict(tool.size_deg),
+            "expected_rms_mm": tool.expected_mm,
+            "base_to_tip_as_they_are_mm": asdict(tool.as_they_are_mm),
+            "left_out": list(tool.left_out),
+        },
+        "parameters": [
+            {
+                "name": p.name,
+                "unit": p.unit,
+                "first": None if p.first is None else {"value": p.first[0], "std": p.first[1]},
+                "second": None if p.second is None else {"value": p.second[0], "std": p.second[1]},
+                "difference": p.difference,
+                "difference_ci95": None
+                if p.difference is None or p.std is None
+                else [p.difference - _NORMAL * p.std, p.difference + _NORMAL * p.std],
+                "shown": p.shown,
+            }
+            for p in found.parameters
+        ],
+        "effects": [{"effect": e.name, "first": _sizes(e.first), "second": _sizes(e.second)} for e in found.effects],
+        "notes": list(found.notes),
+    }
+
+
+def _side(side: Side) -> dict[str, Any]:
+    report = side.report or {}
+    trace = report.get("trace") or {}
+    return {
+        "name": side.name,
+        "date": trace.get("date"),
+        "version": trace.get("version"),
+        "robot": trace.get("robot"),
+        "stations": (report.get("recording") or {}).get("stations"),
+        "status": report.get("status"),
+        "error_mm": _final(side),
+        "tolerance": (report.get("tolerance") or {}).get("result"),
+    }
+
+
+def _sizes(sizes: Mapping[str, tuple[float, float | None, str]] | None) -> dict[str, Any] | None:
+    if sizes is None:
+        return None
+    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}

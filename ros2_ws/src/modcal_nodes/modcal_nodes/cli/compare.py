@@ -1,0 +1,80 @@
+"""``modcal compare``: two calibrations or reports side by side."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadTable
+from modcal_core.files import to_json, write_folder
+from modcal_core.measurements.schema import require
+from modcal_core.report.comparison import Side, compare, to_json_data
+from modcal_core.report.comparison_page import summary, to_html
+from modcal_nodes.cli.calibrate import EXISTING, UNMET
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.show import show_blocks
+from modcal_nodes.io.report_schema import SCHEMA
+
+_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
+
+
+@click.command("compare")
+@click.argument("first", type=EXISTING, metavar="A")
+@click.argument("second", type=EXISTING, metavar="B")
+@click.option(
+    "--tolerance-mm", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="MM",
+    help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=None, help="Folder of comparison.html and comparison.json."
+)
+@speaking
+def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
+    """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
+
+    A and B are folders of modcal calibrate or modcal evaluate, calibration.yaml files, or report.json files.
+    """
+    names = (first.name, second.name) if first.resolve().name != second.resolve().name else (str(first), str(second))
+    with output.working() as watch:
+        watch("comparing")
+        sides = [_side(path, name) for path, name in zip((first, second), names, strict=True)]
+        found = compare(sides[0], sides[1], tolerance_mm)
+        data = to_json_data(found)
+        out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
+        write_folder(out, {"comparison.json": to_json(data), "comparison.html": to_html(found)})
+    output.result(data, partial(show_blocks, summary(found)), f"Comparison: {out / 'comparison.html'}")
+    judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
+    return UNMET if judged else 0
+
+
+def _side(path: Path, name: str) -> Side:
+    """What is at a path: a calibration with the report beside it, or a report alone. Raises BadTable."""
+    if path.suffix == ".json":
+        return Side(name, report=_report(path))
+    folder = path if path.is_dir() else path.parent
+    beside = folder / "report.json"
+    report = _report(beside) if beside.is_file() else None
+    if path.is_dir() and not (path / "calibration.yaml").is_file():
+        if report is None:
+            said = "holds neither calibration.yaml nor report.json"
+            raise BadTable(str(path), said, "give a folder of modcal calibrate or modcal evaluate")
+        return Side(name, report=report)
+    return Side(name, Calibration.load(path), report)
+
+
+def _report(path: Path) -> dict[str, Any]:
+    """The data of a report.json. Raises BadTable for anything else."""
+    remedy = "give the report.json that modcal calibrate or modcal evaluate wrote"
+    if path.stat().st_size > _MAX_REPORT:
+        raise BadTable(str(path), f"is larger than {_MAX_REPORT >> 20} MiB", remedy)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise BadTable(str(path), "is not JSON", remedy) from error
+    require(data, SCHEMA, str(path), remedy)
+    return dict(data)
