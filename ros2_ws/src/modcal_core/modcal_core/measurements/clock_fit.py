@@ -34,9 +34,7 @@ class ClockFit:
     moved: Array
 
 
-def fit_offset(
-    seen: Callable[[float], Array], velocity: Array, turning: Array, start: float, step: float
-) -> ClockFit:
+def fit_offset(seen: Callable[[float], Array], velocity: Array, turning: Array, start: float, step: float) -> ClockFit:
     """The delay from a start, of which the correlation of speeds is sure to half a grid step.
 
     seen: speeds of the readings on the grid (G,) [m/s], NaN where unknown, were they late by so many seconds.

@@ -31,7 +31,7 @@ class Tips:
 
 @dataclass(frozen=True)
 class _End:
-    """A link where a way ends: how many of its joints were not recorded, the names of its joints, its length in links."""
+    """A link where a way ends: whether a joint of it was not recorded, names of its joints, its length in links."""
 
     link: str
     unknown: bool
@@ -92,8 +92,8 @@ def _rank(link: str) -> int:
 def _fingers(tree: Tree, link: str, before: int) -> set[str]:
     """The joints of a hand's fingers on a link, behind so many joints; none of them is the arm's continuation.
 
-    They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a torso
-    are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
+    They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a
+    torso are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
     """
     depth = {joint.name: _depth(tree, joint) for joint in tree.below[link]}
     deepest = max(depth.values(), default=0)
