@@ -107,7 +107,7 @@ def test_points_efforts_and_a_delta(tmp_path: Path) -> None:
         (["-p", "noise_m=2"], "modcal: -p noise_m=2: 0 to 0.1 is allowed: choose a value between"),
         (["-p", "gear_joint=knee"], "modcal: gear_joint 'knee': joints are shoulder_pan_joint"),
         (["--at", "5", "seed=2"], "modcal: --at 5 seed: cannot change in time: use one of tool_bump_m"),
-        (["--at", "500", "payload_kg=2"], "modcal: --at 500 payload_kg: the last posture is reached at 86 s"),
+        (["--at", "500", "payload_kg=2"], "modcal: --at 500 payload_kg: the last posture is reached at 132 s"),
         (["--at", "5", "tool_bump_m=[1, 2]"], "modcal: --at 5 tool_bump_m: tool_bump_m takes three finite numbers"),
     ],
 )

@@ -11,6 +11,7 @@ from robots.test_kinematics import ARMS, chain_of, urdf
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
+from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import joint_origins, read_chain, read_path
 
@@ -74,6 +75,11 @@ TIPS = {
     "fingers that do not": (ARM + HAND + FINGERS + joint("right", "hand", "right", "prismatic"), "hand"),
     "the palm of a hand": (ARM + HAND + serial("rrrr", "i", "hand") + serial("rrrr", "m", "hand") + serial("rrr", "t", "hand"), "hand"),
     "a tool beside fingers": (ARM + HAND + FINGERS + joint("right", "hand", "right", "prismatic") + serial("ff", "x", "hand"), "x2"),
+    "a jaw that nothing mimics": (ARM + HAND + links("frame", "moving_jaw") + joint("f", "hand", "frame", "fixed") + joint("6", "hand", "moving_jaw"), "frame"),
+    "a gripper's motor": (ARM + HAND + links("bar", "prop") + joint("b", "hand", "bar", "fixed") + joint("gripper", "hand", "prop", "continuous"), "bar"),
+    "a finger on the last link": (ARM + links("left_finger") + joint("slide", "l6", "left_finger", "prismatic"), "l6"),
+    "a joint that carries the gripper": (links("l0") + serial("rr") + links("gripper") + joint("gripper_z", "l2", "gripper", "prismatic"), "gripper"),
+    "a hand by itself": (links("palm", "finger1", "finger2") + joint("a", "palm", "finger1") + joint("b", "finger1", "finger2"), "finger2"),
     "one arm of two": (links("l0") + serial("r") + serial("rrrrrr", "b", "l1") + serial("rrrrrr", "a", "l1"), "a6"),
     "a camera on the arm": (links("l0") + serial("rrrrrr") + serial("rr", "c", "l3"), "l6"),
 }  # fmt: skip
@@ -83,6 +89,17 @@ TIPS = {
 def test_default_tip(case: str) -> None:
     parts, tip = TIPS[case]
     assert read_chain(robot(parts)).tip == tip
+
+
+def test_arms_that_might_have_been_meant_as_well() -> None:
+    two = (links("base"), serial("r", "t", "base"), serial("rrrrrrf", "right_", "t1"), serial("rrrrrrf", "left_", "t1"))
+    both = robot(*two, serial("rr", "head_", "t1"))
+    assert Robot.from_urdf(both).tip == "left_7"
+    assert Robot.from_urdf(both).other_tips == ("right_7",)
+    assert Robot.from_urdf(both, tip="right_7").other_tips == ()
+    one = {"tj1", *(f"right_j{k}" for k in range(1, 7))}
+    assert (Robot.from_urdf(both, recorded=one).tip, Robot.from_urdf(both, recorded=one).other_tips) == ("right_7", ())
+    assert Robot.from_urdf(urdf("panda")).other_tips == ()
 
 
 def test_an_arm_that_was_recorded_goes_first() -> None:

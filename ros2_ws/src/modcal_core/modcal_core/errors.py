@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import nan
 from typing import Any, ParamSpec, TypeVar
 
@@ -61,6 +62,17 @@ def refusing(read: Callable[P, T]) -> Callable[P, T]:
             raise BadTable(names[-1] if names else "file", said, "compare it with the documentation") from error
 
     return refuse
+
+
+@contextmanager
+def about(source: str) -> Iterator[None]:
+    """Refusals from within name the file that they are about, where they do not do so already."""
+    try:
+        yield
+    except ModcalError as error:
+        if source in str(error):
+            raise
+        raise type(error)(f"{source}: {error.offender}", error.limit, error.remedy) from error
 
 
 class BadRobot(ModcalError):

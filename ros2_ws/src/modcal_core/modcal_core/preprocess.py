@@ -64,7 +64,7 @@ def prepare(
     clean = cleaned(recording, chain.names, chain)
     recording = clean.recording
     require_usable(recording, chain)
-    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q)[:, :3, 3], clock_limit)
+    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q), clock_limit)
     samples = cut_stations(aligned, chain.names, rules)
     if samples.moving.any():
         stood = np.isfinite(samples.sigma_position).any()

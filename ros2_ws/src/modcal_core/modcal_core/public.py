@@ -21,6 +21,7 @@ from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, No
 from modcal_core.geometry.read_only import sealed
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropped import BETWEEN
+from modcal_core.measurements.imported import remedies_of
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import as_recording
 from modcal_core.planning.plan import Plan, PlanRequest
@@ -68,16 +69,17 @@ def calibrate(
     around = _stated(replace(cell or Cell(), fixed=(*(cell or Cell()).fixed, *fixed)), samples)
     progress("fitting the geometry")
     try:
-        found = loop.calibrate(
-            samples,
-            robot.mechanism,
-            np.random.default_rng(seed),
-            around,
-            block,
-            robot.inertias,
-            progress=lambda effect: progress(f"trying {effect}"),
-            look_for_effects=not geometry_only,
-        )
+        with remedies_of(samples.origin.notes):
+            found = loop.calibrate(
+                samples,
+                robot.mechanism,
+                np.random.default_rng(seed),
+                around,
+                block,
+                robot.inertias,
+                progress=lambda effect: progress(f"trying {effect}"),
+                look_for_effects=not geometry_only,
+            )
     except NotEnoughData as error:
         raise _too_little(error, samples) from error
     _require_measured(found.report, samples)
@@ -107,7 +109,8 @@ def evaluate(
     rng = np.random.default_rng(seed)
     around = _stated(cell or Cell(), samples)
     try:
-        report = evaluation.evaluate(calibration, samples, rng, refit_base, refit_tool, around, block)
+        with remedies_of(samples.origin.notes):
+            report = evaluation.evaluate(calibration, samples, rng, refit_base, refit_tool, around, block)
     except NotEnoughData as error:
         raise _too_little(error, samples) from error
     report = _traced(report, samples, _described(samples)).with_tolerance(asked)

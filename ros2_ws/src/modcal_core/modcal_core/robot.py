@@ -30,13 +30,15 @@ class Robot:
     """A serial arm or a Delta as its maker drew it.
 
     mechanism: the kinematics, a Chain or a Delta. inertias: lumped bodies of the joints; None where nothing states
-    them. description: URDF text; None for a Delta. name: as reports have it.
+    them. description: URDF text; None for a Delta. name: as reports have it. other_tips: where other arms of as many
+    joints end, which might have been meant as no tip was named.
     """
 
     mechanism: Mechanism
     inertias: Inertias | None = None
     description: str | None = None
     name: str = "robot"
+    other_tips: tuple[str, ...] = ()
 
     @classmethod
     def from_urdf(
@@ -51,13 +53,14 @@ class Robot:
         source: path of the file, or its text. base: the first link; None: the root. tip: the last link; None: the one
         behind most of the joints named in recorded, or behind most joints. Raises BadRobot.
         """
-        from modcal_core.robots.urdf import read_chain
+        from modcal_core.robots.urdf import other_tips, read_chain
         from modcal_core.robots.urdf_inertias import read_inertias
         from modcal_core.robots.urdf_tree import document
 
         text = source if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<") else _text(source)
         chain = read_chain(text, base, tip, recorded)
-        return cls(chain, read_inertias(text, chain), text, str(document(text).get("name") or "robot"))
+        others = () if tip is not None else other_tips(text, chain.base, recorded)
+        return cls(chain, read_inertias(text, chain), text, str(document(text).get("name") or "robot"), others)
 
     @classmethod
     def from_dh(cls, table: Table) -> Robot:

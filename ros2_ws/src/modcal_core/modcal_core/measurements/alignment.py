@@ -1,9 +1,9 @@
 """The tracker's clock against the joints' clock, from what both saw move.
 
 The speed of the tool is the same in every frame, so the speed that the tracker reports and the speed that the joints
-imply are one signal seen twice. Sliding one along the other, the lag with the highest correlation is the offset; the
-same done piece by piece shows drift. The tool point is not known yet, which changes the sizes of the speeds but hardly
-the times at which they start and stop.
+imply are one signal seen twice. Sliding one along the other, the lag with the highest correlation is the offset to half
+a grid step; from there it is fitted together with the point that the tracker sees, which is not known yet and whose
+speed peaks at other times than the tip's. The same done piece by piece shows drift.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.clock_fit import fit_offset
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
 
 STEP = 0.02  # s, grid of the speeds
 SEARCH = 5.0  # s, largest lag looked for
 TRUSTED = 0.6  # correlation from which a lag is believed
 APPLIED = 0.002  # s; a smaller offset is below what this method resolves
+CLEARLY = 3.0  # standard deviations beyond which an offset is not chance: one in 370 of clocks that agree
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
 _LEAST_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
@@ -41,13 +43,19 @@ _FINE = 0.25  # grid steps between the joint states that are looked at, at most
 @dataclass(frozen=True)
 class ClockOffset:
     """offset: seconds by which the reading's stamps are late. drift: seconds per second. at: stamp the offset is for.
-    correlation: of the two speeds at this offset.
+    correlation: of the two speeds there. std: standard deviation of the offset [s].
     """
 
     offset: float
     drift: float
     at: float
     correlation: float
+    std: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the clocks differ by more than chance."""
+        return bool(self.drift) or abs(self.offset) > CLEARLY * self.std
 
     def corrected(self, stamps: Array) -> Array:
         """The stamps on the joints' clock [s]."""
@@ -59,7 +67,7 @@ def align(
 ) -> tuple[Recording, tuple[str, ...]]:
     """The recording with the readings' stamps on the joints' clock, and a sentence for each clock that was corrected.
 
-    tip: positions (N, 3) [m] of the tip for joint positions (N, n), by the nominal arm. Raises BadRecording for a clock
+    tip: poses (N, 4, 4) [m] of the tip for joint positions (N, n), by the nominal arm. Raises BadRecording for a clock
     that is off by more than ``limit`` seconds.
     """
     t, q = joint_stamps_and_positions(recording, names)
@@ -69,7 +77,7 @@ def align(
     for track in recording.readings:
         clock = clock_offset(track, t, q, tip) if track.kind in (POSE, POINT) else None
         worst = 0.0 if clock is None else float(np.abs(track.stamps - clock.corrected(track.stamps)).max())
-        if clock is None or worst < APPLIED:
+        if clock is None or worst < APPLIED or not clock.clear:
             tracks.append(track)
             continue
         if worst > limit:
@@ -90,7 +98,7 @@ def align(
 def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array], Array]) -> ClockOffset | None:
     """How late the stamps of a reading are, or None when the motion does not tell. Raises BadRecording where they jump.
 
-    t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n).
+    t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n). tip: their poses (m, 4, 4).
     """
     if len(track.stamps) < _LEAST or len(t) < _LEAST or np.median(np.diff(t)) > _SLOWEST:
         return None
@@ -98,9 +106,11 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     if len(grid) < _LEAST:
         return None  # they hardly overlap, which cutting stations will say
     order = np.argsort(track.stamps, kind="stable")
-    seen = _speed(grid, track.stamps[order], track.values[order, :3])
+    stamps, position = track.stamps[order], track.values[order, :3]
+    seen = _speed(grid, stamps, position)
     every = max(1, int(_FINE * STEP / float(np.median(np.diff(t)))))  # more joint states than that say nothing more
-    moved = _speed(grid, t[::every], tip(q[::every]))
+    poses = tip(q[::every])
+    moved = _speed(grid, t[::every], poses[:, :3, 3])
     if not (np.nanmax(seen, initial=0.0) > _MOVING and np.nanmax(moved, initial=0.0) > _MOVING):
         return None
     seen, moved = _without_leaps(seen), _without_leaps(moved)
@@ -116,22 +126,38 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     if whole is None or whole[1] < TRUSTED:
         return None
     lag, correlation = whole
-    drift = _drift(seen, moved, lag) if len(grid) * STEP > _LONG_ENOUGH else 0.0
     middle = float(grid[0] + grid[-1]) / 2.0
-    return ClockOffset(lag * STEP, drift, middle, correlation)
+    velocity = np.where(np.isfinite(moved)[:, None], _rate(grid, t[::every], poses[:, :3, 3]), np.nan)
+    turning = _rate(grid, t[::every], poses[:, :3, :3].reshape(-1, 9)).reshape(-1, 3, 3)
+
+    def seen_when(drift: float) -> Callable[[float], Array]:
+        on_time = stamps - drift * (stamps - middle)
+        return lambda late: _without_leaps(_speed(grid, on_time - late, position))
+
+    fit = fit_offset(seen_when(0.0), velocity, turning, lag * STEP, STEP)
+    drift = 0.0
+    if len(grid) * STEP > _LONG_ENOUGH:
+        drift = _drift(seen, _without_leaps(fit.moved), fit.offset / STEP)
+    if drift:
+        fit = fit_offset(seen_when(drift), velocity, turning, lag * STEP, STEP)
+    return ClockOffset(fit.offset, drift, middle, correlation, fit.std)
 
 
 def _speed(grid: Array, stamps: Array, position: Array) -> Array:
     """Speed [m/s] on the grid, NaN where there are no readings nearby."""
     keep = np.r_[True, np.diff(stamps) > 0.0]
     stamps, position = stamps[keep], position[keep]
-    at = np.stack([np.interp(grid, stamps, position[:, k]) for k in range(3)], axis=1)
-    speed = np.linalg.norm(np.gradient(at, STEP, axis=0), axis=1)
+    speed = np.linalg.norm(_rate(grid, stamps, position), axis=1)
     after = np.clip(np.searchsorted(stamps, grid), 1, len(stamps) - 1)
     silent = (stamps[after] - stamps[after - 1] > _SILENT) | (grid < stamps[0]) | (grid > stamps[-1])
     # a speed beside a gap mixes both sides of it
     silent = np.convolve(silent, np.ones(3), mode="same") > 0
     return np.where(silent, np.nan, speed)
+
+
+def _rate(grid: Array, stamps: Array, values: Array) -> Array:
+    """Derivative (G, k) [1/s] on the grid of values (m, k) at sorted stamps (m,)."""
+    return np.gradient(np.stack([np.interp(grid, stamps, column) for column in values.T], axis=1), STEP, axis=0)
 
 
 def _without_leaps(speed: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.imported import remedies_of
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
@@ -34,8 +35,9 @@ def require_usable(recording: Recording, chain: Mechanism) -> None:
 
     What is not finite, and single values that cannot be, have been left out before (see ``dropouts``).
     """
-    _require_joints(recording, chain)
-    _require_readings(recording, chain)
+    with remedies_of(recording.warnings):
+        _require_joints(recording, chain)
+        _require_readings(recording, chain)
 
 
 def _require_joints(recording: Recording, chain: Mechanism) -> None:

@@ -16,6 +16,7 @@ POSE, POINT, RANGE, BEARING, TOUCH, RAY = "pose", "point", "range", "bearing", "
 # Notes of a recording that say what its readings are, as `modcal import` writes them
 ORDER_ONLY = "The table has no clock: stamps give the order of the rows only, not when they were taken."
 SOCKETS = "Sockets, in each of which the tool's ball rests at one point: "
+IMPORTED = "Imported from tables by "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
 

@@ -18,5 +18,6 @@ def from_table(table: Mapping[str, Any]) -> Chain:
     """The chain of a DH, modified DH or CPC table, which must say its ``convention``. Raises BadTable."""
     convention = table.get("convention") if isinstance(table, Mapping) else None
     if convention not in _READERS:
-        raise BadTable("kinematic table", f"convention {convention!r} is unknown", f"choose {', '.join(_READERS)}")
+        said = "has no key 'convention'" if convention is None else f"convention {convention!r} is unknown"
+        raise BadTable("kinematic table", said, f"write convention: {', '.join(_READERS)}")
     return _READERS[convention](table)

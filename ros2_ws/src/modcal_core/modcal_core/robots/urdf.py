@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_tip import default_tip
+from modcal_core.robots.urdf_tip import default_tip, tips
 from modcal_core.robots.urdf_tree import TURNS, Tree, parse
 
 _FARTHEST = 20.0  # m; an arm whose constants add up to more is suspected of millimetres
@@ -68,6 +68,11 @@ def read_chain(
     )
     _check_unit(chain, tree)
     return replace(chain, links=tuple(joint.parent for joint in moving))
+
+
+def other_tips(urdf_xml: str, base: str, recorded: Collection[str] | None = None) -> tuple[str, ...]:
+    """Tips of other arms of as many joints, which :func:`read_chain` passes over where no tip is given."""
+    return tips(parse(urdf_xml), base, recorded).others
 
 
 def read_path(urdf_xml: str, base: str, tip: str) -> UrdfPath:

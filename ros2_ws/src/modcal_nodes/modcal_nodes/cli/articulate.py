@@ -25,8 +25,8 @@ from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import list_topics, read_bag
 from modcal_msgs_py.topics import accepted, role_of
-from modcal_nodes.cli.console import Output, say, speaking
-from modcal_nodes.cli.robot import described
+from modcal_nodes.cli.console import Output, say, speaking, written
+from modcal_nodes.cli.robot import arm_line, chain_line, described
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -36,11 +36,12 @@ _MOST = 2000  # samples; of more, evenly chosen ones say the same
 
 @dataclass(frozen=True)
 class _Read:
-    """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, and the frame they are in."""
+    """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, the frame they are in, and the arm that held it."""
 
     values: Array
     stamps: Array | None
     frame: str
+    arm: str = ""
 
 
 @click.command("articulate")
@@ -105,7 +106,7 @@ def articulate_command(
     data = to_json_data(found)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     files = {"articulation.json": to_json(data), "report.html": to_html(found)}
-    said = [data["verdict"]]
+    said = [read.arm] * bool(read.arm) + [data["verdict"]]
     if isinstance(model := choice.fit.model, JointModel):
         reach = data["configuration"]
         limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
@@ -117,7 +118,7 @@ def articulate_command(
     write_folder(out, files)
     if _URDF not in files:  # one of an earlier call would tell of another joint
         (out / _URDF).unlink(missing_ok=True)
-    output.result(data, partial(say, said), f"Report: {out / 'report.html'}")
+    output.result(data, partial(say, said), written(out, files))
 
 
 def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
@@ -179,8 +180,10 @@ def _of_bag(
         raise BadRecording(recording.source, "shows no handle: no poses, points or joint states", "record one of them")
     if calibration is not None:
         chain = read_calibration(calibration).calibrated.serial
+        arm = chain_line(chain.base, chain.tip, chain.n)
     else:
-        chain = described(recording, None, urdf, base, tip).chain
+        robot = described(recording, None, urdf, base, tip)
+        chain, arm = robot.chain, arm_line(robot)
     stamps, q = joint_stamps_and_positions(recording, chain.names)
     good = np.isfinite(q).all(axis=1)
     if not good.any():
@@ -188,7 +191,7 @@ def _of_bag(
         raise BadRecording(
             f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
         )
-    return _Read(se3.to_pose(forward(chain, q[good])), stamps[good], chain.base)
+    return _Read(se3.to_pose(forward(chain, q[good])), stamps[good], chain.base, arm)
 
 
 def _reading(reading: ReadingTrack) -> _Read:

@@ -27,7 +27,8 @@ from modcal_core.preprocess import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.io.assemblies import read_assembly
 
@@ -36,6 +37,26 @@ _LIBRARY = click.option(
     help="YAML of the available modules. Default: the one that SPEC names, or the published ones.",
 )  # fmt: skip
 _UNLIKELY = 1e-4
+_MODULES = {
+    "module": "",
+    "serial": "",
+    "makes": "the joint that the module is, in the URDF",
+    "length mm": "of a module that comes in several",
+    "turn deg": "about the axis of the flange that it is mounted on",
+    "x mm": "where the module begins, in the base link, all joints at zero; y and z as well",
+    "y mm": "",
+    "z mm": "",
+}
+_PARTS = {
+    "serial": "",
+    "kind": "",
+    "part": "the flange or joint of the module that the error belongs to",
+    "assemblies": "how many of them have shown it",
+    "shift mm": "length of the displacement",
+    "± mm": "its standard deviation",
+    "turn mrad": "angle of the rotation",
+    "± mrad": "its standard deviation",
+}
 
 
 @click.command("assemble")
@@ -75,13 +96,15 @@ def assemble_command(
 
     def show(console: Console) -> None:
         console.print(_table(assembly, library))
+        explain(_MODULES, console)
+        console.print("assembly incidence matrix:", highlight=False)
         console.print(str(matrix), highlight=False)
         if errors is not None:
             console.print(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
         if strangers:
             console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
 
-    output.result(data, show, f"Robot: {out / 'robot.urdf'}")
+    output.result(data, show, written(out, files, "Robot", "robot.urdf"))
 
 
 @click.group("modules")
@@ -152,6 +175,7 @@ def _show_learned(found: dict[str, Any], console: Console) -> None:
     for note in found["notes"]:
         console.print(note, style="yellow", highlight=False)
     console.print(_known(found["parts"]))
+    explain(_PARTS, console)
     console.print(
         f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit", highlight=False
     )
@@ -165,43 +189,28 @@ def _show_learned(found: dict[str, Any], console: Console) -> None:
 
 def _table(assembly: Assembly, library: Library) -> Table:
     """Every module in its place, joints at zero."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("module", "serial"):
-        table.add_column(name)
-    for name in ("length mm", "turn deg", "x mm", "y mm", "z mm"):
-        table.add_column(name, justify="right")
-    table.add_column("makes")
+    shown = table(_MODULES, words=3)
     joints = iter(assembly.joint_names)
     frames = module_frames(assembly, library)
     for i, (module, T) in enumerate(zip(assembly.modules, frames, strict=False)):
         kind = library.types[module.kind]
         length = f"{1e3 * kind.length(module.size):g}" if kind.sizes > 1 else ""
         at = [f"{1e3 * x + 0.0:.1f}" for x in T[:3, 3]]
-        table.add_row(
-            module.kind,
-            module.serial,
-            length,
-            str(90 * module.turn) if i else "",
-            *at,
-            next(joints) if kind.role == JOINT else "",
-        )
+        makes = next(joints) if kind.role == JOINT else ""
+        shown.add_row(module.kind, module.serial, makes, length, str(90 * module.turn) if i else "", *at)
     tip = [f"{1e3 * x + 0.0:.1f}" for x in frames[-1][:3, 3]]
-    table.add_row("tip", "", "", "", *tip, "tool0")
-    return table
+    shown.add_row("tip", "", "tool0", "", "", *tip)
+    return shown
 
 
 def _known(parts: list[dict[str, Any]]) -> Table:
     """What is known of every part: sizes of its errors, and how surely."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("serial", "kind", "part"):
-        table.add_column(name)
-    for name in ("assemblies", "shift mm", "± mm", "turn mrad", "± mrad"):
-        table.add_column(name, justify="right")
+    shown = table(_PARTS, words=3)
     for known in parts:
         twist, std = np.array(known["twist"]), np.array(known["std"])
         shift, turn = (float(np.linalg.norm(twist[at])) for at in (slice(0, 3), slice(3, 6)))
         sure = (float(np.sqrt(np.mean(std[at] ** 2))) for at in (slice(0, 3), slice(3, 6)))
         numbers = [f"{1e3 * x:.3f}" for pair in zip((shift, turn), sure, strict=True) for x in pair]
         part = known["part"].replace("_", " ")
-        table.add_row(known["serial"], known["kind"], part, str(known["assemblies"]), *numbers)
-    return table
+        shown.add_row(known["serial"], known["kind"], part, str(known["assemblies"]), *numbers)
+    return shown

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
@@ -55,6 +56,12 @@ def tell(lines: Iterable[str], console: Console) -> None:
     """Print these lines as they are, paths whole, however narrow the console is."""
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def written(folder: Path, names: Iterable[str], what: str = "Report", first: str = "report.html") -> str:
+    """The lines that name what a verb has written into a folder. first: the file to look at; what: a word for it."""
+    others = ", ".join(sorted(name for name in names if name != first))
+    return f"{what}: {folder / first}" + (f"\nAlso in {folder}: {others}" if others else "")
 
 
 class Output:

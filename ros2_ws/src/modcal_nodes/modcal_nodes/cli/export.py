@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 
 from modcal_core.calibration.store import Calibration, from_data
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
@@ -207,10 +207,12 @@ def _read(source: Path, which: str, tool: bool, base: str | None, tip: str | Non
     if source.is_dir():
         return _of_calibration(read_calibration(source), which, tool)
     if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        return _Source(read_chain(source.read_text(encoding="utf-8", errors="replace"), base, tip))
+        with about(str(source)):
+            return _Source(read_chain(source.read_text(encoding="utf-8", errors="replace"), base, tip))
     table = read_table(source)
     if table is not None:
-        return _Source(from_table(table))
+        with about(str(source)):
+            return _Source(from_table(table))
     data = read_yaml(source)
     if not isinstance(data, Mapping) or "modcal_calibration" not in data:
         said = "is neither a calibration, a URDF, nor a table that states its convention"

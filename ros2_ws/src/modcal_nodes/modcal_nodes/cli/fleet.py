@@ -9,14 +9,14 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 from rich.text import Text
 
 from modcal_core.errors import plain
 from modcal_core.files import to_json
 from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import EXISTING, calibration_options
-from modcal_nodes.cli.console import console
+from modcal_nodes.cli.console import console, written
+from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
@@ -26,6 +26,16 @@ from modcal_nodes.fleet.run import FleetPlan, plan, run
 from modcal_nodes.fleet.task import DONE, Outcome, Task
 from modcal_nodes.fleet.work import do
 from modcal_nodes.io.options import Options
+
+_COLUMNS = {
+    "robot": "",
+    "last": "day of the last recording",
+    "status": "verdict on it: at the floor, open, or cannot tell",
+    "over time": "what has changed between the recordings",
+    "recordings": "",
+    "RMS mm before": "held-out error of the nominal model, in the last recording",
+    "RMS mm after": "the same with geometry and effects corrected",
+}
 
 
 @click.command("fleet")
@@ -145,9 +155,7 @@ def _status(row: Row) -> Text:
 
 def _show(planned: FleetPlan, compared: Compared, page: Console) -> None:
     """A line for each robot, then those that could not be calibrated."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("robot", "recordings", "last", "RMS mm before", "after", "status", "over time"):
-        table.add_column(name, justify="right" if "mm" in name or name == "after" else "left", overflow="fold")
+    shown = table(_COLUMNS, words=4)
     robots: dict[tuple[str, str], list[Row]] = {}
     for row in compared.rows:
         if row["state"] == DONE:
@@ -156,9 +164,11 @@ def _show(planned: FleetPlan, compared: Compared, page: Console) -> None:
         last = max(rows, key=lambda row: row["started"])
         sizes = [last[f"{stage}_rms_mm"] for stage in ("nominal", "final")]
         numbers = ["" if size is None else f"{size:.3f}" for size in sizes]
-        table.add_row(robot, str(len(rows)), last["started"][:10], *numbers, _status(last), last["drift"] or "")
-    page.print(table, highlight=False)
+        shown.add_row(robot, last["started"][:10], _status(last), last["drift"] or "", str(len(rows)), *numbers)
+    page.print(shown, highlight=False)
+    explain(_COLUMNS, page)
     for row in compared.rows:
         if row["state"] != DONE:
             page.print(f"{row['name']} {row['state']}: {row['said']}", style="yellow", highlight=False)
-    click.echo(f"Table: {planned.out / 'fleet.parquet'}")
+    names = ["fleet.parquet", "drift.parquet", "a folder for each recording"]
+    click.echo(plain(written(planned.out, names, "Table", "fleet.parquet")))

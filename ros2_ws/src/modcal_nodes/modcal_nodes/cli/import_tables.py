@@ -10,9 +10,10 @@ from typing import Any
 
 import click
 
-from modcal_core.errors import BadTable, ModcalError
+from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, write_file
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.imported import remedies_of
+from modcal_core.measurements.recording import IMPORTED, Recording
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
@@ -40,7 +41,8 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
     """
     table = read_table(mapping)
     if table is not None:
-        chain = from_table(table)
+        with about(str(mapping)):
+            chain = from_table(table)
         out = out or Path(f"{mapping.stem}.urdf")
         write_file(out, chain_urdf(chain))
         output.result(*told(out, chain))
@@ -49,11 +51,13 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
     folder, out = data or mapping.parent, out or Path(mapping.stem)
     with output.working() as watch:
         recording = import_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
+        recording = replace(recording, warnings=(f"{IMPORTED}{mapping.name}.", *recording.warnings))
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
             watch("comparing conventions")
-            recording = _proved(recording, stated)
+            with remedies_of(recording.warnings):
+                recording = _proved(recording, stated)
         write_recording(recording, out, partial(watch, f"writing {out.name}"))
     frames = list(recording.frames)
     found = {"bag": str(out), "stations": sum(len(r.stamps) for r in recording.readings), "frames": frames}

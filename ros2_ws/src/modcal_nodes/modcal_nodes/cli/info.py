@@ -13,10 +13,11 @@ from rich.table import Table
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
+from modcal_core.robot import Robot
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.robot import described
+from modcal_nodes.cli.robot import chain_line, described
 from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -45,18 +46,20 @@ def info_command(
     recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:
-        chain = described(recording, delta, urdf, base, tip).mechanism
+        robot: Robot | None = described(recording, delta, urdf, base, tip)
     except ModcalError as error:
         if any(given is not None for given in (urdf, delta, base, tip)):
             raise
-        chain, findings = None, (f"No robot: {error}.",)
-    seen = inspect(recording, chain)
+        robot, findings = None, (f"No robot: {error}.",)
+    seen = inspect(recording, None if robot is None else robot.mechanism)
     data = {
         "bag": str(bag),
         "duration_s": recording.duration,
         "topics": [asdict(track) for track in seen.tracks],
         "listed": [asdict(one) for one in recording.listed],
-        "robot": None if chain is None else {"base": chain.base, "tip": chain.tip, "joints": list(chain.names)},
+        "robot": None
+        if robot is None
+        else {"base": robot.base, "tip": robot.tip, "joints": list(robot.names), "other_tips": list(robot.other_tips)},
         "uses": list(seen.uses),
         "findings": [*findings, *seen.findings],
     }
@@ -79,7 +82,8 @@ def _show(data: dict[str, Any], console: Console) -> None:
     console.print(table)
     console.print(f"{data['duration_s']:.1f} s")
     if robot := data["robot"]:
-        console.print(f"robot: {robot['base']} → {robot['tip']}, {len(robot['joints'])} joints", highlight=False)
+        said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
+        console.print(said, highlight=False)
     for one in data["listed"]:
         if one["role"] is None and one["could"]:
             kind = one["type_name"].rpartition("/")[2]

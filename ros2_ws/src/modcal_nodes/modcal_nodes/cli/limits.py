@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.calibration.structure import random_postures
-from modcal_core.errors import BadRecording, BadTable
+from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording, joint_stamps_and
@@ -23,8 +23,9 @@ from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.by_joint import numbers_by_joint
-from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.robot import described
+from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.robot import arm_line, described, file_line
 from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -34,6 +35,15 @@ _BY_JOINT = {
     "friction": "Dry friction of a joint [N m; N], instead of the URDF's.",
     "damping": "Viscous friction of a joint [N m s/rad; N s/m], instead of the URDF's.",
     "rotor": "Inertia of motor and gear, seen from the joint [kg m²; kg].",
+}
+_COLUMNS = {
+    "joint": "",
+    "inertia": "moved by the joint's drive [kg m²; kg]",
+    "taken": "share of the drive's torque that gravity, friction and speed need; above 100 % it cannot be held",
+    "equivalent": "acceleration that the rest of the torque allows, lower … upper, the other joints not accelerating",
+    "coupled": "the same with every other joint anywhere within its own bounds",
+    "constant": "one set of bounds that holds together at every posture",
+    "unit": "",
 }
 _CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
 
@@ -111,8 +121,11 @@ def limits_command(
     if recording is not None:
         robot = described(recording, None, urdf, base, tip)
         arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
+        said = arm_line(robot)
     else:
-        arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
+        with about(str(source)):
+            arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
+        said = file_line(source, arm.chain, tip)
     arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
     q, v, notes = _motion(arm.chain, recording, at, velocity, workspace, seed)
@@ -120,14 +133,18 @@ def limits_command(
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         data = {**to_json_data(found), "notes": list(notes)}
+    where = ""
     if out is not None:
-        write_folder(out, {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))})
-    where = "" if out is None else f"Limits: {out / 'limits.json'}"
-    output.result(data, partial(_show, data, len(q), notes), where)
+        files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
+        write_folder(out, files)
+        where = written(out, files, "Limits", "limits.json")
+    output.result(data, partial(_show, data, said, len(q), notes), where)
 
 
-def _show(data: dict[str, object], postures: int, notes: tuple[str, ...], console: Console) -> None:
+def _show(data: dict[str, object], arm: str, postures: int, notes: tuple[str, ...], console: Console) -> None:
+    tell([arm], console)
     console.print(_table(data))
+    explain(_COLUMNS, console)
     tell(notes, console)
     if postures > 1:
         click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
@@ -192,20 +209,16 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
 
 def _table(data: dict[str, object]) -> Table:
     """For every joint its inertia, what holding takes of its drive, and its bounds."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("joint", no_wrap=True)
-    for name in ("inertia", "taken", "equivalent", "coupled", "constant"):
-        table.add_column(name, justify="right")
-    table.add_column("unit")
+    shown = table(_COLUMNS)
     joints: list[dict[str, object]] = data["joints"]  # type: ignore[assignment]
     for joint in joints:
         inertia: dict[str, float] = joint["inertia"]  # type: ignore[assignment]
         least, most = f"{inertia['least']:.3g}", f"{inertia['most']:.3g}"
         spans = [_span(joint[key]) for key in ("equivalent", "coupled", "constant")]  # type: ignore[arg-type]
         load = f"{100.0 * float(joint['load_share']):.0f} %"  # type: ignore[arg-type]
-        shown = least if least == most else f"{least} … {most}"
-        table.add_row(str(joint["name"]), shown, load, *spans, str(joint["unit"]).replace("s2", "s²"))
-    return table
+        inertias = least if least == most else f"{least} … {most}"
+        shown.add_row(str(joint["name"]), inertias, load, *spans, str(joint["unit"]).replace("s2", "s²"))
+    return shown
 
 
 def _span(bounds: dict[str, float]) -> str:

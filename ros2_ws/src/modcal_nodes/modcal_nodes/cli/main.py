@@ -13,6 +13,7 @@ from difflib import get_close_matches
 from importlib import import_module
 
 import click
+from click.shell_completion import CompletionItem
 
 import modcal_core
 from modcal_core.errors import ModcalError, plain
@@ -37,6 +38,17 @@ VERBS = {
     "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
     "watch": ("watch", "watch_command", "Show the status of all nodes of a cell, live."),
     "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
+    "completion": ("completion", "completion_command", "Print the script for completion in bash, zsh or fish."),
+}
+# The same in the order of work, as the list shows them
+GROUPS = {
+    "Prepare a measurement": ("sensitivity", "plan", "limits", "simulate"),
+    "Get and look at a recording": ("import", "info", "repair"),
+    "Calibrate": ("calibrate", "evaluate", "fleet"),
+    "Use the result": ("export", "watch"),
+    "Doors and drawers": ("articulate",),
+    "Arms made of modules": ("synthesize", "assemble", "modules"),
+    "Shell": ("completion",),
 }
 
 
@@ -44,8 +56,8 @@ class _Verbs(click.Group):
     """Verbs that are imported when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the verbs."""
-        return list(VERBS)
+        """Names of the verbs, in the order of work."""
+        return [verb for verbs in GROUPS.values() for verb in verbs]
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -68,16 +80,24 @@ class _Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of verbs."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(verb, said) for verb, (_, _, said) in VERBS.items()])
+        wide = max(map(len, VERBS))
+        for group, verbs in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(verb.ljust(wide), VERBS[verb][2]) for verb in verbs])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """The verbs that begin so, and the options of ``modcal`` itself, none of them being imported."""
+        verbs = [v for v in self.list_commands(ctx) if v.startswith(incomplete)]
+        own = click.Command.shell_complete(self, ctx, incomplete)
+        return [*(CompletionItem(verb, help=VERBS[verb][2]) for verb in verbs), *own]
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(modcal_core.__version__, prog_name="modcal")
 def modcal() -> None:
-    """Make a robot arm tell the truth about where its tool is.
+    """Calibrate robot arms from joint positions and tracker readings.
 
-    Reads bags of joint states and tracker readings, finds what the arm's model gets wrong, and says what is left.
+    Finds what an arm's model gets wrong, corrects it, and reports the error that is left on held-out data.
     """
 
 

@@ -18,9 +18,9 @@ from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.console import Output, say, speaking
+from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.deciding import decide
-from modcal_nodes.cli.robot import BASE, TIP, read_robot
+from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
 _DECIDING = 16  # stations, where none are asked for
@@ -126,8 +126,10 @@ def plan_command(
         found = plan(chain, site or Site(), request, np.random.default_rng(seed))
         out = out or Path(f"{robot.stem}_plan")
         watch("writing the plan")
-        write_folder(out, _files(found, speed, dwell, robot.stem))
-    output.result(to_plan_data(found), partial(say, sentences(found)), f"Stations: {out / 'plan.yaml'}")
+        files = _files(found, speed, dwell, robot.stem)
+        write_folder(out, files)
+    said = [file_line(robot, chain, tip), *sentences(found)]
+    output.result(to_plan_data(found), partial(say, said), written(out, files, "Stations", "plan.yaml"))
 
 
 def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:

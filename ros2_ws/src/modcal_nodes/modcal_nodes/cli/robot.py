@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
-from modcal_core.errors import BadRobot
+from modcal_core.errors import BadRobot, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.recording import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf import other_tips, read_chain
+
+_OTHERS = 3  # tips that are named
 
 BASE = click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
 TIP = click.option(
@@ -23,6 +26,28 @@ TOOL = click.option(
 )  # fmt: skip
 
 
+def chain_line(base: str, tip: str, joints: int, others: Sequence[str] = ()) -> str:
+    """The chain that a verb works on, in a line. others: tips of other arms that might have been meant."""
+    line = f"arm: {base} → {tip}, {joints} joint{'s' * (joints != 1)}"
+    if others:
+        line += (
+            f"; --tip {' or --tip '.join(others[:_OTHERS])} for {'the other' if len(others) == 1 else 'another'} arm"
+        )
+    return line
+
+
+def arm_line(robot: Robot) -> str:
+    """The same of a robot."""
+    return chain_line(robot.base, robot.tip, robot.n, robot.other_tips)
+
+
+def file_line(path: Path, chain: Chain, tip: str | None = None) -> str:
+    """The same of an arm that was read from a file. tip: as it was given."""
+    of_urdf = tip is None and path.suffix not in (".yaml", ".yml")
+    others = other_tips(path.read_text(encoding="utf-8", errors="replace"), chain.base) if of_urdf else ()
+    return chain_line(chain.base, chain.tip, chain.n, others)
+
+
 def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Chain:
     """The arm in a file: a kinematic table where its name ends in .yaml or .yml, else a URDF."""
     if path.suffix in (".yaml", ".yml"):
@@ -30,8 +55,11 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> C
             raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
         from modcal_core.robots.tables import from_table  # few arms come as tables
 
-        return from_table(read_yaml(path))
-    return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
+        data = read_yaml(path)
+        with about(str(path)):
+            return from_table(data)
+    with about(str(path)):
+        return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
 
 
 def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:
@@ -45,4 +73,5 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
             recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
         )
     recorded = frozenset(name for track in recording.joints for name in track.names)
-    return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
+    with about(f"{recording.source}, robot_description" if urdf is None else str(urdf)):
+        return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)

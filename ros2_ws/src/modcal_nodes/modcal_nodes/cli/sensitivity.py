@@ -20,11 +20,23 @@ from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_h
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.console import Output, say, speaking
-from modcal_nodes.cli.robot import BASE, TIP, TOOL, read_robot
+from modcal_nodes.cli.console import Output, say, speaking, written
+from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.robot import BASE, TIP, TOOL, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
 _SHOWN = 12  # parameters in the terminal
+_COLUMNS = {
+    "parameter": "",
+    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
+    "RSFCDPE": "the same, divided by that of the base factor",
+    "share": "of the mean square error of the point, all parameters in error",
+    "S": "share of the variance that this parameter causes alone (Sobol, first order)",
+    "S_T": "share of the variance that goes when all others are known (Sobol, total)",
+    "gain mm": "by how much the RMS error falls once this parameter is known",
+    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
+    "left mm": "the gain that these stations leave",
+}
 
 
 @click.command("sensitivity")
@@ -117,11 +129,14 @@ def sensitivity_command(
             "report.html": to_html(result, robot.stem),
         }
         write_folder(out, files)
-    output.result(data, lambda console: _show(result, console), f"Table: {out / 'sensitivity.md'}")
+    arm = file_line(robot, chain, tip)
+    output.result(data, lambda console: _show(result, arm, console), written(out, files))
 
 
-def _show(result: Study, console: Console) -> None:
+def _show(result: Study, arm: str, console: Console) -> None:
+    say([arm], console)
     console.print(_table(result))
+    explain(_COLUMNS, console)
     say(sentences(result), console)
 
 
@@ -144,13 +159,10 @@ def _tolerances(path: Path | None) -> dict[str, float]:
 
 
 def _table(result: Study) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("parameter", no_wrap=True)
-    for name in ("SFCDPE mm", "RSFCDPE", "share", "S", "S_T", "gain mm", "seen", "left mm"):
-        table.add_column(name, justify="right")
+    shown = table(_COLUMNS)
     joint, at, vector = result.joint, result.indices, result.variance["vector"]
     for k in np.argsort(-joint.before.share, kind="stable")[:_SHOWN]:
-        table.add_row(
+        shown.add_row(
             at.names[k],
             f"{1e3 * at.multi[k]:.3f}",
             f"{at.relative_multi[k]:.3f}",
@@ -161,4 +173,4 @@ def _table(result: Study) -> Table:
             f"{joint.seen[k]:.0%}",
             f"{1e3 * joint.after.rms_gain[k]:.4f}",
         )
-    return table
+    return shown

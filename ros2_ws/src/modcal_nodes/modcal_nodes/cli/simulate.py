@@ -12,15 +12,26 @@ import yaml
 
 from modcal_core.errors import BadTable
 from modcal_core.planning.returns import RETURNS
+from modcal_core.robots.urdf import other_tips
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.robot import chain_line
 from modcal_nodes.ros.declaring import Parameter
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_OF_THE_NODE = ("urdf", "delta", "start_delay_s", "repeat", "publish_clock", "clock_rate_hz", "time_factor")
+_OF_THE_NODE = (
+    "urdf",
+    "delta",
+    "obey_limits",
+    "start_delay_s",
+    "repeat",
+    "publish_clock",
+    "clock_rate_hz",
+    "time_factor",
+)
 _STATIONS = 60
 
 
@@ -47,14 +58,15 @@ def simulate_command(
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that differs from its nominal model, in MuJoCo, with a tracker.
 
-    The arm visits 60 random postures (-p stations=N), six of them twice. Unmodelled effects are switched on with
+    The arm visits 60 random postures (-p stations=N), six of them twice, no faster than the URDF's velocity and effort
+    allow. Unmodelled effects are switched on with
     -p: gear_joint, joint_compliance_rad_per_nm, payload_kg, warm_up_link, repeatability_rad and others
     of the node.
     """
     if out.exists():
         raise BadTable(str(out), "exists", "name another folder")
     chosen = {name: parameter.default for name, parameter in SIMULATED_CELL.items()}
-    chosen["stations"], chosen["returns"] = _STATIONS, returns
+    chosen["stations"], chosen["returns"], chosen["obey_limits"] = _STATIONS, returns, True
     chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
     for text in given:
         name, value = _parameter(text)
@@ -71,9 +83,14 @@ def simulate_command(
         "duration_s": plant.end,
         "joint_states": len(recording.joints[0].stamps),
         "readings": len(recording.readings[0].stamps),
+        "overloads": list(plant.overloads),
     }
     counts = f"{data['joint_states']} joint states, {data['readings']} readings"
-    output.result(data, partial(tell, [f"{out}: {plant.stops} stations in {plant.end:.0f} s, {counts}"]))
+    chain = plant.chain
+    others = () if chosen["delta"] or chosen["tip"] else other_tips(plant.text, chain.base)
+    arm = chain_line(chain.base, chain.tip, chain.n, others)
+    lines = [arm, *plant.overloads, f"Bag: {out}, {plant.stops} stations in {plant.end:.0f} s, {counts}"]
+    output.result(data, partial(tell, lines))
 
 
 def _parameter(text: str) -> tuple[str, Any]:

@@ -11,6 +11,7 @@ import click
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from modcal_core.errors import plain
 from modcal_core.files import read_yaml, to_json, to_yaml, write_folder
 from modcal_core.modules.genetic import Generation
 from modcal_core.modules.library import Library
@@ -20,9 +21,16 @@ from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.console import console
+from modcal_nodes.cli.console import console, written
+from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.io.assemblies import read_library
 
+_COLUMNS = {
+    "rank": "",
+    "modules": "from base to tip, with length and turn",
+    "cost": "what the requirements of TASK add up to; the lowest is the best",
+    "worst miss": "what is left at the target that is missed most",
+}
 _PICTURES = 5  # of the ranking; the best gets one at each target
 
 
@@ -47,10 +55,12 @@ def synthesize_command(
     with _progress(task) as watch:
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), watch)
     out = out or Path(f"{task.name}_synthesis")
-    write_folder(out, synthesis_files(result, library, library_file))
+    files = synthesis_files(result, library, library_file)
+    write_folder(out, files)
     page.print(sentence(result), highlight=False)
     page.print(_table(result, library))
-    click.echo(f"Best: {out / 'best.yaml'}")
+    explain(_COLUMNS, page)
+    click.echo(plain(written(out, files, "Best", "best.yaml")))
 
 
 def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:
@@ -98,13 +108,9 @@ def _progress(task: SynthesisTask) -> Iterator[Watch | None]:
 
 
 def _table(result: Synthesis, library: Library) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("rank", justify="right")
-    table.add_column("cost", justify="right")
-    table.add_column("worst miss", justify="right")
-    table.add_column("modules", overflow="fold")
+    shown = table(_COLUMNS, words=2)
     for i, candidate in enumerate(result.ranking):
         way, angle = candidate.miss.max(axis=0)
         miss = f"{1e3 * way:.0e} mm, {angle:.0e} rad"
-        table.add_row(str(i + 1), f"{candidate.cost:.3g}", miss, " · ".join(described(candidate, library)))
-    return table
+        shown.add_row(str(i + 1), " · ".join(described(candidate, library)), f"{candidate.cost:.3g}", miss)
+    return shown

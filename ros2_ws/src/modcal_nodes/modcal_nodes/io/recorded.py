@@ -9,6 +9,7 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.moves import Move
 from modcal_core.calibration.own_statement import together_stated
 from modcal_core.calibration.stated import Stated
+from modcal_core.errors import about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.dropped import together
 from modcal_core.measurements.origin import Origin
@@ -45,7 +46,8 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
     robot = described(first.recording, options.delta, options.urdf, options.base, options.tip)
     samples = first.samples(robot, options.clock_limit)
     for other in more:
-        added = opened(other, watch, topics).samples(robot, options.clock_limit)
+        with about(str(other)):
+            added = opened(other, watch, topics).samples(robot, options.clock_limit)
         samples, cell = _with(samples, cell, added, other.name)
     result = calibrate(
         robot,

@@ -134,6 +134,9 @@ SIMULATED_CELL = {
     "returns": Parameter(RETURNS, "Number of these visited twice, so that the noise floor is known; 0: none.", 0, 1000),
     "dwell_s": Parameter(0.8, "Standstill at each random posture [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "Travel time to each random posture [s].", 0.05, 60.0),
+    "obey_limits": Parameter(
+        False, "Whether travel takes as long as the URDF's velocity and effort demand; always so in modcal simulate."
+    ),
     "repeat": Parameter(False, "Whether to continue with new random postures indefinitely."),
     "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
     "clock_rate_hz": Parameter(250.0, "Rate of /clock in simulated time [Hz].", 1.0, 2000.0),

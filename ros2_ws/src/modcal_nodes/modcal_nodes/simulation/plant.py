@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, about
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -24,6 +24,7 @@ from modcal_nodes.simulation.delta_world import make_delta_world, require_drivab
 from modcal_nodes.simulation.machine import Machine, tracker_and_tool
 from modcal_nodes.simulation.program import Program, tour
 from modcal_nodes.simulation.switches import Switches
+from modcal_nodes.simulation.within_limits import within_limits
 from modcal_nodes.simulation.world import World
 
 TRACKER = "tracker"  # the frame that it reports in
@@ -35,6 +36,7 @@ class Plant:
     """An arm or a Delta with its tracker. chosen: the parameters of ``simulated_cell``. Times [s] must not go back.
 
     text: the URDF, empty for a Delta. chain: the nominal robot. world: the true one. switches: what may be changed.
+    overloads: what the drives of the URDF cannot do however slowly, a sentence each.
     """
 
     def __init__(self, chosen: dict[str, Any]) -> None:
@@ -60,6 +62,7 @@ class Plant:
         self._program = Program(np.clip(np.zeros(self.chain.n), self.chain.lower, self.chain.upper))
         self._miss = Program(np.zeros(self.chain.n))
         self._repeat = False
+        self.overloads: tuple[str, ...] = ()
         self._own = self._tour() if chosen["stations"] else []
         if self._own:
             self.begin_own(0.0)
@@ -105,7 +108,12 @@ class Plant:
 
     def _tour(self) -> list[tuple[float, Array]]:
         chosen = self._chosen
-        return tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], self._rng, chosen["returns"])
+        legs = tour(self.chain, chosen["stations"], chosen["travel_s"], chosen["dwell_s"], self._rng, chosen["returns"])
+        if not chosen["obey_limits"] or not isinstance(self.chain, Chain):
+            return legs
+        slowed = within_limits(legs, self._program.at(self._program.end), self.text, self.chain, chosen["payload_kg"])
+        self.overloads = slowed.overloads
+        return slowed.legs
 
     def _go(self, legs: list[tuple[float, Array]], start: float) -> None:
         self._miss.reset(start, self._missed(legs, self._program.at(start), self._miss.at(start)))
@@ -187,8 +195,9 @@ def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
         text, chain = "", read_delta(file)
         require_drivable(chain)
     else:
-        text = file.read_text(encoding="utf-8")
-        chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
+        text = file.read_text(encoding="utf-8", errors="replace")
+        with about(str(file)):
+            chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
     if chosen["gear_joint"] and chosen["gear_joint"] not in chain.names:
         said = f"joints are {', '.join(chain.names)}"
         raise BadTable(f"gear_joint '{chosen['gear_joint']}'", said, "name one of them")
