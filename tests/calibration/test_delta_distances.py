@@ -15,8 +15,8 @@ from modcal_core.calibration.delta_distances import (
     distance_errors,
     distance_jacobian,
     fit_distances,
+    max_deviations,
     objective,
-    rooms,
     visibility,
 )
 from modcal_core.calibration.identify import identify
@@ -32,10 +32,10 @@ HELD_OUT = 100
 UNSEEN = ("arm_1/azimuth", "tool/z", "tool/rx", "tool/ry", "tool/rz")  # held, what is left can be told one by one
 
 
-def held_room(delta: Delta) -> Array:
-    room = rooms(delta)
-    room[[delta.parameter_names.index(name) for name in UNSEEN]] = 0.0
-    return room
+def held(delta: Delta) -> Array:
+    max_deviation = max_deviations(delta)
+    max_deviation[[delta.parameter_names.index(name) for name in UNSEEN]] = 0.0
+    return max_deviation
 
 
 def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
@@ -78,15 +78,15 @@ def test_planted_errors_are_recovered_to_the_noise_floor(count: int) -> None:
 def test_parameters_come_back_within_their_deviations() -> None:
     """Those that distances can tell, over several robots: scores as of a normal law."""
     drawn = nominal()
-    room = held_room(drawn)
-    free = room > 0.0
+    max_deviation = held(drawn)
+    free = max_deviation > 0.0
     rng = np.random.default_rng(5)
     scores = []
     for seed in range(6):
         q = postures(drawn, 40, seed)
         X = drawn.vector + np.where(free, 5e-4 * rng.standard_normal(24), 0.0)
         y = tool_pose(drawn.with_vector(X), q)[:, :3, 3] + NOISE_M * rng.standard_normal((40, 3))
-        found = fit_distances(drawn, q, Pairs.of_points(y), room)
+        found = fit_distances(drawn, q, Pairs.of_points(y), max_deviation)
         assert (found.std[~free] == 0.0).all()
         scores.append((found.delta.vector - X)[free] / found.std[free])
     assert 0.75 < np.std(scores) < 1.3
@@ -160,10 +160,10 @@ def test_distances_of_a_calliper_need_no_tracker() -> None:
 
 def test_bounds_hold_and_are_named() -> None:
     cell = record_delta(5, 60)
-    room = rooms(cell.nominal)
-    room[15:18] = 1e-5  # the rods of the drawing are believed to 0.01 mm, and are wrong by more
-    found = fit_distances(cell.nominal, cell.samples.q, Pairs.of_points(cell.samples.reading), room)
-    assert (np.abs(found.delta.vector - cell.nominal.vector) <= room * (1.0 + 1e-9)).all()
+    max_deviation = max_deviations(cell.nominal)
+    max_deviation[15:18] = 1e-5  # the rods of the drawing are believed to 0.01 mm, and are wrong by more
+    found = fit_distances(cell.nominal, cell.samples.q, Pairs.of_points(cell.samples.reading), max_deviation)
+    assert (np.abs(found.delta.vector - cell.nominal.vector) <= max_deviation * (1.0 + 1e-9)).all()
     assert set(found.at_bound) & {"arm_1/distal", "arm_2/distal", "arm_3/distal"}
 
 

@@ -29,8 +29,8 @@ from modcal_core.robots.delta_kinematics import position_jacobians, tool_positio
 
 _RANK = 1e-7  # share of the largest singular value below which a combination changes nothing
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
-_INSIDE = 0.999  # of the room; a fit begins inside its bounds
-_TOOL_ROOM = 0.1  # m, rad; where a tool is held is less sure than how a robot is built
+_INSIDE = 0.999  # of the largest deviation; a fit begins inside its bounds
+_MAX_TOOL_DEVIATION = 0.1  # m, rad; where a tool is held is less sure than how a robot is built
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ class DistanceFit:
     at_bound: tuple[str, ...]
 
 
-def rooms(delta: Delta) -> Array:
+def max_deviations(delta: Delta) -> Array:
     """How far each parameter may be from the drawing, (24,): 10 mm, 20 mrad, 2 % of a ratio; at the tool 0.1 m, rad."""
     arms = np.repeat([PRIOR_LENGTH_M if unit == "m" else PRIOR_ANGLE_RAD for unit in UNITS], ARMS)
-    return np.r_[arms, np.full(PARAMETERS - len(arms), _TOOL_ROOM)]
+    return np.r_[arms, np.full(PARAMETERS - len(arms), _MAX_TOOL_DEVIATION)]
 
 
 def distance_errors(delta: Delta, q: Array, pairs: Pairs) -> Array:
@@ -96,18 +96,18 @@ def objective(delta: Delta, q: Array, pairs: Pairs) -> float:
 
 
 def fit_distances(
-    nominal: Delta, q: Array, pairs: Pairs, room: Array | None = None, begin: Delta | None = None
+    nominal: Delta, q: Array, pairs: Pairs, max_deviation: Array | None = None, begin: Delta | None = None
 ) -> DistanceFit:
     """The Delta whose distances are nearest to the measured ones, by bounded least squares with analytic derivatives.
 
-    room: how far each parameter may be from nominal, (24,); 0 holds it. begin: where to begin, such as where annealing
-    ended; nominal by default. Raises NotEnoughData where distances are no
-    more than the combinations they show, BadRecording for postures that the nominal robot cannot take.
+    max_deviation: how far each parameter may be from nominal, (24,); 0 holds it. begin: where to begin, such as where
+    annealing ended; nominal by default. Raises NotEnoughData where distances are no more than the combinations they
+    show, BadRecording for postures that the nominal robot cannot take.
     """
-    room = rooms(nominal) if room is None else np.asarray(room, dtype=float)
+    max_deviation = max_deviations(nominal) if max_deviation is None else np.asarray(max_deviation, dtype=float)
     before = _start(nominal, q, pairs)
-    free = np.flatnonzero(room > 0.0)
-    seen = visibility(nominal, q, pairs, room)
+    free = np.flatnonzero(max_deviation > 0.0)
+    seen = visibility(nominal, q, pairs, max_deviation)
     told = min(len(pairs.distance), 3 * len(q) - 6)  # points in space have no more than that of their own
     if seen.rank >= told:
         limit = f"{told} independent ones are not more than the combinations of parameters they depend on"
@@ -115,7 +115,7 @@ def fit_distances(
 
     def at(x: Array) -> Delta:
         X = nominal.vector.copy()
-        X[free] += x * room[free]
+        X[free] += x * max_deviation[free]
         return nominal.with_vector(X)
 
     def errors(x: Array) -> Array:
@@ -123,11 +123,11 @@ def fit_distances(
         return r if np.isfinite(r).all() else np.full(len(r), nominal.reach())
 
     def derivatives(x: Array) -> Array:
-        return -distance_jacobian(at(x), q, pairs)[:, free] * room[free]
+        return -distance_jacobian(at(x), q, pairs)[:, free] * max_deviation[free]
 
     first = np.zeros(len(free))
     if begin is not None:
-        first = np.clip((begin.vector - nominal.vector)[free] / room[free], -_INSIDE, _INSIDE)
+        first = np.clip((begin.vector - nominal.vector)[free] / max_deviation[free], -_INSIDE, _INSIDE)
     found = least_squares(
         errors, first, derivatives, bounds=(-1.0, 1.0), method="trf", tr_solver="exact",
         ftol=1e-13, xtol=1e-13, gtol=1e-15,
@@ -136,7 +136,7 @@ def fit_distances(
     after = objective(fitted, q, pairs)
     names = nominal.parameter_names
     ended = tuple(names[j] for j, x in zip(free, found.x, strict=True) if abs(x) > 1.0 - 1e-6)
-    std = _standard_deviations(fitted, q, pairs, room)
+    std = _standard_deviations(fitted, q, pairs, max_deviation)
     return DistanceFit(fitted, before, after, int(found.nfev + (found.njev or 0)), std, ended)
 
 
@@ -146,18 +146,21 @@ def anneal_distances(
     pairs: Pairs,
     rng: np.random.Generator,
     schedule: Schedule | None = None,
-    room: Array | None = None,
+    max_deviation: Array | None = None,
 ) -> tuple[Delta, Annealed]:
-    """The Delta that simulated annealing comes to from the nominal one, and how it went. room: as of the fit."""
-    room = rooms(nominal) if room is None else np.asarray(room, dtype=float)
+    """The Delta that simulated annealing comes to from the nominal one, and how it went.
+
+    max_deviation: as of the fit.
+    """
+    max_deviation = max_deviations(nominal) if max_deviation is None else np.asarray(max_deviation, dtype=float)
     _start(nominal, q, pairs)
     went = anneal(
         lambda X: objective(nominal.with_vector(X), q, pairs),
         nominal.vector,
         rng,
         schedule,
-        nominal.vector - room,
-        nominal.vector + room,
+        nominal.vector - max_deviation,
+        nominal.vector + max_deviation,
     )
     return nominal.with_vector(went.X), went
 
@@ -167,7 +170,7 @@ class Visibility:
     """Which combinations of the 24 parameters distances show at certain postures.
 
     rank: how many. condition: ratio of the largest to the smallest singular value among them, each parameter in units
-    of its room. unseen: the others, in words. weakest: what is seen least of all, by name.
+    of its largest deviation. unseen: the others, in words. weakest: what is seen least of all, by name.
     """
 
     rank: int
@@ -176,19 +179,22 @@ class Visibility:
     weakest: str
 
 
-def visibility(delta: Delta, q: Array, pairs: Pairs, room: Array | None = None) -> Visibility:
-    """What these distances can tell of the parameters, and what they cannot. room: 0 for parameters that are held."""
-    room = rooms(delta) if room is None else np.asarray(room, dtype=float)
-    J = distance_jacobian(delta, q, pairs) * room
+def visibility(delta: Delta, q: Array, pairs: Pairs, max_deviation: Array | None = None) -> Visibility:
+    """What these distances can tell of the parameters, and what they cannot.
+
+    max_deviation: 0 for parameters that are held.
+    """
+    max_deviation = max_deviations(delta) if max_deviation is None else np.asarray(max_deviation, dtype=float)
+    J = distance_jacobian(delta, q, pairs) * max_deviation
     _, size, Vt = np.linalg.svd(np.concatenate([J, np.zeros((PARAMETERS, PARAMETERS))]), full_matrices=False)
     rank = int((size > _RANK * size[0]).sum())
-    held = np.flatnonzero(room == 0.0)
+    held = np.flatnonzero(max_deviation == 0.0)
     left = Vt[rank:].T
     left = left[:, np.linalg.norm(left, axis=0) > 0.5]
     words = []
     named = np.eye(PARAMETERS)[:, held]
     for direction, sentence in _freedoms(delta):
-        v = np.where(room > 0.0, direction / np.maximum(room, 1e-300), 0.0)
+        v = np.where(max_deviation > 0.0, direction / np.maximum(max_deviation, 1e-300), 0.0)
         if (direction[held] != 0.0).any() or not v.any():
             continue
         v /= np.linalg.norm(v)
@@ -237,21 +243,21 @@ def _start(nominal: Delta, q: Array, pairs: Pairs) -> float:
     return before
 
 
-def _standard_deviations(delta: Delta, q: Array, pairs: Pairs, room: Array) -> Array:
+def _standard_deviations(delta: Delta, q: Array, pairs: Pairs, max_deviation: Array) -> Array:
     """Of the parameters, (24,): with B how the distances follow what is measured, cov = J⁺ B Bᵀ J⁺ᵀ σ².
 
     σ² is such that the residuals come out as large as they are: rᵀr = σ² tr(B Bᵀ (1 − Q Qᵀ)), Q the span of J.
     """
     r = distance_errors(delta, q, pairs)
-    Q, size, Vt = np.linalg.svd(distance_jacobian(delta, q, pairs) * room, full_matrices=False)
+    Q, size, Vt = np.linalg.svd(distance_jacobian(delta, q, pairs) * max_deviation, full_matrices=False)
     seen = size > _RANK * size[0]
     B = _sources(delta, q, pairs)
     of_sources = np.asarray(B.T @ Q[:, seen]).T  # (rank, sources)
     freedom = max(float(B.multiply(B).sum()) - float(np.sum(of_sources**2)), 1e-300)
     spread = (Vt[seen].T / size[seen]) @ of_sources
-    std = room * np.sqrt(float(r @ r) / freedom) * np.linalg.norm(spread, axis=1)
+    std = max_deviation * np.sqrt(float(r @ r) / freedom) * np.linalg.norm(spread, axis=1)
     unseen = 1.0 - np.sum(Vt[seen] ** 2, axis=0) > 1e-6
-    return np.asarray(np.where(unseen & (room > 0.0), np.inf, std))
+    return np.asarray(np.where(unseen & (max_deviation > 0.0), np.inf, std))
 
 
 def _sources(delta: Delta, q: Array, pairs: Pairs) -> csr_array:
