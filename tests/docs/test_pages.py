@@ -5,7 +5,9 @@ Blocks marked ``console`` need what is not here (the ``ros2`` command, a real ar
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -25,10 +27,21 @@ PAGES = [ROOT / "README.md", DOCS / "tutorial.md", *sorted((DOCS / "howto").glob
 FORKED = Path(__file__).with_name("forked.py")
 RUNS, MUST_EXIST, SHOWN = "bash", "console", ("yaml", "python", "bibtex")
 NODES = ROOT / "ros2_ws" / "src" / "modcal_nodes"
+ADDS = "add_an_effect"  # the page that puts a file into modcal_core
 
 
 def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+
+
+def with_own_core(folder: Path) -> str:
+    """Give a page a modcal_core to write into; what its commands are to begin with, so that `modcal` and python use it."""
+    core = folder / "ros2_ws" / "src" / "modcal_core"
+    shutil.copytree(
+        ROOT / "ros2_ws" / "src" / "modcal_core", core, ignore=shutil.ignore_patterns("__pycache__", "build")
+    )
+    run = "python -c 'from modcal_nodes.cli.main import main; main()'"
+    return f"export PYTHONPATH='{core}'${{PYTHONPATH:+:$PYTHONPATH}}\nmodcal() {{ {run} \"$@\"; }}\n"
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +61,11 @@ def modcal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_a_page_runs(page: Path, tmp_path: Path, modcal: str) -> None:
     """On the page that asks for least `modcal` is the executable itself."""
-    for name in ("examples", "ros2_ws"):
-        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    if page.stem == ADDS:
+        modcal = with_own_core(tmp_path)
+    else:
+        (tmp_path / "ros2_ws").symlink_to(ROOT / "ros2_ws")
     program = "\n".join(blocks(page, RUNS))
     assert program
     begin = "" if page.stem == "delta_printer" else modcal
@@ -58,6 +74,11 @@ def test_every_command_of_a_page_runs(page: Path, tmp_path: Path, modcal: str) -
         cwd=tmp_path, capture_output=True, text=True, timeout=500,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
+    if page.stem == ADDS:
+        (effect,) = json.loads((tmp_path / "windup_calibration" / "report.json").read_text())["effects"]
+        assert (effect["family"], effect["place"]) == ("friction_windup", "elbow_joint")
+        windup = effect["parameters"]["windup"]
+        assert abs(windup["value"] - 6e-6) < 3.0 * windup["std"] < 6e-7  # what measure.py plants, rad per N m
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
