@@ -157,3 +157,10 @@ def test_a_joint_of_another_arm_and_a_coupled_one_seen_by_points(clean: Samples)
     assert known.what.startswith(f"joint {CHAIN.names[ELBOW]} looks counted together with {CHAIN.names[1]}")
     order = np.random.default_rng(3).permutation(80)
     assert disagreement(replace(points, reading=points.reading[order]), CHAIN) is None
+
+
+def test_readings_that_move_on_while_the_joints_stand_are_named_in_the_refusal(clean: Samples) -> None:
+    order = np.random.default_rng(3).permutation(80)
+    late = replace(clean, reading=clean.reading[order], R=clean.R[order], sigma_position=np.full(80, 0.15))
+    with pytest.raises(BadRecording, match="readings: go on moving while the joints stand still, by 150 mm"):
+        calibrate(late, CHAIN, np.random.default_rng(0), look_for_effects=False)

@@ -55,6 +55,16 @@ def test_six_returns_make_a_floor(count: int, known: bool) -> None:
     assert got.returns == count
 
 
+def test_a_rejected_visit_of_six_leaves_five_that_tell() -> None:
+    """The arm was there and back; two rejected ones of six, or one of five, are too few."""
+    for count, rejected, known in ((6, 1, True), (6, 2, False), (5, 1, False)):
+        samples = visited(2, 60, count)
+        wrong = np.zeros(len(samples), bool)
+        wrong[[rows[1] for rows in returns_of(samples)[:rejected]]] = True
+        got = floors(noise(samples, np.random.default_rng(0)), samples, wrong, None)
+        assert (got.position is not None) == known == (got.rotation is not None)
+
+
 @pytest.mark.slow
 def test_the_interval_holds_what_was_planted() -> None:
     """200 draws of white noise, and of noise along one axis, which says a third as much."""

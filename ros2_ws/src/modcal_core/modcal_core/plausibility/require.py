@@ -39,6 +39,7 @@ LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
 _PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
+_WANDER = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
 _SCREENED = 4  # mistakes of several joints that are fitted
 _MOST = 300  # samples are enough to tell
 
@@ -85,6 +86,13 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     described = wrong_description(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
+    if (wander := _wander(samples)) > _WANDER * missed:
+        raise BadRecording(
+            "readings",
+            f"go on moving while the joints stand still, by {1e3 * wander:.3g} mm at the usual station; {said}",
+            "see whether the tracker filters, averages or repeats its last readings, or is late, and wait until it has "
+            "settled; see whether both clocks agree",
+        )
     if beside := moving_beside(samples):
         raise BadRecording(
             "joint states and readings",
@@ -97,6 +105,13 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         said,
         "check that the URDF, --base and --tip are those of this robot, and that joint and tracker clocks agree",
     )
+
+
+def _wander(samples: Samples) -> float:
+    """How far readings move within a station [m], the median; correlated ones, which no mean over a station removes."""
+    sigma = samples.sigma_position[(samples.is_pose | (samples.kind == "point")) & ~samples.moving]
+    known = np.isfinite(sigma)
+    return float(np.median(sigma[known])) if len(sigma) and known.mean() > 0.5 else 0.0
 
 
 def _weighed(

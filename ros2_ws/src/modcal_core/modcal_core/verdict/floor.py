@@ -68,8 +68,11 @@ def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: State
     """
     stated = stated or Stated()
     visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
+    # a visit that was rejected shows no floor, and one of six leaves the others as they are
+    spared = len(visits) == LEAST_RETURNS - 1 and len(returns_of(samples)) >= LEAST_RETURNS
+    least = LEAST_RETURNS - int(spared)
     residual = 1e3 * residuals.position
-    position = _of_returns(residual, visits, stated.instrument_mm)
+    position = _of_returns(residual, visits, stated.instrument_mm, least)
     told = _stated(stated.rms_mm, stated.instrument_mm)
     against = (*_jumps(residual, visits, "mm"), *_beyond(position, told, "mm"))
     rotation = turned = None
@@ -78,7 +81,7 @@ def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: State
         angles[samples.is_pose] = np.degrees(residuals.rotation)
         posed = tuple(rows[samples.is_pose[rows]] for rows in visits)
         posed = tuple(rows for rows in posed if len(rows) > 1)
-        rotation = _of_returns(angles, posed, stated.instrument_deg)
+        rotation = _of_returns(angles, posed, stated.instrument_deg, least)
         turned = _stated(stated.repeatability_deg, stated.instrument_deg)
         against = (*against, *_jumps(angles, posed, "°"), *_beyond(rotation, turned, "°"))
     return Floors(position or told, rotation or turned, len(visits), against)
@@ -139,9 +142,11 @@ def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.nd
     return tuple(found)
 
 
-def _of_returns(residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None) -> Floor | None:
-    """The floor of residuals (N, 3) [mm or deg] by these visits, None where they are too few."""
-    if len(visits) < LEAST_RETURNS:
+def _of_returns(
+    residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None, least: int = LEAST_RETURNS
+) -> Floor | None:
+    """The floor of residuals (N, 3) [mm or deg] by these visits, None where they are fewer than the least."""
+    if len(visits) < least:
         return None
     scatter, freedom = _scatter(residual, visits)
     each = scatter / freedom
