@@ -36,9 +36,9 @@ WRENCH = {
     "wrench.torque": "N m, about the frame's origin",
 }
 TRAJECTORY = {
-    "header.stamp": "0: at once",
+    "header.stamp": "when it was sent",
     "joint_names": "of the arm, base to tip",
-    "points": "positions rad, m and time_from_start; velocities where they are known",
+    "points": "one: positions, rad, m, and time_from_start",
 }
 URDF = {"data": "a URDF; sent once and kept for whoever comes later"}
 TEMPERATURE = {
@@ -63,7 +63,7 @@ MEANINGS: dict[str, dict[str, str]] = {
     },
     "calibration": {"data": "text of a calibration.yaml, such as the calibrator's `~/calibration`"},
     "desired_pose": {
-        "header.stamp": "when it was asked for; too old is refused",
+        "header.stamp": "when it was asked for; too old is refused; 0: now",
         "header.frame_id": "base link, or empty, or a tracker's frame that was calibrated",
         "pose.position": "where the target is to be in truth, m",
         "pose.orientation": "unit quaternion; anything else is refused",
@@ -90,8 +90,11 @@ MEANINGS: dict[str, dict[str, str]] = {
         "header.stamp": "of the joint states it follows from",
         "name": "joints of the calibration",
         "position": "true positions, with what effects do along the joints' axes, rad, m",
+        "velocity": "as they were reported",
     },
-    "corrector ~/joint_trajectory": {**TRAJECTORY, "points": "one point that brings the target to the desired pose"},
+    "corrector ~/joint_trajectory": {
+        **TRAJECTORY, "points": "one: the positions, rad, m, that bring the target to the desired pose, and time_from_start",
+    },
     "corrector ~/pose": {
         **OWN_POSE,
         "pose.pose": "true pose of the target",
@@ -99,9 +102,10 @@ MEANINGS: dict[str, dict[str, str]] = {
     },
     "corrector ~/robot_description": {"data": "the corrected URDF, beside the nominal one"},
     "articulation_estimator ~/expected_pose": {
-        **OWN_POSE, "pose": "where the handle will be `lookahead_m` further on its path",
+        "header.stamp": "of the pose it follows from", "header.frame_id": "as of the input: base link, or the tracker's frame",
+        "pose": "where the handle will be `lookahead_m` further on its path",
     },
-    "articulation_estimator ~/object_axis": MARKERS,
+    "articulation_estimator ~/object_axis": {"markers": "axis and path, in the frame of the input; sent while someone listens"},
     "articulation_estimator ~/object_description": {"data": "the object as a URDF with one joint, `object_joint`; empty: forgotten"},
     "articulation_estimator ~/object_state": {
         "header.stamp": "of the pose it follows from",
@@ -112,12 +116,12 @@ MEANINGS: dict[str, dict[str, str]] = {
         "header.stamp": "of the pose it follows from",
         "status": "kind, probabilities, trusted or not, error of the last prediction, event (locked, jammed, changed)",
     },
-    "impedance_setpoint object_description": {"data": "of the estimator"},
+    "impedance_setpoint object_description": {"data": "of the estimator, a URDF of one joint; empty: no object"},
     "impedance_setpoint object_status": {"header.stamp": "its age counts", "status": "of the estimator: kind, trusted, event"},
     "impedance_setpoint ~/joint_references": {
         "positions": "of the arm's joints, base to tip, rad, m",
         "velocities": "rad/s, m/s",
-        "time_from_start": "0",
+        "time_from_start": "one period of the node's rate",
     },
     "impedance_setpoint ~/joint_trajectory": TRAJECTORY,
     "impedance_setpoint ~/target_pose": {
@@ -153,16 +157,20 @@ MEANINGS: dict[str, dict[str, str]] = {
     "simulated_cell ~/true_tool_in_base": {
         **POSE, "header.frame_id": "base link", "pose.orientation": "without noise",
     },
-    "simulated_furniture joint_references": {"positions": "of the arm's joints, rad", "velocities": "rad/s"},
-    "simulated_furniture joint_trajectory": {"joint_names": "of the arm", "points": "the first is followed"},
+    "simulated_furniture joint_references": {"positions": "of the arm's joints, base to tip, rad; the other fields are not looked at"},
+    "simulated_furniture joint_trajectory": {"joint_names": "of the arm", "points": "positions and time_from_start"},
     "simulated_furniture ~/contact_force": {
-        "header.stamp": STAMP, "header.frame_id": "the handle", "wrench": "what hand and handle exert on each other, N, N m",
+        "header.stamp": STAMP, "header.frame_id": "the handle", "wrench": "the largest that hand and handle exerted on each other since the last message, N, N m",
     },
     "simulated_furniture ~/object_truth": {
         "header.stamp": STAMP, "name": "the object's joint", "position": "how far it is open in truth, rad, m",
     },
     "door_demo simulated_furniture/object_truth": {"position": "how far it is open in truth, rad, m", "name": "not looked at"},
-    "trajectory_sender ~/joint_trajectory": TRAJECTORY,
+    "trajectory_sender ~/joint_trajectory": {
+        "header.stamp": "0: from now on",
+        "joint_names": "as in the file",
+        "points": "the whole trajectory: positions, rad, m, velocities 0, time_from_start",
+    },
 }  # fmt: skip
 SERVICES = {
     "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",
