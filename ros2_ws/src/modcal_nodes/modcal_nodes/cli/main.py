@@ -45,7 +45,7 @@ VERBS = {
 GROUPS = {
     "Prepare a measurement": ("sensitivity", "plan", "limits", "simulate"),
     "Get and look at a recording": ("import", "info", "repair"),
-    "Calibrate": ("calibrate", "evaluate", "fleet"),
+    "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
     "Use the result": ("export", "watch"),
     "Doors and drawers": ("articulate", "door"),
     "Arms made of modules": ("synthesize", "assemble", "modules"),
