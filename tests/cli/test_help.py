@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import click
 import pytest
 
-from modcal_nodes.cli.main import VERBS, modcal, run
+from modcal_nodes.cli.main import GROUPS, VERBS, modcal, run
 
 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
@@ -17,6 +18,42 @@ def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     for verb, (_, _, said) in VERBS.items():
         assert verb in listed
         assert said in " ".join(listed.split())
+
+
+def test_every_verb_stands_in_one_group() -> None:
+    assert sorted(verb for verbs in GROUPS.values() for verb in verbs) == sorted(VERBS)
+
+
+def completed(*words: str) -> set[str]:
+    """What a shell offers for the last of these words, as Click's script for bash asks for it."""
+    asked = {
+        **os.environ,
+        "COMP_WORDS": " ".join(("modcal", *words)),
+        "COMP_CWORD": str(len(words)),
+        "_MODCAL_COMPLETE": "bash_complete",
+    }
+    ask = "from modcal_nodes.cli.main import main; main()"
+    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, env=asked).stdout
+    return {line.partition(",")[2] for line in out.splitlines()}
+
+
+def test_a_shell_completes_verbs_options_and_choices() -> None:
+    assert completed("ca") == {"calibrate"}
+    assert completed("calibrate", "--tol") == {"--tolerance-mm", "--tolerance-of"}
+    assert completed("calibrate", "--tolerance-of", "p") == {"p95"}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_a_shell(shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert f"_MODCAL_COMPLETE={shell}_complete" in said
+    monkeypatch.setenv("SHELL", f"/usr/bin/{shell}")
+    assert run(["completion"]) == 0
+    assert capsys.readouterr().out == said
+    monkeypatch.setenv("SHELL", "/bin/tcsh")
+    assert run(["completion"]) == 2
+    assert "shell 'tcsh': has no completion script: give one of bash" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,8 +11,22 @@ from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.sentence import MAX_REASONS, sentence
 from modcal_core.verdict.verdict import Status
 
-Tone = Literal["plain", "doubt", "good", "bad", "undecided", "reason"]
+Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
 TONES: dict[Status, Tone] = {"at_floor": "good", "open": "bad", "cannot_tell": "undecided"}
+# What stands in the tables, below them
+_STAGES = {
+    "nominal": "the robot description, base and tool fitted",
+    "geometric": "lengths, angles and joint zeros corrected",
+    "final": "the effects below as well",
+}
+_EFFECTS = {
+    "place": "where the error arises",
+    "direction": "the way it moves the arm there",
+    "driver": "what its size depends on",
+    "p": "probability of as much by chance, after everything that was tried",
+    "RMS": "held-out error without the effect and with it",
+}
+_SHARES = {"share": "of the squared error of the nominal model"}
 _RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
 
 
@@ -54,23 +68,32 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
             rows.append((stage, *numbers, "" if angle is None else f"{angle.rms:.4f}"))
     names = ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg")
     yield SummaryTable((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
+    yield _legend({stage: said for stage, said in _STAGES.items() if any(row[0] == stage for row in rows)})
     seen = report.identifiability
     if seen is not None:
-        yield SummaryLine(f"{seen.parameters} parameters, rank {seen.rank}, condition {seen.condition:.0f}")
+        said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
+        yield SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)")
         for name in seen.unobservable:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
         yield _effects(report)
+        yield _legend(_EFFECTS)
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
-    yield from map(_account, accounts(report.judged))
+    for one in accounts(report.judged):
+        yield _account(one)
+        yield _legend(_SHARES)
     yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")
     if report.tolerance is not None:
         met = report.tolerance
         yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
+
+
+def _legend(meanings: Mapping[str, str]) -> SummaryLine:
+    return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
 
 
 def _account(one: Account) -> SummaryTable:

@@ -10,16 +10,13 @@ import click
 import numpy as np
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
-from modcal_core.articulation.urdf import describe
 from modcal_core.errors import BadRecording, BadTable
-from modcal_core.files import to_json, write_folder
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
-from modcal_core.report.articulation import Articulation, to_html, to_json_data
+from modcal_core.report.articulation import Articulation
 from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
@@ -27,10 +24,10 @@ from modcal_msgs_py.mcap_read import list_topics, read_bag
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.robot import arm_line, chain_line, described
+from modcal_nodes.io.articulated import write_articulation
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_URDF = "object.urdf"
 _MOST = 2000  # samples; of more, evenly chosen ones say the same
 
 
@@ -103,21 +100,9 @@ def articulate_command(
         watch("weighing the kinds of joint")
         choice = choose(track, np.random.default_rng(seed))
     found = Articulation(bag.name, read.frame, track, choice)
-    data = to_json_data(found)
     out = out or Path(f"{bag.resolve().stem}_articulation")
-    files = {"articulation.json": to_json(data), "report.html": to_html(found)}
-    said = [read.arm] * bool(read.arm) + [data["verdict"]]
-    if isinstance(model := choice.fit.model, JointModel):
-        reach = data["configuration"]
-        limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
-        files[_URDF] = describe(model, read.frame or "world", "object_handle", limits)
-    else:
-        said.append(
-            f"No {_URDF}: a URDF has no joint that moves like a {choice.kind}; articulation.json says how it moves."
-        )
-    write_folder(out, files)
-    if _URDF not in files:  # one of an earlier call would tell of another joint
-        (out / _URDF).unlink(missing_ok=True)
+    data, files, said = write_articulation(found, out)
+    said = [read.arm] * bool(read.arm) + said
     output.result(data, partial(say, said), written(out, files))
 
 

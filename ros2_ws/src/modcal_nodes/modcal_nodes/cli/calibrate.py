@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
+from rich.console import Console
 
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration
@@ -22,7 +22,8 @@ from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import read_cell, read_topics, stated_from
@@ -158,7 +159,7 @@ def calibrate_command(
             files |= certificate_files(done.result.report, stated, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, files)
-    return _say(done.result.report, out, output)
+    return _say(done.result.report, arm_line(done.result.robot), written(out, files), output)
 
 
 @click.command("evaluate")
@@ -215,7 +216,8 @@ def evaluate_command(
             files |= certificate_files(report, _stated(cell_file, samples, stated), said, hashes, own)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, files)
-    return _say(report, out, output)
+    arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
+    return _say(report, arm, written(out, files), output)
 
 
 def _stated(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:
@@ -224,7 +226,12 @@ def _stated(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]
     return read_cell(cell_file, stated=stated_from(options)).stated.over(own)
 
 
-def _say(report: Report, out: Path, output: Output) -> int:
+def _say(report: Report, arm: str, where: str, output: Output) -> int:
     """Show the report; returns the exit code."""
-    output.result(to_json_data(report), partial(show_report, report), f"Report: {out / 'report.html'}")
+
+    def show(console: Console) -> None:
+        tell([arm], console)
+        show_report(report, console)
+
+    output.result(to_json_data(report), show, where)
     return 0 if report.tolerance is None or report.tolerance.result == "PASS" else UNMET

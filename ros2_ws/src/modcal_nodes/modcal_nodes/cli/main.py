@@ -38,15 +38,16 @@ VERBS = {
     "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
     "watch": ("watch", "watch_command", "Show the status of all nodes of a cell, live."),
     "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
+    "door": ("door", "door_command", "Open a simulated door or drawer with the nodes, and report."),
     "completion": ("completion", "completion_command", "Print the script for completion in bash, zsh or fish."),
 }
 # The same in the order of work, as the list shows them
 GROUPS = {
     "Prepare a measurement": ("sensitivity", "plan", "limits", "simulate"),
     "Get and look at a recording": ("import", "info", "repair"),
-    "Calibrate": ("calibrate", "evaluate", "fleet"),
+    "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
     "Use the result": ("export", "watch"),
-    "Doors and drawers": ("articulate",),
+    "Doors and drawers": ("articulate", "door"),
     "Arms made of modules": ("synthesize", "assemble", "modules"),
     "Shell": ("completion",),
 }

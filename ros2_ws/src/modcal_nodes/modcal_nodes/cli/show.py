@@ -13,6 +13,7 @@ from modcal_core.verdict.verdict import Status
 
 STYLES: dict[Tone, str] = {
     "plain": "",
+    "legend": "dim",
     "doubt": "yellow",
     "good": "bold green",
     "bad": "bold red",

@@ -9,10 +9,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
@@ -21,7 +24,8 @@ from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
 from modcal_nodes.ros.health import OK, Health, Status
 from modcal_nodes.ros.launch_files import LAUNCHES
 from modcal_nodes.ros.parameters import DOOR_DEMO
-from modcal_nodes.ros.running import run
+from modcal_nodes.ros.running import FRESH, LATCHED, run
+from modcal_nodes.simulation.learned import PullRecord
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
 _KINDS = ("door", "drawer")
@@ -37,11 +41,16 @@ class DoorDemo(GuardedNode):
         if self._chosen["kind"] not in _KINDS:
             raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
         self._opened, self._pulls, self._over = 0.0, False, False
+        self._record = PullRecord()
         self._begun = self._asked = time.monotonic()
         self._answer = None
         self._pull = self.create_client(Trigger, "impedance_setpoint/pull")
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
+        self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
+        if self._chosen["out"]:
+            self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), LATCHED)
+            self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
         Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waiting for the pull to begin")])
@@ -72,6 +81,15 @@ class DoorDemo(GuardedNode):
     def _hear_truth(self, message: JointState) -> None:
         self._opened = float(message.position[0])
 
+    def _hear_force(self, message: WrenchStamped) -> None:
+        force = message.wrench.force
+        self._record.feel(np.array([force.x, force.y, force.z]))
+
+    def _hear_joints(self, message: JointState) -> None:
+        if self._pulls and not self._over:
+            stamp = message.header.stamp
+            self._record.take(list(message.name), list(message.position), stamp.sec + 1e-9 * stamp.nanosec)
+
     def _hear_health(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == self._setpoint:
@@ -85,10 +103,12 @@ class DoorDemo(GuardedNode):
         """Ask for the pull until it begins; end when it is over."""
         if self._over:
             unit = "rad" if self._chosen["kind"] == "door" else "m"
-            said = f"{self._said}; in truth it is open by {self._opened:.3f} {unit}"
+            said = f"{self._said}; in truth it is open by {self._opened:.3f} {unit}, "
+            said += f"the handle was held with {self._record.force:.0f} N at most"
             if not self._went_well:
                 raise NodeEnds(BadCommand(f"{self._chosen['kind']} {self._chosen['seed']}", said, "try another seed"))
-            self.get_logger().info(said)
+            for line in self._learned(said):
+                self.get_logger().info(line)
             raise SystemExit(0)
         now = time.monotonic()
         if now - self._begun > self._chosen["patience_s"]:
@@ -99,6 +119,12 @@ class DoorDemo(GuardedNode):
         if not self._pulls and now - self._asked > _AGAIN and self._pull.service_is_ready():
             self._asked = now
             self._pull.call_async(Trigger.Request())  # refused until everything has been heard
+
+    def _learned(self, outcome: str) -> tuple[str, ...]:
+        """How it ended, and what was learned of the object, which a folder is left with where one is named."""
+        if not self._chosen["out"]:
+            return (outcome,)
+        return self._record.write(f"{self._chosen['kind']} {self._chosen['seed']}", outcome, Path(self._chosen["out"]))
 
     def close(self) -> None:
         """End the nodes that were started."""

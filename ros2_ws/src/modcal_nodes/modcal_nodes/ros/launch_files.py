@@ -155,6 +155,7 @@ LAUNCHES: dict[str, Launch] = {
         (
             _sets("kind", "door or drawer", "simulated_furniture", default="door"),
             _sets("seed", "seed of the object, its place and the noise", "simulated_furniture", default="0"),
+            _sets("out", "folder of the page about what was learned; empty: none", "door_demo"),
         ),
         {
             "simulated_furniture": {"urdf": "robots/panda.urdf"},

@@ -282,6 +282,7 @@ DOOR_DEMO = {
     "kind": Parameter("door", "Object to open: door or drawer."),
     "seed": Parameter(0, "Seed of the object, its place and the noise.", 0, 2**31 - 1),
     "patience_s": Parameter(90.0, "Time after which the demo is aborted [s].", 5.0, 3600.0),
+    "out": Parameter("", "Folder of the page about what was learned of the object; empty: none is written."),
 }
 
 TRAJECTORY_SENDER = {
