@@ -88,7 +88,8 @@ def _line(row: Row, total: float, known: bool) -> Line:
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     """A bar a row on a logarithmic axis, hatched where negative, with whiskers for the interval."""
     height = 0.6 + 0.22 * len(lines)
-    figure, axes = small(5.4, height, left=2.0)
+    longest = max(len(line.words) for line in lines)
+    figure, axes = small(3.4 + 0.075 * longest, height, left=0.3 + 0.07 * longest)
     most = max(abs(line.value) for line in lines) or 1.0
     least = _MIN_DECADE * most
     for k, line in enumerate(lines):

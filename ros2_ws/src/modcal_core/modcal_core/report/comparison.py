@@ -21,16 +21,18 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import exact_samples
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.errors import BadRobot, NotEnoughData
-from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.gauge import gauge as taken_by
+from modcal_core.report.gauge import twists, without
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
 _MOST = 300  # postures; the differences are smooth, and more say the same
 _DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it
 _TAIL = 0.05
+_OWN = 0.02  # of what a parameter moves the tool by; less is the tilt of a calibrated axis against the nominal one
 _NORMAL = 1.96  # deviations of a 95 % interval
 
 
@@ -62,7 +64,8 @@ class Side:
 class ParameterDifference:
     """A parameter of both: values and standard deviations [unit]; None in one where it was not fitted there.
 
-    shown: whether the difference is more than the uncertainty of both, at 95 % for all parameters together.
+    shown: whether the difference is more than the uncertainty of both, at 95 % for all parameters together; None where
+    that cannot be asked: in one only, or a motion that base or tool can take up.
     """
 
     name: str
@@ -96,9 +99,11 @@ class ToolDifference:
     """What the two models differ by at the tool, second less first, in the arm's base.
 
     q: postures (N, n). points: where the tool is (N, 3) [m]. apart: (N, 3) [m], base and tool fitted to each other.
-    size_mm, size_deg: of that, None for readings without orientations. as_they_are_mm: of the arms from base link to tip, nothing fitted. expected_mm: what
-    the uncertainty of both explains, 95 % quantile of the RMS; None where one of them does not keep its uncertainty.
-    left_out: effects of either that postures alone do not determine.
+    size_mm, size_deg: of that, None for readings without orientations. as_they_are_mm: of the arms from base link to
+    tip, nothing fitted. expected_mm: what the uncertainty of both explains, 95 % quantile of the RMS; None where one of
+    them does not keep its uncertainty.
+    left_out: effects of either that postures alone do not determine. of_base_or_tool: parameters that base and tool
+    can take up, so that their values may differ between sessions and the arm be the same.
     """
 
     q: Array
@@ -109,6 +114,7 @@ class ToolDifference:
     as_they_are_mm: ErrorSize
     expected_mm: float | None
     left_out: tuple[str, ...]
+    of_base_or_tool: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -148,7 +154,7 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Com
         result=result,
         sentence=sentence,
         tolerance_mm=tolerance_mm,
-        parameters=_parameters(first, second),
+        parameters=_parameters(first, second, frozenset() if tool is None else tool.of_base_or_tool),
         effects=_effects(first, second),
         tool=tool,
         notes=_notes(first, second, tool),
@@ -168,8 +174,8 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
     models = (one, replace(two, T_tip_tool=one.T_tip_tool))
     samples = tuple(_samples(model, q) for model in models)
     T = [model.predict_samples(at) for model, at in zip(models, samples, strict=True)]
-    gauge = _gauge(T[0], turns)
-    left = _without(_twist(T[0], T[1])[:, : 6 if turns else 3], gauge)
+    taken = taken_by(T[0], turns)
+    left = without(twists(T[0], T[1])[:, : 6 if turns else 3], taken)
     bare = [replace(model, T_tip_tool=np.eye(4)) for model in models]
     tips = [model.predict_samples(at)[:, :3, 3] for model, at in zip(bare, samples, strict=True)]
     mm = ErrorSize.of(1e3 * np.linalg.norm(left[:, :3], axis=1))
@@ -183,8 +189,9 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
         size_mm=mm,
         size_deg=ErrorSize.of(np.degrees(np.linalg.norm(left[:, 3:], axis=1))) if turns else None,
         as_they_are_mm=raw,
-        expected_mm=_expected((first, second), models, samples, gauge),
+        expected_mm=_expected((first, second), models, samples, taken),
         left_out=tuple(dict.fromkeys((*left_one, *left_two))),
+        of_base_or_tool=_taken_up(first, models[0], samples[0], taken),
     )
 
 
@@ -201,46 +208,40 @@ def _samples(model: Model, q: Array) -> Samples:
     return exact_samples(model, q, np.zeros(len(q), int), np.full(len(q), POSE, dtype=KIND_NAMES))
 
 
-def _twist(T: Array, to: Array) -> Array:
-    """Small motions (N, 6) that take poses T to others, as the base sees them: shift at the tool, turn."""
-    turn = so3.log(to[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-    return np.c_[to[:, :3, 3] - T[:, :3, 3], turn]
-
-
-def _gauge(T: Array, turns: bool) -> Array:
-    """What small motions of base and tool do at poses T, (N, 6, 12); of positions alone (N, 3, 12)."""
-    out = np.zeros((len(T), 6, 12))
-    out[:, :3, :3] = out[:, 3:, 3:6] = np.eye(3)
-    out[:, :3, 3:6] = -so3.hat(T[:, :3, 3])  # the base turns about its origin
-    out[:, :3, 6:9] = out[:, 3:, 9:12] = T[:, :3, :3]
-    return out if turns else out[:, :3]
-
-
-def _without(twists: Array, gauge: Array) -> Array:
-    """Twists (..., N, 6), or shifts, less what base and tool can take up; a turn of 1 rad counts as much as 1 m."""
-    rows = gauge.shape[0] * gauge.shape[1]
-    flat = twists.reshape(*twists.shape[:-2], rows)
-    basis = np.linalg.svd(gauge.reshape(rows, 12), full_matrices=False)
-    kept = basis[0][:, basis[1] > 1e-9 * basis[1][0]]
-    return np.asarray((flat - (flat @ kept) @ kept.T).reshape(twists.shape))
-
-
 def _expected(
     calibrations: tuple[Calibration, Calibration],
     models: tuple[Model, ...],
     samples: tuple[Samples, ...],
-    gauge: Array,
+    taken: Array,
 ) -> float | None:
     """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
     rng = np.random.default_rng(0)  # the same calibrations give the same bytes
-    total = np.zeros((_DRAWS, *gauge.shape[:2]))
+    total = np.zeros((_DRAWS, *taken.shape[:2]))
     for calibration, model, at in zip(calibrations, models, samples, strict=True):
         moved = _drawn(calibration, model, at, rng)
         if moved is None:
             return None
-        total = total + moved[:, :, : gauge.shape[1]]
-    left = _without(total, gauge)[..., :3]
+        total = total + moved[:, :, : taken.shape[1]]
+    left = without(total, taken)[..., :3]
     return 1e3 * float(np.quantile(np.sqrt(np.mean(np.sum(left**2, axis=-1), axis=-1)), 1.0 - _TAIL))
+
+
+def _taken_up(calibration: Calibration, model: Model, at: Samples, taken: Array) -> frozenset[str]:
+    """Names of the parameters that change nothing at the tool which base and tool could not."""
+    if calibration.uncertainty is None:
+        return frozenset()
+    parameters = tuple(p for p in calibration.uncertainty.parameters if p.instrument < 0)
+    moved = _at_tool(model, linearise(model, parameters, np.zeros(len(parameters)), at).J)[..., : taken.shape[1]]
+    left = np.linalg.norm(without(moved, taken), axis=(1, 2))
+    all_of_it = np.linalg.norm(moved, axis=(1, 2))
+    return frozenset(p.name for p, rest, whole in zip(parameters, left, all_of_it, strict=True) if rest < _OWN * whole)
+
+
+def _at_tool(model: Model, J: Array) -> Array:
+    """Derivatives (K, 6 N) as seen from the root, as motions of the base (K, N, 6)."""
+    R = model.chain.T_base_root[:3, :3]
+    parts = J.reshape(len(J), 2, 3, -1)
+    return np.asarray(np.einsum("ij,kpjn->knpi", R, parts).reshape(len(J), parts.shape[-1], 6))
 
 
 def _drawn(calibration: Calibration, model: Model, at: Samples, rng: np.random.Generator) -> Array | None:
@@ -255,16 +256,14 @@ def _drawn(calibration: Calibration, model: Model, at: Samples, rng: np.random.G
         index += range(here, here + len(effect.values)) if not outside_drivers(effect) else ()
         here += len(effect.values)
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
-    J = linearise(model, parameters, values, at).J.reshape(len(index), 6, -1)
+    J = _at_tool(model, linearise(model, parameters, values, at).J)
     C = known.covariance[np.ix_(index, index)]
     size, axes = np.linalg.eigh(C)
     draws = rng.standard_normal((_DRAWS, len(index))) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
-    R = model.chain.T_base_root[:3, :3]  # derivatives are seen from the root
-    J = np.concatenate([np.einsum("ij,kjn->kin", R, J[:, rows]) for rows in (slice(3), slice(3, 6))], axis=1)
-    return np.asarray(np.tensordot(draws, J, 1).transpose(0, 2, 1))
+    return np.asarray(np.tensordot(draws, J, 1))
 
 
-def _parameters(first: Side, second: Side) -> tuple[ParameterDifference, ...]:
+def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> tuple[ParameterDifference, ...]:
     """Those of the arm in the order of the chain, then base, tool and instruments."""
     tables = [{name: (value, std, unit) for name, value, std, unit in side.parameters} for side in (first, second)]
     names = list(dict.fromkeys([*tables[0], *tables[1]]))
@@ -277,7 +276,8 @@ def _parameters(first: Side, second: Side) -> tuple[ParameterDifference, ...]:
         unit = next(row[2] for row in rows if row is not None)
         one, two = (None if row is None else (row[0], row[1]) for row in rows)
         shown = None
-        if one is not None and two is not None and (std := np.hypot(one[1], two[1])) > 0.0:
+        own = name not in of_base_or_tool
+        if own and one is not None and two is not None and (std := np.hypot(one[1], two[1])) > 0.0:
             shown = bool(abs(two[0] - one[0]) > limit * std)
         out.append(ParameterDifference(name, unit, one, two, shown))
     return tuple(out)
@@ -398,6 +398,7 @@ def to_json_data(found: Comparison) -> dict[str, Any]:
             "base_to_tip_as_they_are_mm": asdict(tool.as_they_are_mm),
             "left_out": list(tool.left_out),
         },
+        "of_base_or_tool": [] if tool is None else sorted(tool.of_base_or_tool),
         "parameters": [
             {
                 "name": p.name,

@@ -53,7 +53,7 @@ def summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
     header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
     out.append(SummaryTable(header, tuple(rows)))
     for title, unit, factor, part in _parts(found):
-        ranked = sorted(part, key=lambda p: -abs(p.difference or 0.0) / (p.std or np.inf))[:_LARGEST]
+        ranked = sorted(part, key=_by_weight)[:_LARGEST]
         lines = tuple(_cells(p, factor) for p in ranked)
         if lines:
             head = (f"{title.lower()}, {unit}", *names, "difference", "95 % interval", "shown")
@@ -67,6 +67,11 @@ def summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
     tones: dict[str, Tone] = {"good": "good", "bad": "bad"}
     out.append(SummaryLine(found.sentence, tones.get(TONES.get(found.result, ""), "undecided")))
     return tuple(out)
+
+
+def _by_weight(p: ParameterDifference) -> tuple[bool, float]:
+    """What is shown first, the largest for its uncertainty before the others."""
+    return p.shown is None, -abs(p.difference or 0.0) / (p.std or np.inf)
 
 
 def _parts(found: Comparison) -> list[tuple[str, str, float, list[ParameterDifference]]]:
@@ -87,15 +92,21 @@ def _cells(p: ParameterDifference, factor: float) -> tuple[str, ...]:
     if p.difference is not None and p.std is not None:
         low, high = (factor * (p.difference + k * 1.96 * p.std) for k in (-1.0, 1.0))
         span = f"{low:.4f} … {high:.4f}"
-    return p.name, said(p.first), said(p.second), difference, span, {True: "yes", False: "no", None: ""}[p.shown]
+    return (
+        p.name,
+        said(p.first),
+        said(p.second),
+        difference,
+        span,
+        {True: "yes", False: "no", None: "" if p.difference is None else "of base or tool"}[p.shown],
+    )
 
 
 def _groups(found: Comparison) -> list[dict[str, Any]]:
-    """Tables of parameters, joint offsets before all others."""
+    """Tables of parameters, angles before lengths."""
     out = []
     for title, unit, factor, part in _parts(found):
-        ordered = sorted(part, key=lambda p: not p.name.endswith("/rz")) if unit == "mrad" else part
-        out.append({"title": title, "unit": unit, "rows": [(_cells(p, factor), p.shown) for p in ordered]})
+        out.append({"title": title, "unit": unit, "rows": [(_cells(p, factor), p.shown) for p in part]})
     return sorted(out, key=lambda g: g["unit"] != "mrad")
 
 
@@ -115,6 +126,6 @@ def _charts(found: Comparison) -> list[Chart]:
         margin = 0.04 * max(high - low, 1e-6)
         panel = Panel((low - margin, high + margin), (0.0, 1.1 * max(float(size.max()), 1e-6)))
         panel.hollow(x, size, AFTER, "circle")
-        alt = f"Difference at the tool against the {words}: {tool.size_mm.rms:.3f} mm RMS, {tool.size_mm.max:.3f} mm at most."
+        alt = f"Difference at the tool against the {words}: {tool.size_mm.rms:.3f} mm RMS."
         out.append(panel.chart(f"apart{k}", words, "difference, mm", alt, f"against the {words.partition(',')[0]}"))
     return out

@@ -14,20 +14,25 @@ from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
 
 _POINTS = 1600
+_MOST_SHAPES = 24  # charts; each has some 60 kB
 _MOST_TICKS = 250  # of samples, below the curve
 _UNITS = {"position": "rad or m", "load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
-def effect_shapes(report: ReportContents) -> tuple[Chart, ...]:
-    """A chart for each direction of each effect that follows one number; none of what is a single number."""
+def effect_shapes(report: ReportContents, share: float = 1.0) -> tuple[Chart, ...]:
+    """A chart for each direction of each effect that follows one number; none of what is a single number.
+
+    share: of the charts that there are at most.
+    """
     out: list[Chart] = []
     for finding in report.effects:
         drawn = tuple(e for e in finding.effects if _is_curve(e) and e.driver == finding.effects[0].driver)
         if drawn and report.model is not None:
             driver = report.model.drivers(report.samples).values(drawn[0].driver, drawn[0].lag)
             for component in range(len(component_names(drawn[0]))):
-                out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
+                if len(out) < share * _MOST_SHAPES:
+                    out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
     return tuple(out)
 
 

@@ -125,8 +125,11 @@ def spread_chart(report: ReportContents) -> Chart | None:
     return chart(figure, "spread", alt, words)
 
 
-def timeline(report: ReportContents) -> Chart | None:
-    """The stations in the order of their time, what each was used for, and those that were left out."""
+def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
+    """The stations in the order of their time, what each was used for, and those that were left out.
+
+    share: of the marks that it usually has.
+    """
     samples = report.samples
     if not len(report.residuals) or not len(samples):
         return None
@@ -137,7 +140,7 @@ def timeline(report: ReportContents) -> Chart | None:
     for name, marker, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
-        rows = rows[thinned(len(rows), MOST_POINTS // 3)]
+        rows = rows[thinned(len(rows), int(share * MOST_POINTS / 3.0))]
         said = f"{name.replace('_', '-')} ({sizes[name]})"
         if len(rows):
             axes.semilogy(time[rows], miss[rows], marker, ms=3.0, color=LIGHT[colour], mfc="none", label=said)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +14,18 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.effect_shapes import effect_shapes
 from modcal_core.report.figures import error_histogram, spread_chart, timeline
+from modcal_core.report.joint_offsets import joint_offsets
 from modcal_core.report.page import as_script_data, render
+from modcal_core.report.parameter_tables import parameter_tables
 from modcal_core.report.residuals import comparisons
 from modcal_core.report.scene import scene, still
 from modcal_core.report.sentence import STATUS_WORDS, sentence
 from modcal_core.verdict.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
+MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
+_SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
+_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
 _MOST_COLUMNS = 28  # drivers of a map
 _MOST_LISTED = 30  # stations that were left out
 
@@ -58,14 +63,31 @@ FILES = (
 )
 
 
-def to_html(report: ReportContents, files: Iterable[str] = ()) -> str:
-    """The report as HTML text. files: names of what is written beside it."""
+def to_html(report: ReportContents, files: Iterable[str] = (), calibration: str = "") -> str:
+    """The report as HTML text, below 1 MB. files: names of what is written beside it. calibration: of an evaluation,
+    the name of what was evaluated.
+
+    Where recordings, effects or joints are many, charts are thinned until the page is small enough, and it says so.
+    """
+    beside = tuple(files)
+    for share in _SHARES:
+        page = _page(report, beside, calibration, share)
+        if len(page.encode()) < MAX_BYTES:
+            break
+    return page
+
+
+def _page(report: ReportContents, files: tuple[str, ...], calibration: str, share: float) -> str:
+    """The page with this share of the marks and curves that charts usually have."""
     data = to_json_data(report)
-    drawn = scene(report)
-    beside = set(files)
+    drawn = scene(report, share)
+    kind = "evaluation" if report.searched is None else "calibration"
+    title = f"{report.title}: {kind} report"
+    if report.searched is None and calibration:
+        title = f"{calibration}, evaluated on {report.title}"
     return render(
         "report.html.j2",
-        title=f"{report.title}: {'evaluation' if report.searched is None else 'calibration'} report",
+        title=title,
         verdict=sentence(report),
         tone=TONES[report.status],
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
@@ -75,20 +97,31 @@ def to_html(report: ReportContents, files: Iterable[str] = ()) -> str:
         tiles=_tiles(report, data),
         stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
+        offsets=None if report.model is None else joint_offsets(report.model, report.scored),
+        tables=parameter_tables(report.parameters),
+        sized=_sized,
         scene=None if drawn is None else as_script_data(drawn.to_data()),
         scene_stages=[] if drawn is None else [name for name, _ in drawn.stages],
         postures=0 if drawn is None else len(drawn.paths),
         partly=drawn is not None and drawn.partly,
         still=None if drawn is None else still(drawn),
-        comparisons=comparisons(report),
-        shapes=effect_shapes(report),
+        comparisons=comparisons(report, share),
+        shapes=effect_shapes(report, share),
         maps=_maps(report.evidence),
         spread=spread_chart(report),
-        timeline=timeline(report),
+        timeline=timeline(report, share),
         rejected=_rejected(report),
-        files=[file for file in FILES if file.name in beside],
+        files=[file for file in FILES if file.name in files],
         rivals=any(f["same_as"] for f in data["effects"]),
+        thinned=0 if share == 1.0 else round(100 * share),
     )
+
+
+def _sized(quantity: Mapping[str, Any]) -> str:
+    """A size with its deviation, lengths in mm and angles in mrad."""
+    unit, factor = _UNITS.get(quantity["unit"], (quantity["unit"], 1.0))
+    std = f" ± {factor * quantity['std']:.1g}" if quantity["std"] else ""
+    return f"{factor * quantity['value']:.4g}{std} {'' if unit == '1' else unit}".rstrip()
 
 
 def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]]:
@@ -96,13 +129,15 @@ def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]
     out = []
     before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
     if before and after:
-        out += [("nominal model, RMS", f"{before['rms']:.3f} mm"), ("final model, RMS", f"{after['rms']:.3f} mm")]
+        out += [("position, nominal model, RMS", f"{before['rms']:.3f} mm")]
+        out += [("position, final model, RMS", f"{after['rms']:.3f} mm")]
         rejection = data["rejected_rms_mm"]
         if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
             other = "without" if report.counts_rejected else "with"
             out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
-    if data["error_deg"]["final"]:
-        out.append(("final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
+    if data["error_deg"]["nominal"] and data["error_deg"]["final"]:
+        out.append(("orientation, nominal model, RMS", f"{data['error_deg']['nominal']['rms']:.3g}°"))
+        out.append(("orientation, final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
     floor, recording = data["noise_floor_mm"], data["recording"]
     out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
     if met := data["tolerance"]:

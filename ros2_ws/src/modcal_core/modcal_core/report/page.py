@@ -98,6 +98,7 @@ def _inline(drawn: str, name: str, alt: str) -> str:
         body = body.replace(light, f"var(--{colour})")
     body = body.replace("#000000", "var(--ink)")
     body = re.sub(r">\s+<", "><", body)
+    body = re.sub(r' d="[^"]*"', lambda m: re.sub(r"(\d\.\d\d)\d+", r"\1", m[0]), body)  # a hundredth of a point
     return framed(body, width, height, alt)
 
 

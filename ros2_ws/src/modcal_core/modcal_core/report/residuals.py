@@ -38,13 +38,17 @@ class ChartGroup:
     opened: bool = False
 
 
-def comparisons(report: ReportContents) -> tuple[ChartGroup, ...]:
-    """Before and after geometry, before and after each effect, and what is left at the end."""
+def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup, ...]:
+    """Before and after geometry, before and after each effect, and what is left at the end.
+
+    share: of the dots that charts usually have.
+    """
     if not len(report.scored):
         return ()
     along = axes_of(report)
     pairs = _pairs(report)
     most = max(min(MOST_POINTS // 3, _MOST_DRAWN // (6 * len(along) * len(pairs))), 40)
+    most = max(int(share * most), 20)
     rows = thinned(len(report.scored), most)
     out = []
     for k, (added, before, after) in enumerate(pairs):

@@ -49,19 +49,22 @@ class ReportScene:
         }
 
 
-def scene(report: ReportContents) -> ReportScene | None:
-    """The scene of a report's held-out samples; None where no model or no sample is at hand."""
+def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
+    """The scene of a report's held-out samples; None where no model or no sample is at hand.
+
+    share: of the arrows that are usually drawn.
+    """
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None
-    rows = thinned(len(scored), MOST_ARROWS)
+    rows = thinned(len(scored), int(share * MOST_ARROWS))
     samples = scored.select(rows)
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
     named = [*named[: _MOST_STAGES - 1], *named[-1:]] if len(named) > _MOST_STAGES else named
     stages = tuple((name, _in_base(model, samples, e, rows, indirect)) for name, e in named)
     places = _arms(model, samples)
-    shown = thinned(len(samples), _MOST_POSTURES)
+    shown = thinned(len(samples), max(int(share * _MOST_POSTURES), 8))
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
     return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()))

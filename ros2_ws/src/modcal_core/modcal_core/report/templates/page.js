@@ -22,7 +22,7 @@ document.documentElement.classList.add("js");
     });
   }
 
-  const closed = () => document.querySelectorAll("details:not([open])");
+  const closed = () => document.querySelectorAll("details:not([open]):not(.expert)");
   let opened = [];
   addEventListener("beforeprint", () => { opened = [...closed()]; opened.forEach((d) => { d.open = true; }); });
   addEventListener("afterprint", () => opened.forEach((d) => { d.open = false; }));
