@@ -1,4 +1,4 @@
-"""A family is one file, in the house as in a package: the same file is found in both, and enters in the same way."""
+"""A family is one file, built in as in a package: the same file is found in both, and enters in the same way."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ PROGRAM = """
 import json, sys
 import numpy as np
 if sys.argv[1:]:
-    from modcal_core.effects import families as house
-    house.__path__.append(sys.argv[1])
+    from modcal_core.effects import families as built_in
+    built_in.__path__.append(sys.argv[1])
 from cells import record, ur10
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import columns, prior_stds
@@ -75,17 +75,17 @@ def told(folder: Path, *arguments: str, path: tuple[str, ...] = ()) -> dict[str,
 
 
 @pytest.mark.slow
-def test_one_file_is_a_family_in_the_house_and_in_a_package(tmp_path: Path) -> None:
-    house, package = tmp_path / "house", tmp_path / "package"
+def test_one_file_is_a_family_built_in_and_in_a_package(tmp_path: Path) -> None:
+    built_in, package = tmp_path / "built_in", tmp_path / "package"
     info = package / "stick-1.0.dist-info"
-    for folder in (house, info):
+    for folder in (built_in, info):
         folder.mkdir(parents=True)
-    (house / "stick.py").write_text(FILE)
+    (built_in / "stick.py").write_text(FILE)
     (package / "stick.py").write_text(FILE)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stick\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[modcal.effects]\nstick = stick:FAMILY\n")
 
-    inside = told(tmp_path, str(house))
+    inside = told(tmp_path, str(built_in))
     assert inside["families"][-1] == "stick"  # behind those of the list, which decide between equals
     assert (inside["count"], inside["complexity"], inside["right"]) == (6, 0, True)
     assert inside["said"] == "elbow_joint sticks by 0.3 mrad"

@@ -103,11 +103,11 @@ def test_effects_go_in_no_circle() -> None:
 
 def test_a_file_is_one_family_of_the_report() -> None:
     """The names are a contract of report.json and calibration.yaml."""
-    house = {path.stem for path in (SRC / "modcal_core/modcal_core" / FAMILIES).glob("*.py")} - {"__init__"}
+    built_in = {path.stem for path in (SRC / "modcal_core/modcal_core" / FAMILIES).glob("*.py")} - {"__init__"}
     contract = {
         *("compliance", "gear_harmonic", "gear_ratio", "backlash", "coupling", "axis_wobble", "thermal", "drift"),
         *("step", "payload", "latency", "joint_lag", "scale", "outliers", "unknown"),
     }
-    assert house == contract
+    assert built_in == contract
     assert contract <= set(families())
     assert all(name == family.name for name, family in families().items())

@@ -159,6 +159,6 @@ def corrected_urdf(robot: CalibratedRobot, description: str) -> str:
 
 
 def finite(*arrays: Array) -> None:
-    """Raises BadCommand unless all numbers are finite: nothing else may leave the house."""
+    """Raises BadCommand unless all numbers are finite: nothing else may reach an arm."""
     if not all(np.isfinite(a).all() for a in arrays):
         raise BadCommand("corrected pose", "is not finite", "calibrate again")

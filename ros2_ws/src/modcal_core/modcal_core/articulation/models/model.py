@@ -2,7 +2,7 @@
 
 A type is an instance of a class derived from :class:`ArticulationModel`; most packages derive from
 :class:`~modcal_core.articulation.models.parametric.ParametricModel`, for which a function of the configuration is
-enough. The house's own types and a package's are registered, fitted and weighed in the same way.
+enough. The built-in types and a package's are registered, fitted and weighed in the same way.
 """
 
 from __future__ import annotations

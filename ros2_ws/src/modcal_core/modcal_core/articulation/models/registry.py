@@ -32,7 +32,7 @@ _MOST_SHARE = 0.5  # of all that moves, for all that packages add together
 
 @cache
 def all_models() -> tuple[ArticulationModel, ...]:
-    """The house's own joint types, then those of installed packages. Raises BadTable for what is none, or takes
+    """The built-in joint types, then those of installed packages. Raises BadTable for what is none, or takes
     another's name.
     """
     known = list(BUILT_IN)
