@@ -14,7 +14,7 @@ from modcal_core.modules.bodies import path
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.poe import chain_of, module_frames
-from modcal_core.modules.postures import Postures, frames
+from modcal_core.modules.postures import TargetPostures, frames
 from modcal_core.modules.requirements import (
     dexterity,
     farthest_reach,
@@ -34,7 +34,7 @@ CODING = Coding(LIBRARY)
 CATALOGUE = Catalogue(CODING)
 
 
-def at_random(rng: np.random.Generator, n: int = 5, count: int = 6) -> tuple[list[Assembly], Postures]:
+def at_random(rng: np.random.Generator, n: int = 5, count: int = 6) -> tuple[list[Assembly], TargetPostures]:
     """Some arms, each at four postures for each of two targets."""
     assemblies = [random_assembly(rng, n) for _ in range(count)]
     genomes = np.stack([CODING.genome(a) for a in assemblies])
@@ -42,7 +42,7 @@ def at_random(rng: np.random.Generator, n: int = 5, count: int = 6) -> tuple[lis
     q = rng.uniform(arms.lower[:, None, None], arms.upper[:, None, None], (count, 2, 4, n))
     masks = ([1, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1])
     targets = tuple(Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask) for mask in masks)
-    return assemblies, Postures(arms, CATALOGUE.bodies(genomes), targets, q)
+    return assemblies, TargetPostures(arms, CATALOGUE.bodies(genomes), targets, q)
 
 
 def broken(*parts: tuple[str, str]) -> float:
@@ -77,7 +77,7 @@ def test_joint_range_as_printed(rng: np.random.Generator) -> None:
     over, cost = joint_range(at, {})
     assert not over.any()
     assert cost == pytest.approx(np.where(K < 0.5, 0.0, np.exp(K - 0.5)).sum(axis=-1))
-    beyond = Postures(at.arms, at.bodies, at.targets, 1.5 * limit * np.ones_like(at.q))
+    beyond = TargetPostures(at.arms, at.bodies, at.targets, 1.5 * limit * np.ones_like(at.q))
     assert joint_range(beyond, {})[0] == pytest.approx(0.5)
 
 

@@ -56,7 +56,7 @@ class SampleMemory:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelComparison:
     """RMS of the position error [m] before (trusted, or nominal) and after, on ``count`` held-out samples."""
 
     before: float
@@ -90,7 +90,7 @@ class Recalibration:
 
     result: Solution
     report: Report
-    comparison: Comparison
+    comparison: ModelComparison
 
 
 def recalibrate(job: Job) -> Recalibration:
@@ -111,7 +111,7 @@ def recalibrate(job: Job) -> Recalibration:
     return Recalibration(result, report, _compare(job, result))
 
 
-def _compare(job: Job, result: Solution) -> Comparison:
+def _compare(job: Job, result: Solution) -> ModelComparison:
     scored, score = result.report.scored, result.report.errors
     if job.trusted is None:
         return compared(score["nominal"].position_norm, score["final"].position_norm)
@@ -123,13 +123,13 @@ def _compare(job: Job, result: Solution) -> Comparison:
     return compared(before, after)
 
 
-def compared(before: Array, after: Array) -> Comparison:
+def compared(before: Array, after: Array) -> ModelComparison:
     """Two models' errors (N,) [m] on the same samples; better: surely, and by enough to be worth a change."""
     gain = before**2 - after**2
     count = len(gain)
     rms_before, rms_after = float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
     sure = count >= _LEAST_COMPARED and gain.mean() > _SURE * gain.std(ddof=1) / np.sqrt(count)
-    return Comparison(rms_before, rms_after, count, bool(sure and rms_after < _WORTH * rms_before))
+    return ModelComparison(rms_before, rms_after, count, bool(sure and rms_after < _WORTH * rms_before))
 
 
 def thinned(samples: Samples, most: int) -> Samples:

@@ -25,7 +25,7 @@ class Tube:
 
 
 @dataclass(frozen=True)
-class Body:
+class ModuleBody:
     """Tubes of a module, and what they weigh. mass [kg]; centre (3,) [m]; inertia (3, 3) about it [kg m²]."""
 
     tubes: tuple[Tube, ...]
@@ -40,7 +40,7 @@ def path(kind: ModuleType, size: int) -> Array:
     return np.stack([np.zeros(3), *(e.at(length) for e in kind.elbows), kind.output.at(length)])
 
 
-def body(kind: ModuleType, size: int) -> Body:
+def body(kind: ModuleType, size: int) -> ModuleBody:
     """The body of a module with this length code, its mass spread evenly along the tubes."""
     points = path(kind, size)
     tubes = []
@@ -60,7 +60,7 @@ def body(kind: ModuleType, size: int) -> Body:
         R = tube.T[:3, :3]
         inertia += R @ np.diag([across, across, 0.5 * m * tube.radius**2]) @ R.T
         inertia += m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
-    return Body(tuple(tubes), mass, centre, inertia)
+    return ModuleBody(tuple(tubes), mass, centre, inertia)
 
 
 def _along(direction: Array) -> Array:

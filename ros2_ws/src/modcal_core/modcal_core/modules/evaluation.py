@@ -18,7 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.modules.catalogue import Arms, Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.library import Library
-from modcal_core.modules.postures import Postures
+from modcal_core.modules.postures import TargetPostures
 from modcal_core.modules.reaching import reach, starts
 from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options
 from modcal_core.modules.targets import Target
@@ -189,9 +189,9 @@ class Evaluator:
         if not self.effort.within_limits:  # of postures that are whole turns apart the one nearest zero
             q = np.where(arms.revolute[:, None, None], np.angle(np.exp(1j * q)), q)
         limits = self.catalogue.arms(genomes[which])
-        self._choose(out, which, Postures(limits, self.catalogue.bodies(genomes[which]), self.targets, q), found)
+        self._choose(out, which, TargetPostures(limits, self.catalogue.bodies(genomes[which]), self.targets, q), found)
 
-    def _choose(self, out: Verdicts, which: np.ndarray, postures: Postures, found: np.ndarray) -> None:
+    def _choose(self, out: Verdicts, which: np.ndarray, postures: TargetPostures, found: np.ndarray) -> None:
         measured = {i: _measure(use)(postures, use.options) for i, use in self._at(POSTURE)}
         over, cost = np.zeros(found.shape), np.zeros(found.shape)
         for i, (amount, soft) in measured.items():

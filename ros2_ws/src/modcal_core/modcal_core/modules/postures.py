@@ -14,7 +14,7 @@ from modcal_core.modules.targets import Target
 
 
 @dataclass(frozen=True)
-class Postures:
+class TargetPostures:
     """N arms at S postures for each of K targets. q: (N, K, S, n) [rad, m]."""
 
     arms: Arms

@@ -24,7 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.postures import Postures, frames
+from modcal_core.modules.postures import TargetPostures, frames
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 
 CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"
@@ -124,7 +124,7 @@ def farthest_reach(arms: Arms, tries: int = 16) -> Array:
 # posture
 
 
-def joint_range(postures: Postures, options: Options) -> tuple[Array, Array]:
+def joint_range(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
     """How far the worst joint is beyond its limits, in half ranges, and e^(K − ½), added up over joints with K ≥ ½.
 
     K = |q − middle| / half range: 0 in the middle, 1 at the limits. A joint without limits costs nothing.
@@ -137,7 +137,7 @@ def joint_range(postures: Postures, options: Options) -> tuple[Array, Array]:
     return np.maximum(0.0, K.max(axis=-1) - 1.0 - 1e-9), np.where(K >= 0.5, np.exp(K - 0.5), 0.0).sum(axis=-1)
 
 
-def dexterity(postures: Postures, options: Options) -> tuple[Array, Array]:
+def dexterity(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
     """Nothing, and −w: Yoshikawa's manipulability of what the mask asks for, √det(J Jᵀ), turns in rad, ways in m."""
     J = postures.task_jacobian
     w = np.empty(J.shape[:3])
@@ -148,7 +148,7 @@ def dexterity(postures: Postures, options: Options) -> tuple[Array, Array]:
     return np.zeros_like(w), -w
 
 
-def payload(postures: Postures, options: Options) -> tuple[Array, Array]:
+def payload(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
     """How much more than its ``effort`` the worst joint needs to hold ``mass_kg`` and the arm still, and what it needs.
 
     Both as shares of the effort: 1 is all of it. Gravity along −z of the base; masses and efforts from the library.
@@ -169,7 +169,7 @@ def payload(postures: Postures, options: Options) -> tuple[Array, Array]:
     return np.maximum(0.0, share - 1.0), share
 
 
-def obstacles(postures: Postures, options: Options) -> tuple[Array, Array]:
+def obstacles(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
     """How much of ``margin_m`` is missing between the arm's tubes and the spheres, and −clearance, both [m].
 
     At the postures that reach the targets; the ways between them are for a planner. spheres: {center_m, radius_m}.

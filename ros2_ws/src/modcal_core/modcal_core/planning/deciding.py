@@ -32,7 +32,7 @@ _BEYOND = 0.5  # of the recorded range, by which proposals may leave it
 
 
 @dataclass(frozen=True)
-class Proposal:
+class DecidingStations:
     """Stations that separate an effect from a rival.
 
     q: (k, n). approach: direction from which each joint should come, −1, 0 (any) or 1, (k, n). separation: by how many
@@ -58,7 +58,7 @@ def propose(
     count: int,
     rng: np.random.Generator,
     allowed: Callable[[Array], np.ndarray] | None = None,
-) -> Proposal:
+) -> DecidingStations:
     """The ``count`` stations, of many within the joint limits, that best separate an effect from one of its rivals.
 
     allowed: says of postures (N, n) which may be proposed, (N,). Raises NotPlannable where fewer than count may.
@@ -86,7 +86,7 @@ def propose(
     separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
     matters = np.array([name in directed for name in samples.names])
-    return Proposal(truth, other, samples.q[new], np.where(matters, samples.approach[new], 0.0), separation)
+    return DecidingStations(truth, other, samples.q[new], np.where(matters, samples.approach[new], 0.0), separation)
 
 
 def _candidates(

@@ -33,7 +33,7 @@ _MOST_BODIES = 10  # that are judged where labels do not tell
 
 
 @dataclass(frozen=True)
-class Choice:
+class ColumnChoice:
     """What the joints' columns are taken for. unit of turning joints, and of sliding ones."""
 
     joints: JointColumns
@@ -46,7 +46,7 @@ class Fitted:
     """One place of columns with its meanings, best first."""
 
     body: Body
-    choices: tuple[Choice, ...]
+    choices: tuple[ColumnChoice, ...]
     found: tuple[Judged, ...]
     rows: np.ndarray
 
@@ -56,7 +56,7 @@ class Fitted:
         return self.found[0]
 
     @property
-    def choice(self) -> Choice:
+    def choice(self) -> ColumnChoice:
         """What it takes the joints for."""
         return self.choices[self.best.meaning.postures]
 
@@ -138,11 +138,11 @@ def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[
     if len(rows) < LEAST_ROWS:
         return None
     values = numbers.values[rows]
-    choices: list[Choice] = []
+    choices: list[ColumnChoice] = []
     postures: list[Postures] = []
     for one in joint_columns:
         for angle, length in _units(chain, values[:, list(one.columns)]):
-            choices.append(Choice(one, angle, length))
+            choices.append(ColumnChoice(one, angle, length))
             postures.append(Postures(scales(chain, angle, length) * values[:, list(one.columns)], one.how))
     turned = None if body.turned is None else values[:, list(body.turned)]
     found = judge(chain, postures, values[:, list(body.position)], turned)
@@ -320,7 +320,7 @@ def second(fitted: Fitted) -> Judged | None:
 
 
 __all__ = [
-    "Choice",
+    "ColumnChoice",
     "Findings",
     "Fitted",
     "differences",

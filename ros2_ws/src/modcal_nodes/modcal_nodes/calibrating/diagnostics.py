@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.online.stream import SampleStream
 from modcal_core.online.supervisor import SUSPECTED, Supervisor
-from modcal_core.recalibrate import Comparison
+from modcal_core.recalibrate import ModelComparison
 from modcal_nodes.calibrating.standing import Standing
 from modcal_nodes.ros.health import ERROR, OK, WARN, Status
 
@@ -42,7 +42,7 @@ def model_status(
     standing: Standing | None,
     trouble: str,
     solving: bool,
-    candidate: Comparison | None,
+    candidate: ModelComparison | None,
 ) -> Status:
     """Which model is trusted, whether it still holds, and what may be said of it: OK only at the floor.
 

@@ -11,7 +11,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, 
 
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import Estimator
-from modcal_core.recalibrate import Comparison
+from modcal_core.recalibrate import ModelComparison
 from modcal_nodes.ros.running import LATCHED
 
 _OF_THE_MODEL = {
@@ -41,7 +41,7 @@ class Publishers:
                 self._texts[topic].publish(String(data=files[name]))
         self._trusted.publish(Bool(data=True))
 
-    def result(self, rms: float | None, comparison: Comparison) -> None:
+    def result(self, rms: float | None, comparison: ModelComparison) -> None:
         """Publish how large the error is on stations that the fit has not seen, and was before [m]."""
         if rms is not None and np.isfinite(rms):
             self._residual.publish(Float64(data=float(rms)))

@@ -16,7 +16,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
-from modcal_core.recalibrate import Comparison, Job, SampleMemory, recalibrate
+from modcal_core.recalibrate import Job, ModelComparison, SampleMemory, recalibrate
 from modcal_core.report.files import calibration_files
 from modcal_core.robots.chain import Chain
 from modcal_nodes.calibrating.standing import Standing, standing_of
@@ -32,7 +32,7 @@ class Solved:
 
     calibration: Calibration
     files: dict[str, str]
-    comparison: Comparison
+    comparison: ModelComparison
     verdict: str
     standing: Standing
     story: tuple[str, ...]

@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.files import to_yaml, write_folder
-from modcal_core.planning.deciding import Proposal, propose
+from modcal_core.planning.deciding import DecidingStations, propose
 from modcal_core.planning.posture_pool import allowed
 from modcal_core.planning.site import Site
 from modcal_nodes.cli.console import console
@@ -56,13 +56,13 @@ def _depends_on_posture(calibration: Calibration, i: int, j: int) -> bool:
     return all(e.public_driver.partition(":")[0] in _BY_POSTURE for e in effects)
 
 
-def _worth(proposal: Proposal) -> str:
+def _worth(proposal: DecidingStations) -> str:
     if proposal.decides:
         return f"{len(proposal.q)} stations tell them apart, by {proposal.separation:.0f} standard deviations"
     return "no posture within the limits tells them apart: for this tool they are the same motion"
 
 
-def _data(calibration: Calibration, proposals: list[Proposal]) -> dict[str, object]:
+def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[str, object]:
     names = calibration.nominal.chain.names
     return {
         "modcal_plan": 1,

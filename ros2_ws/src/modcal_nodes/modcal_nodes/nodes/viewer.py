@@ -34,7 +34,7 @@ from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import LATCHED, SENSOR, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status
 from modcal_nodes.viewing import drawing
-from modcal_nodes.viewing.stations import Judged, Stations
+from modcal_nodes.viewing.stations import JudgedStations, Stations
 
 _REST = 0.003  # s
 _LIFETIME = 2.0  # s that axes and ellipsoids outlive this node by
@@ -56,7 +56,7 @@ class Viewer(GuardedNode):
         self._robot: CalibratedRobot | None = None
         self._signals = SignalsHeard()
         self._stations = Stations(chosen["stations"])
-        self._judged: Judged | None = None
+        self._judged: JudgedStations | None = None
         self._shapes: dict[float, tuple[Array, Array]] = {}  # ellipsoids at the last stations, by their stamps
         self._around_stations: list[Marker] = []
         self._look_at(chosen["base"], chosen["tip"])

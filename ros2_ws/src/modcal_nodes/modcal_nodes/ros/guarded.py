@@ -41,7 +41,7 @@ class NodeEnds(Exception):
         self.error = error
 
 
-class Faults:
+class CallbackFaults:
     """Exceptions that callbacks have raised, by place: a topic, a service, a timer's function. For any thread."""
 
     def __init__(self, node: Node) -> None:
@@ -129,7 +129,7 @@ class Guarded:
 class GuardedNode(Node):
     """A node whose callbacks cannot end it. Stands first among the bases: ``class Arm(GuardedNode, LifecycleNode)``."""
 
-    _faults: Faults | None = None
+    _faults: CallbackFaults | None = None
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{"enable_logger_service": True, **options})
@@ -138,10 +138,10 @@ class GuardedNode(Node):
                 service.callback = self.guarded_service(service.srv_name, service.callback)
 
     @property
-    def faults(self) -> Faults:
+    def faults(self) -> CallbackFaults:
         """What callbacks have raised so far."""
         if self._faults is None:
-            self._faults = Faults(self)
+            self._faults = CallbackFaults(self)
         return self._faults
 
     def guarded(self, place: str, callback: Callable[..., Any]) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from modcal_nodes.ros.guarded import Faults, GuardedNode
+from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
@@ -77,7 +77,7 @@ class Health:
         )
 
 
-def faults_status(faults: Faults) -> Status:
+def faults_status(faults: CallbackFaults) -> Status:
     """The exceptions that callbacks have raised: an error for a while, a warning ever after."""
     total = faults.counts.total()
     if not total:

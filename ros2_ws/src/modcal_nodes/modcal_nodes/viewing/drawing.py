@@ -13,7 +13,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.pictures import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_picture
-from modcal_nodes.viewing.stations import Judged
+from modcal_nodes.viewing.stations import JudgedStations
 
 CALIBRATED, NOMINAL, SCALE = "calibrated", "nominal", "scale"
 PRESENT, STATIONS = "present", "stations"
@@ -36,7 +36,9 @@ def nothing(frame: str) -> MarkerArray:
     return fill_picture(MarkerArray(), Marker, frame, [])
 
 
-def residual_picture(chain: Chain, judged: Judged | None, scale: float, full: float, change: str) -> MarkerArray:
+def residual_picture(
+    chain: Chain, judged: JudgedStations | None, scale: float, full: float, change: str
+) -> MarkerArray:
     """Arrows from where the models expect the tool to where it was seen, so much enlarged, and what they say in words.
 
     full: size of the residuals that are drawn in red [m]. change: what seems to have changed since; may be empty.
@@ -90,7 +92,7 @@ def uncertainty_picture(
     return fill_picture(MarkerArray(), Marker, frame, [*at_stations, *parts], lifetime)
 
 
-def stations_picture(correction: Correction, judged: Judged | None) -> MarkerArray:
+def stations_picture(correction: Correction, judged: JudgedStations | None) -> MarkerArray:
     """Where the tool was: at the stations that the calibration was made from, and at the last ones by how they fit."""
     model, chain = correction.model, correction.chain
     parts = []

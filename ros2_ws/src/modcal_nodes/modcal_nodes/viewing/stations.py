@@ -18,7 +18,7 @@ _LEAST_GAP = 0.2  # s between readings of an arm in motion that are kept
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedStations:
     """calibrated, nominal: by how much either model misses the stations. moments: theirs, for the calibrated arm.
     strangers: frames of readings that the calibration does not know.
     """
@@ -55,7 +55,7 @@ class Stations:
         """Joint positions of them all, (N, n); (0, 0) while there are none."""
         return np.concatenate([s.q for s in self._kept]) if self._kept else np.empty((0, 0))
 
-    def judged(self, correction: Correction, signals: tuple[SignalTrack, ...]) -> Judged | None:
+    def judged(self, correction: Correction, signals: tuple[SignalTrack, ...]) -> JudgedStations | None:
         """What a calibration and its nominal arm make of them; None while there are none that it can tell of.
 
         signals: what the effects depend on. Raises MissingDriver where that is not known.
@@ -67,13 +67,13 @@ class Stations:
         strangers = tuple(sorted(set(of_frame) - set(calibration.calibrated.frames)))
         samples = replace(known_to(calibration.calibrated, joined(list(self._kept))), signals=signals)
         if not len(samples):
-            return Judged(_NOTHING, _NOTHING, (), strangers)
+            return JudgedStations(_NOTHING, _NOTHING, (), strangers)
         moments = tuple(arm_state_of(samples.select(np.array([i])), signals) for i in range(len(samples)))
         for at in moments:
             correction.require(at)
         models, noise = (calibration.calibrated, calibration.nominal), calibration.noise
         calibrated, nominal = (residuals(model, samples, noise) for model in models)
-        return Judged(calibrated, nominal, moments, strangers)
+        return JudgedStations(calibrated, nominal, moments, strangers)
 
 
 _NOTHING = Residuals(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, bool))
