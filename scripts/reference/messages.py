@@ -165,6 +165,7 @@ MEANINGS: dict[str, dict[str, str]] = {
     "simulated_furniture ~/object_truth": {
         "header.stamp": STAMP, "name": "the object's joint", "position": "how far it is open in truth, rad, m",
     },
+    "door_demo simulated_furniture/contact_force": {"wrench.force": "the largest of its lengths is shown, N"},
     "door_demo simulated_furniture/object_truth": {"position": "how far it is open in truth, rad, m", "name": "not looked at"},
     "trajectory_sender ~/joint_trajectory": {
         "header.stamp": "0: from now on",

@@ -43,7 +43,7 @@ class Step:
 
 @dataclass(frozen=True)
 class ReportContents:
-    """Everything a calibration or an evaluation has to say.
+    """What the report of a calibration or an evaluation holds.
 
     scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
     many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still
