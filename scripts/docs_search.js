@@ -32,13 +32,22 @@
     return loading;
   }
 
-  function found(words) {
+  function asked(stems, presence) {
     return index.query(function (query) {
-      words.forEach(function (word) {
-        query.term(word, { boost: 10, usePipeline: true });
-        query.term(word, { wildcard: lunr.Query.wildcard.TRAILING, usePipeline: false });
+      stems.forEach(function (stem) {
+        query.term(stem, { boost: 10, usePipeline: false });
+        query.term(stem, { wildcard: lunr.Query.wildcard.TRAILING, presence: presence, usePipeline: false });
       });
-    }).slice(0, MOST).map(function (hit) { return sections[Number(hit.ref)]; });
+    });
+  }
+
+  /* Sections with all words, or, where there is none, with any of them. */
+  function found(words) {
+    const stems = words.filter(function (word) { return lunr.stopWordFilter(new lunr.Token(word)); })
+      .map(function (word) { return lunr.stemmer(new lunr.Token(word)).toString(); });
+    const all = stems.length ? asked(stems, lunr.Query.presence.REQUIRED) : [];
+    const hits = all.length || !stems.length ? all : asked(stems, lunr.Query.presence.OPTIONAL);
+    return hits.slice(0, MOST).map(function (hit) { return sections[Number(hit.ref)]; });
   }
 
   function excerpt(text, words) {

@@ -23,6 +23,11 @@ LIGHT, DARK = "default", "github-dark"
 LINKS = """[data-bs-theme=light] { --bs-link-color-rgb: 11, 92, 148; --bs-link-hover-color-rgb: 7, 62, 100; }
 [data-bs-theme=light] .bs-sidebar .nav-link { color: rgb(11, 92, 148); }
 """
+# what is wider than a phone scrolls by itself
+WIDE = """[role=main] table { display: block; overflow-x: auto; max-width: 100%; width: max-content; }
+[role=main] img { max-width: 100%; height: auto; }
+[role=main] { overflow-wrap: break-word; }
+"""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -48,7 +53,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for rule in HtmlFormatter(style=style).get_style_defs(f"[data-bs-theme={scheme}] .codehilite").splitlines()
         if rule.startswith("[data-bs-theme") and ".linenos" not in rule
     ]
-    files.append(File.generated(config, "site.css", content=LINKS + "\n".join(rules) + "\n"))
+    files.append(File.generated(config, "site.css", content=LINKS + WIDE + "\n".join(rules) + "\n"))
     return files
 
 
@@ -60,6 +65,10 @@ def on_post_build(config: MkDocsConfig) -> None:
     (folder / "main.js").write_text((ROOT / "scripts" / "docs_search.js").read_text(encoding="utf-8"), encoding="utf-8")
     for unused in ("search_index.json", "worker.js"):
         (folder / unused).unlink()
+    # the theme's switch of colours expects the highlighter that is left out, and ends without it
+    switch = Path(config.site_dir) / "js" / "darkmode.js"
+    text = re.sub(r"(hljs_(?:light|dark))(\.disabled)", r"if (\1) \1\2", switch.read_text(encoding="utf-8"))
+    switch.write_text(text, encoding="utf-8")
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -25,9 +25,7 @@ def test_glitches_do_not_move_the_clock(late: float, rng: np.random.Generator) -
     spoiled = with_reading(with_joints(recording, position=q), values=values)
     chain = ur10()
     order = [spoiled.joints[0].names.index(name) for name in chain.names]
-    found = clock_offset(
-        spoiled.readings[0], spoiled.joints[0].stamps, q[:, order], lambda p: forward(chain, p)
-    )
+    found = clock_offset(spoiled.readings[0], spoiled.joints[0].stamps, q[:, order], lambda p: forward(chain, p))
     assert found is not None
     assert found.offset == pytest.approx(late, abs=0.004)
 
