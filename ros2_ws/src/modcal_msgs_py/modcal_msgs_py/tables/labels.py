@@ -11,7 +11,7 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # Units as labels have them, and as a mapping does
 UNITS = {
     "mm": "mm", "millimeter": "mm", "millimeters": "mm", "cm": "cm", "m": "m", "meter": "m", "meters": "m",
-    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg",
+    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
     "rad": "rad", "radian": "rad", "radians": "rad", "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us",
     "µs": "us", "ns": "ns",
 }  # fmt: skip
@@ -132,10 +132,10 @@ def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
         turned = bool(TURNS & set(rest))
         if last in ("qx", "qy", "qz", "qw"):
             by_stem.setdefault(" ".join(rest), {})[last[1]] = i
-        elif (turned and last in ("x", "y", "z", "w")) or (
-            last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e")
-        ):
+        elif turned and last in ("x", "y", "z", "w"):
             by_stem.setdefault(" ".join(rest), {})[last] = i
+        elif last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e"):
+            by_stem.setdefault(label.text.rstrip("])}0123456789"), {})[last] = i
     for found in by_stem.values():
         if set(found) == {"0"}:  # Q0 Qx Qy Qz
             for other in by_stem.values():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def find_time(numbers: Numbers, taken: set[int]) -> Moments:
     for k in named:
         if (found := _dates(numbers, (k,))) is not None:
             return found
-    for a, b in zip(named, named[1:], strict=False):
+    for a, b in pairwise(named):
         if (found := _dates(numbers, (a, b))) is not None:
             return found
     for k in named:
