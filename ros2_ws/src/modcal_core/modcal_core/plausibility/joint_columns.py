@@ -20,7 +20,7 @@ from modcal_core.robots.mechanism import forward
 
 LEAST_ROWS = 26  # half of what is seen is fitted; with fewer rows chance explains too much
 _ROWS = 40  # evenly along the table; a coordinate has 13 coefficients
-_MOST_ORDERS = 6_000  # that are compared: all orders of seven columns
+_MOST_ORDERS = 45_000  # that are compared: all of seven columns out of eight
 _AT_ONCE = 256  # orders in a block, for memory
 _SWAPPED = 3  # of the best, around which orders are looked at where there are too many for all
 _EXPLAINED = 2e-3  # share of the variance; right columns leave a hundredth of it, wrong ones a hundred times as much

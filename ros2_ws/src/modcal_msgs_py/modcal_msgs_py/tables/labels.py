@@ -18,7 +18,8 @@ UNITS = {
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
 _ROLES = (
     (OTHER, {"current", "temp", "temperature", "error", "err", "std", "sigma", "stdev", "deviation", "residual", "acc",
-             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality"}),
+             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality", "intensity", "pressure", "humidity", "confidence",
+             "frame", "index", "count"}),
     (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
     (VELOCITY, {"velocity", "vel", "qd", "dq", "speed", "rate"}),
     (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",
@@ -118,6 +119,14 @@ def angle_triples(labels: dict[int, Label]) -> list[tuple[int, int, int]]:
                 by_stem.setdefault(stem, {}).setdefault(word, i)
         out += [tuple(found[n] for n in names) for found in by_stem.values() if len(found) == 3]
     return list(dict.fromkeys((t[0], t[1], t[2]) for t in out))
+
+
+_PLAIN_TURNS = {"rx", "ry", "rz", "roll", "pitch", "yaw", "rotx", "roty", "rotz"}
+
+
+def turn_labels(labels: dict[int, Label]) -> set[int]:
+    """Columns whose labels say plainly that they are angles of an orientation."""
+    return {k for k, label in labels.items() if _turn_word(label)[0] in _PLAIN_TURNS}
 
 
 def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:

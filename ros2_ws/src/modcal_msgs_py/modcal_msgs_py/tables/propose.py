@@ -22,11 +22,12 @@ from modcal_core.plausibility.joint_columns import likely_orders
 from modcal_core.plausibility.meanings import LEAST_ROWS, LENGTHS, Judged, Postures, judge, rivals, same_poses
 from modcal_core.robots.chain import Chain
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
-from modcal_msgs_py.tables.labels import MEASURED
+from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import Moments, find_time
 from modcal_msgs_py.tables.together import Together, together
 
 _MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _ORDERS = 6  # of columns without labels that are judged in full
 _MOST_BODIES = 10  # that are judged where labels do not tell
@@ -107,8 +108,11 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
         watch("looking for the joints' columns")
         by_fit = bodies(numbers, set(), set(time.columns)) if not measured else places
         fits += _without_labels(numbers, chain, by_fit, set(time.columns))
-    if not fits:
-        said = "no columns are found that could be the joints, and the position of a target, of this arm"
+    near = min((f.best.match.typical for f in fits), default=np.inf)
+    if not near <= NOT_AN_ARM * chain.reach():
+        said = "no columns are found that could be the joints of this arm and the position of a target on it"
+        if fits:
+            said += f"; the best leave {1e3 * near:.0f} mm"
         raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/recordings.md")
     return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
 
@@ -185,6 +189,7 @@ def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[
     triples = list(dict.fromkeys(body.position for body in places))
     taken = set(time)
     if places and places[0].named:
+        taken |= turn_labels(numbers.labels)
         taken |= {k for body in places for k in (*body.position, *(body.turned if _sure(body) else ()))}
     columns = pool(numbers, taken)
     used = sorted({*columns, *(k for triple in triples for k in triple)})

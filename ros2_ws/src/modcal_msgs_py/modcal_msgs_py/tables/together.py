@@ -40,18 +40,17 @@ _STEP = 0.5  # of the usual step of the finer file, by which times may differ
 
 @dataclass(frozen=True)
 class Together:
-    """A file with the columns of others beside its own. stated: the entries under joined. own: number of its columns."""
+    """A file with the columns of others beside its own. stated: the entries under joined. said: how rows were paired."""
 
     sniffed: Sniffed
     stated: tuple[dict[str, Any], ...] = ()
-    own: int = 0
     said: tuple[str, ...] = ()
 
 
 def together(paths: Sequence[Path]) -> Together:
     """The first file with the others joined to it. Raises BadTable where no column tells which rows belong together."""
     first = sniff(paths[0])
-    out = Together(first, own=first.width)
+    out = Together(first)
     for path in paths[1:]:
         out = _joined(out, path)
     return out
@@ -96,7 +95,7 @@ def _joined(known: Together, path: Path) -> Together:
     )
     how = f"{ours.shown(a)} of {sniffed.path.name} is {theirs.shown(b)} of {path.name}"
     how += f", the nearest within {within:g}" if within is not None else ""
-    return Together(whole, (*known.stated, stated), known.own, (*known.said, how))
+    return Together(whole, (*known.stated, stated), (*known.said, how))
 
 
 def _keys(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
