@@ -18,8 +18,8 @@ UNITS = {
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
 _ROLES = (
     (OTHER, {"current", "temp", "temperature", "error", "err", "std", "sigma", "stdev", "deviation", "residual", "acc",
-             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality", "intensity", "pressure", "humidity", "confidence",
-             "frame", "index", "count"}),
+             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality",
+             "intensity", "pressure", "humidity", "confidence", "frame", "index", "count"}),
     (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
     (VELOCITY, {"velocity", "vel", "qd", "dq", "speed", "rate"}),
     (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",

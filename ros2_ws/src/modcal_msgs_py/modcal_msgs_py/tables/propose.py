@@ -95,7 +95,7 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
     numbers = Numbers.of(joined.sniffed)
     if len(numbers.values) < LEAST_ROWS:
         said = f"has {len(numbers.values)} rows, {LEAST_ROWS} are needed to tell what its columns are"
-        raise BadTable(path.name, said, "write a mapping, see docs/recordings.md")
+        raise BadTable(path.name, said, "write a mapping, see docs/import.md")
     sure = orthonormal(numbers)
     labelled = [j for j in joints(numbers, chain.names) if not set(j.columns) & sure]
     measured = [j for j in labelled if j.role == MEASURED]
@@ -113,7 +113,7 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
         said = "no columns are found that could be the joints of this arm and the position of a target on it"
         if fits:
             said += f"; the best leave {1e3 * near:.0f} mm"
-        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/recordings.md")
+        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
     return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
 
 

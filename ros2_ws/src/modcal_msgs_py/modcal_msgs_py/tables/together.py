@@ -40,7 +40,7 @@ _STEP = 0.5  # of the usual step of the finer file, by which times may differ
 
 @dataclass(frozen=True)
 class Together:
-    """A file with the columns of others beside its own. stated: the entries under joined. said: how rows were paired."""
+    """A file with the columns of others beside its own. stated: the entries under joined. said: how."""
 
     sniffed: Sniffed
     stated: tuple[dict[str, Any], ...] = ()
@@ -61,7 +61,7 @@ def _joined(known: Together, path: Path) -> Together:
     found = _keys(ours, theirs)
     if found is None:
         said = f"shares no column of station numbers or times with {known.sniffed.path.name}"
-        raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/recordings.md")
+        raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
     a, b, within = found
     form = {name: value for name, value in vars(theirs.sniffed.form).items() if value != getattr(Form(), name)}
     stated: dict[str, Any] = {"files": path.name, **form, "by": {ours.key(a): theirs.key(b)}}
