@@ -134,7 +134,9 @@ def _pose_columns(style, rng, T, p, unit, digits, number, stem, about):  # type:
         return position, angles(values, [f"{pre}{a}" for a in label])
     if form == "rotvec":
         about["degrees"] = degrees
-        return position, angles(R.as_rotvec(), ["RX", "RY", "RZ"] if style == "vicon" else [f"{pre}rx", f"{pre}ry", f"{pre}rz"])
+        return position, angles(
+            R.as_rotvec(), ["RX", "RY", "RZ"] if style == "vicon" else [f"{pre}rx", f"{pre}ry", f"{pre}rz"]
+        )
     if form.startswith("quaternion"):
         q = R.as_quat()
         if rng.random() < 0.5:
@@ -145,7 +147,13 @@ def _pose_columns(style, rng, T, p, unit, digits, number, stem, about):  # type:
         label = ["Q0", "Qx", "Qy", "Qz"] if form == "quaternion_ndi" else None
         if label is None:
             bare = ["qw", "qx", "qy", "qz"] if w_first else ["qx", "qy", "qz", "qw"]
-            label = bare if rng.random() < 0.6 else [f"q{k}" for k in range(4)] if rng.random() < 0.5 else [f"q{k}" for k in range(1, 5)]
+            label = (
+                bare
+                if rng.random() < 0.6
+                else [f"q{k}" for k in range(4)]
+                if rng.random() < 0.5
+                else [f"q{k}" for k in range(1, 5)]
+            )
         if style == "motive":
             label, above2 = ["X", "Y", "Z", "W"], ("Rigid Body", "tool", "", "Rotation")
             return position, [Column(label[k], _cells(q[:, k], 7, number), "", above2) for k in range(4)]
@@ -154,7 +162,9 @@ def _pose_columns(style, rng, T, p, unit, digits, number, stem, about):  # type:
     if form == "rpy_matrix":
         e = R.as_euler("xyz")
         column_major = M.transpose(0, 2, 1).reshape(-1, 9)
-        out = angles(e, ["Roll", "Pitch", "Yaw"]) + [Column("Residual", _cells(rng.uniform(0.1, 0.6, len(p)), 3, number))]
+        out = angles(e, ["Roll", "Pitch", "Yaw"]) + [
+            Column("Residual", _cells(rng.uniform(0.1, 0.6, len(p)), 3, number))
+        ]
         return position, out + [Column(f"Rot[{k}]", _cells(column_major[:, k], 6, number)) for k in range(9)]
     if form == "matrix4":
         flat = np.concatenate([M, (LENGTH[unit] * T[:, :3, 3:])], axis=2).reshape(-1, 12)
@@ -164,7 +174,11 @@ def _pose_columns(style, rng, T, p, unit, digits, number, stem, about):  # type:
     column_major = rng.random() < 0.4
     about["column_major"] = column_major
     flat = (M.transpose(0, 2, 1) if column_major else M).reshape(-1, 9)
-    label = [f"{pre}r{k}" for k in range(9)] if column_major or rng.random() < 0.3 else [f"{pre}r{r}{c}" for r in "123" for c in "123"]
+    label = (
+        [f"{pre}r{k}" for k in range(9)]
+        if column_major or rng.random() < 0.3
+        else [f"{pre}r{r}{c}" for r in "123" for c in "123"]
+    )
     return position, [Column(label[k], _cells(flat[:, k], 7, number)) for k in range(9)]
 
 
@@ -195,7 +209,9 @@ def _joint_columns(style, rng, recorded, number, about):  # type: ignore[no-unty
     if style == "rtde":
         out += [Column(f"target_q_{k}", _cells(recorded.commanded[:, k], 7, number), unit) for k in order]
         out += [Column(f"actual_current_{k}", _cells(rng.normal(0, 2, len(recorded.q)), 4, number), "A") for k in order]
-        out += [Column(f"actual_qd_{k}", _cells(rng.normal(0, 1e-4, len(recorded.q)), 6, number), "rad/s") for k in order]
+        out += [
+            Column(f"actual_qd_{k}", _cells(rng.normal(0, 1e-4, len(recorded.q)), 6, number), "rad/s") for k in order
+        ]
     return out
 
 
@@ -258,7 +274,10 @@ def _write(path: Path, style: str, rng: np.random.Generator, columns: list[Colum
         lines += ["Trajectories", "100"]
         units = True
     elif style == "motive":
-        lines += [separator.join(["Format Version", "1.23", "Take Name", "Take 2024-03-01", "Capture Frame Rate", "120.0"]), ""]
+        lines += [
+            separator.join(["Format Version", "1.23", "Take Name", "Take 2024-03-01", "Capture Frame Rate", "120.0"]),
+            "",
+        ]
     elif style == "qualisys":
         lines += [f"NO_OF_FRAMES{separator}{len(columns[0].values)}", f"FREQUENCY{separator}100", f"DATA_INCLUDED{separator}6D",
                   f"BODY_NAMES{separator}tool"]  # fmt: skip

@@ -47,7 +47,7 @@ def same_rigid(A: np.ndarray, B: np.ndarray) -> tuple[float, float]:
 
 
 def judged(export: Export, mapping: dict, folder: Path) -> str:
-    """"right", or what is wrong."""
+    """ "right", or what is wrong."""
     recording = import_tables(mapping, folder, export.path.name)
     (joints,) = recording.joints
     (reading,) = recording.readings
@@ -89,7 +89,7 @@ def one(seed: int, folder: Path) -> dict[str, object]:
     chain = Robot.from_urdf(str((ROBOTS / f"{export.recorded.robot}.urdf").read_text())).chain
     since = time.monotonic()
     try:
-        made = proposal(find(export.path, chain), None)
+        made = proposal(find([export.path], chain), None)
     except ModcalError as error:
         outcome, said = "asked", f"refused: {error}"
     else:
@@ -125,7 +125,9 @@ def main() -> int:
                 with chosen.out.open("a") as stream:
                     stream.write(json.dumps(found, default=str) + "\n")
     share = counted["right"] / chosen.count
-    print(f"{chosen.count} exports: {counted['right']} right ({share:.1%}), {counted['asked']} asked, {counted['wrong']} wrong")
+    print(
+        f"{chosen.count} exports: {counted['right']} right ({share:.1%}), {counted['asked']} asked, {counted['wrong']} wrong"
+    )
     return 0 if share >= TARGET and not counted["wrong"] else 1
 
 

@@ -18,6 +18,9 @@ import refusals
 import settings
 import verbs
 
+from modcal_core.files import to_json
+from modcal_msgs_py.tables.schema import json_schema
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES: dict[str, Callable[[], str]] = {
     "cli.md": verbs.page,
@@ -27,6 +30,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "refusals.md": refusals.page,
     "constants.md": constants.page,
     **api.pages(),
+    "import_mapping.schema.json": lambda: to_json(json_schema()),
 }
 HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
 SOURCES = {
@@ -48,7 +52,8 @@ def main() -> int:
     chosen = parser.parse_args()
     stale = []
     for name, page in PAGES.items():
-        file, text = chosen.folder / name, HEADER.format(SOURCES[name]) + page()
+        head = HEADER.format(SOURCES[name]) if name in SOURCES else ""  # JSON has no comments
+        file, text = chosen.folder / name, head + page()
         if not file.is_file() or file.read_text(encoding="utf-8") != text:
             stale.append(name)
             if not chosen.check:

@@ -8,8 +8,9 @@ of the columns has a residual without anything else being known, and thousands o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations, permutations
-from math import comb, factorial, perm
+from math import factorial, perm
 
 import numpy as np
 
@@ -17,89 +18,117 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
-_ROWS = 48  # evenly along the table; a coordinate has 13 coefficients
 LEAST_ROWS = 26  # half of what is seen is fitted; with fewer rows chance explains too much
-MOST_ORDERS = 30_240  # that are compared: all of five columns out of ten
-_AT_ONCE = 512  # orders in a block, for memory
-_SWAPPED = 4  # of the best, around which orders are looked at where there are too many for all
+_ROWS = 40  # evenly along the table; a coordinate has 13 coefficients
+_MOST_ORDERS = 45_000  # that are compared: all of seven columns out of eight
+_AT_ONCE = 256  # orders in a block, for memory
+_SWAPPED = 3  # of the best, around which orders are looked at where there are too many for all
+_EXPLAINED = 2e-3  # share of the variance; right columns leave a hundredth of it, wrong ones a hundred times as much
 
 
-def likely_orders(chain: Chain, columns: Array, position: Array, count: int) -> list[tuple[int, ...]]:
+@dataclass(frozen=True)
+class Order:
+    """Columns of the joints, the triple of coordinates that they explain best, and the share of it that is left."""
+
+    columns: tuple[int, ...]
+    triple: int
+    left: float
+
+    @property
+    def explains(self) -> bool:
+        """Whether so little is left that it is no chance."""
+        return self.left < _EXPLAINED
+
+
+def likely_orders(
+    chain: Chain, values: Array, scale: float, pool: Sequence[int], triples: Sequence[tuple[int, int, int]], count: int
+) -> list[Order]:
     """The likeliest choices of joints' columns, best first.
 
-    columns: candidates (N, M) [rad, m]. position: three columns of the readings (N, 3) in any unit. Empty where there
-    are too few rows or columns.
+    values: all columns (N, W); scale: of the joints' columns to rad, m; pool: columns that may be joints, in their
+    order; triples: columns that may be a position, in any unit. Empty where there are too few rows or columns.
     """
-    N, M = columns.shape
-    if N < LEAST_ROWS or chain.n > M:
+    N, M = len(values), len(pool)
+    if N < LEAST_ROWS or chain.n > M or not triples:
         return []
     rows = np.unique(np.linspace(0, N - 1, min(N, _ROWS)).astype(int))
-    q, p = columns[rows], position[rows]
-    if perm(M, chain.n) <= MOST_ORDERS:
-        orders = np.array(list(permutations(range(M), chain.n)))
-        return _best(orders, _missed(chain, q, p, orders), count)
-    start = np.array(list(_in_order(M, chain.n)))
-    best = _best(start, _missed(chain, q, p, start), _SWAPPED)
-    seen = {order: float(miss) for order, miss in zip(best, _missed(chain, q, p, np.array(best)), strict=True)}
-    while True:  # steepest descent by exchanging two joints, or one for a column that is not used
-        top = sorted(seen, key=lambda order: seen[order])[:_SWAPPED]
-        new = [o for order in top for o in _neighbours(order, M) if o not in seen]
-        if not new:
-            break
-        before = seen[top[0]]
-        seen |= dict(zip(new, _missed(chain, q, p, np.array(new)).tolist(), strict=True))
-        if min(seen.values()) >= before * (1.0 - 1e-9):
-            break
-    return sorted(seen, key=lambda order: seen[order])[:count]
+    search = _Search(chain, scale * values[rows], values[rows], triples)
+    windows = [tuple(pool[first : first + chain.n]) for first in range(M - chain.n + 1)]
+    found = search.all(windows)
+    if not any(order.explains for order in found):
+        every = perm(M, chain.n) <= _MOST_ORDERS
+        if every or factorial(chain.n) * len(windows) <= _MOST_ORDERS:
+            more = list(permutations(pool, chain.n)) if every else [o for w in windows for o in permutations(w)]
+            found += search.all(more)
+        found = _improved(search, found, pool)
+    best = {order.columns: order for order in sorted(found, key=lambda order: order.left)}
+    return list(best.values())[:count]
 
 
-def _in_order(M: int, n: int) -> Iterator[tuple[int, ...]]:
-    """Columns in the table's order; all orders of neighbours where these are few enough."""
-    if factorial(n) * (M - n + 1) <= MOST_ORDERS:
-        for first in range(M - n + 1):
-            yield from permutations(range(first, first + n))
-    if comb(M, n) <= MOST_ORDERS:
-        yield from combinations(range(M), n)
-    else:
-        yield from (tuple(range(first, first + n)) for first in range(M - n + 1))
+def _improved(search: _Search, found: list[Order], pool: Sequence[int]) -> list[Order]:
+    """Orders found by exchanging two joints, or one for a column that is not used, as long as that helps."""
+    known = {order.columns: order for order in found}
+    while True:
+        top = sorted(known.values(), key=lambda order: order.left)[:_SWAPPED]
+        if top[0].explains:
+            return list(known.values())
+        new = dict.fromkeys(o for order in top for o in _neighbours(order.columns, pool) if o not in known)
+        known |= {order.columns: order for order in search.all(list(new))}
+        if not new or min(order.left for order in known.values()) >= top[0].left * (1.0 - 1e-9):
+            return list(known.values())
 
 
-def _neighbours(order: tuple[int, ...], M: int) -> Iterator[tuple[int, ...]]:
+def _neighbours(order: tuple[int, ...], pool: Sequence[int]) -> Iterator[tuple[int, ...]]:
     for i, j in combinations(range(len(order)), 2):
         new = list(order)
         new[i], new[j] = new[j], new[i]
         yield tuple(new)
     for i in range(len(order)):
-        for other in set(range(M)) - set(order):
+        for other in sorted(set(pool) - set(order)):
             yield (*order[:i], other, *order[i + 1 :])
 
 
-def _best(orders: Array, missed: Array, count: int) -> list[tuple[int, ...]]:
-    return [tuple(int(i) for i in orders[k]) for k in np.argsort(missed, kind="stable")[:count]]
+@dataclass(frozen=True)
+class _Search:
+    """q: all columns as joints (N, W) [rad, m]. values: the same as coordinates."""
 
+    chain: Chain
+    q: Array
+    values: Array
+    triples: Sequence[tuple[int, int, int]]
 
-def _missed(chain: Chain, q: Array, p: Array, orders: Sequence[Sequence[int]] | Array) -> Array:
-    """Share of the coordinates' variance that each order leaves, of the pose or of its inverse, the smaller one."""
-    orders = np.asarray(orders)
-    centred = p - p.mean(axis=0)
-    whole = np.maximum(np.sum(centred**2, axis=0), 1e-300)
-    out = np.empty(len(orders))
-    for first in range(0, len(orders), _AT_ONCE):
-        some = orders[first : first + _AT_ONCE]
-        A = forward(chain, q[:, some].swapaxes(0, 1).reshape(-1, chain.n)).reshape(len(some), len(q), 4, 4)
-        R, t = A[..., :3, :3], A[..., :3, 3]
-        back = np.swapaxes(R, -1, -2)
-        each = [_left(R, t, centred, whole), _left(back, (back @ t[..., None])[..., 0], centred, whole)]
-        out[first : first + len(some)] = np.minimum(*each)
-    return out
+    def all(self, orders: Sequence[tuple[int, ...]]) -> list[Order]:
+        """These orders, with what they leave."""
+        columns = sorted({k for triple in self.triples for k in triple})
+        place = {k: i for i, k in enumerate(columns)}
+        at = np.array([[place[k] for k in triple] for triple in self.triples])
+        centred = self.values[:, columns] - self.values[:, columns].mean(axis=0)
+        whole = np.maximum(np.sum(centred**2, axis=0), 1e-300)
+        own = np.array([[len(set(order) & set(triple)) > 0 for triple in self.triples] for order in orders])
+        out: list[Order] = []
+        for first in range(0, len(orders), _AT_ONCE):
+            some = np.array(orders[first : first + _AT_ONCE])
+            A = forward(self.chain, self.q[:, some].swapaxes(0, 1).reshape(-1, self.chain.n))
+            A = A.reshape(len(some), len(self.q), 4, 4)
+            R, t = A[..., :3, :3], A[..., :3, 3]
+            back = np.swapaxes(R, -1, -2)
+            each = _left(R, t, centred, whole), _left(back, (back @ t[..., None])[..., 0], centred, whole)
+            left = np.minimum(*(share[:, at].mean(axis=2) for share in each))
+            left[own[first : first + len(some)]] = np.inf
+            best = left.argmin(axis=1)
+            out += [
+                Order(tuple(int(k) for k in order), int(b), float(share[b]))
+                for order, b, share in zip(some, best, left, strict=True)
+                if np.isfinite(share[b])
+            ]
+        return out
 
 
 def _left(R: Array, t: Array, centred: Array, whole: Array) -> Array:
-    """Share of the variance of the coordinates (N, 3) that is left, for turns (C, N, 3, 3) and places (C, N, 3)."""
+    """Share of the variance of coordinates (N, K) that is left, for turns (C, N, 3, 3) and places (C, N, 3); (C, K)."""
     design = np.concatenate([R.reshape(*R.shape[:2], 9), t], axis=2)
     design = design - design.mean(axis=1, keepdims=True)
     H = np.swapaxes(design, 1, 2) @ design
     g = np.swapaxes(design, 1, 2) @ centred
     held = 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(12)
-    explained = np.sum(g * np.linalg.solve(H + held, g), axis=1)
-    return np.asarray(np.mean(1.0 - explained / whole, axis=1))
+    return np.asarray(1.0 - np.sum(g * np.linalg.solve(H + held, g), axis=1) / whole)

@@ -32,7 +32,7 @@ ARM_ANGLE = 0.035  # rad; the same of orientations
 _FEW, _MOST = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
 _ROTATIONS = 48  # ways to read orientations, the best by themselves, that are tried with positions
 _NEAR = (3.0, 0.02)  # times, and rad more than, what the best leaves of orientations, that still count as good
-_JUDGED = 10  # meanings, the likeliest on few rows, that are judged on many
+_JUDGED = 6  # meanings, the likeliest on few rows, that are judged on many
 _SAME_TURN, _SAME_PLACE = 1e-3, 1e-5  # rad, m; what digits of an export leave of two forms of one pose
 
 

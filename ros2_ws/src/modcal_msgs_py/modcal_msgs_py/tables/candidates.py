@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,7 +16,8 @@ from modcal_msgs_py.tables.sniff import Sniffed
 from modcal_msgs_py.tables.table import number
 
 _LEAST_FILLED = 0.3  # share of the rows in which a column must have a number
-_MOST_BODIES = 16  # places of columns that are tried without labels
+_NUMBER = re.compile(r"\d{1,4}(?=\D*$)")  # the last one in a label
+_MOST_BODIES = 48  # places of columns that are tried without labels
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,14 @@ def _windows(numbers: Numbers, filled: list[int]) -> list[tuple[int, ...]]:
     return out
 
 
+def orthonormal(numbers: Numbers) -> set[int]:
+    """Columns that are orientations by their numbers alone: quaternions and matrices, with labels or without."""
+    filled = {k: label for k, label in numbers.labels.items() if np.isfinite(numbers.values[:, k]).any()}
+    labelled = [*words.matrices(filled), *words.quaternions(filled)]
+    found = [t for t in labelled if _is_turned(numbers, t)] + _windows(numbers, list(filled))
+    return {k for t in found for k in t}
+
+
 def _is_turned(numbers: Numbers, columns: tuple[int, ...]) -> bool:
     values = numbers.values[:, list(columns)]
     values = values[np.isfinite(values).all(axis=1)]
@@ -162,21 +172,18 @@ def _is_turned(numbers: Numbers, columns: tuple[int, ...]) -> bool:
 def joints(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
     """Choices of the joints' columns by their labels, measured ones first; commanded, velocities and efforts too."""
     out = _by_name(numbers, names)
-    families: dict[tuple[str, ...], dict[int, int]] = {}
+    families: dict[str, dict[int, int]] = {}
     for k, label in numbers.labels.items():
-        digits = [i for i, w in enumerate(label.words) if w.isdigit()]
-        if digits:
-            i = digits[-1]
-            stem = (*label.words[:i], "#", *label.words[i + 1 :])
-            families.setdefault(stem, {}).setdefault(int(label.words[i]), k)
+        if (found := _NUMBER.search(label.text)) is not None:
+            stem = f"{label.text[: found.start()]}#{label.text[found.end() :]}"
+            families.setdefault(stem, {}).setdefault(int(found[0]), k)
     known = {choice.columns for choice in out}
     for stem, found in families.items():
         for first in (1, 0):
             columns = tuple(found[n] for n in range(first, first + len(names)) if n in found)
             if len(columns) == len(names) and columns not in known:
-                role = Label.of(" ".join(w for w in stem if w != "#")).role
-                label = " ".join(stem).replace("#", f"{first}…{first + len(names) - 1}")
-                out.append(JointColumns(columns, f"numbered labels {label}", role))
+                label = stem.replace("#", f"{first}…{first + len(names) - 1}")
+                out.append(JointColumns(columns, f"numbered labels {label}", Label.of(stem).role))
                 break
     return sorted(out, key=lambda choice: choice.role != MEASURED)
 

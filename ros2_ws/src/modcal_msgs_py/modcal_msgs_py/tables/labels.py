@@ -11,14 +11,15 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # Units as labels have them, and as a mapping does
 UNITS = {
     "mm": "mm", "millimeter": "mm", "millimeters": "mm", "cm": "cm", "m": "m", "meter": "m", "meters": "m",
-    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "grad": "deg",
+    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
     "rad": "rad", "radian": "rad", "radians": "rad", "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us",
     "µs": "us", "ns": "ns",
 }  # fmt: skip
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
 _ROLES = (
     (OTHER, {"current", "temp", "temperature", "error", "err", "std", "sigma", "stdev", "deviation", "residual", "acc",
-             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality"}),
+             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality",
+             "intensity", "pressure", "humidity", "confidence", "frame", "index", "count"}),
     (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
     (VELOCITY, {"velocity", "vel", "qd", "dq", "speed", "rate"}),
     (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",
@@ -120,6 +121,14 @@ def angle_triples(labels: dict[int, Label]) -> list[tuple[int, int, int]]:
     return list(dict.fromkeys((t[0], t[1], t[2]) for t in out))
 
 
+_PLAIN_TURNS = {"rx", "ry", "rz", "roll", "pitch", "yaw", "rotx", "roty", "rotz"}
+
+
+def turn_labels(labels: dict[int, Label]) -> set[int]:
+    """Columns whose labels say plainly that they are angles of an orientation."""
+    return {k for k, label in labels.items() if _turn_word(label)[0] in _PLAIN_TURNS}
+
+
 def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
     """Columns whose labels are those of quaternions, in the order x y z w or as they are numbered."""
     out: list[tuple[int, int, int, int]] = []
@@ -132,10 +141,10 @@ def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
         turned = bool(TURNS & set(rest))
         if last in ("qx", "qy", "qz", "qw"):
             by_stem.setdefault(" ".join(rest), {})[last[1]] = i
-        elif (turned and last in ("x", "y", "z", "w")) or (
-            last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e")
-        ):
+        elif turned and last in ("x", "y", "z", "w"):
             by_stem.setdefault(" ".join(rest), {})[last] = i
+        elif last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e"):
+            by_stem.setdefault(label.text.rstrip("])}0123456789"), {})[last] = i
     for found in by_stem.values():
         if set(found) == {"0"}:  # Q0 Qx Qy Qz
             for other in by_stem.values():

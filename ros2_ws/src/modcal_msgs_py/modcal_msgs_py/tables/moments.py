@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -49,11 +50,8 @@ class Moments:
 def find_time(numbers: Numbers, taken: set[int]) -> Moments:
     """When the rows were taken, as far as labels and cells say."""
     named = [k for k, label in numbers.labels.items() if k not in taken and _NAMES & set(label.words)]
-    for k in named:
-        if (found := _dates(numbers, (k,))) is not None:
-            return found
-    for a, b in zip(named, named[1:], strict=False):
-        if (found := _dates(numbers, (a, b))) is not None:
+    for columns in (*pairwise(named), *((k,) for k in named)):
+        if (found := _dates(numbers, columns)) is not None:
             return found
     for k in named:
         if (found := _seconds(numbers, k)) is not None:

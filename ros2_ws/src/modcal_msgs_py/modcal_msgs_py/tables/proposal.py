@@ -1,4 +1,4 @@
-"""A proposed mapping as a file to edit: what was found out, how it was proved, what was assumed, what is to be asked."""
+"""A proposed mapping as a file to edit: what was found out, its proof, what was assumed, and what is to be asked."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ def proposal(found: Findings, urdf: str | None) -> Proposal:
     lacking = len(numbers.values) - len(fitted.rows)
     if lacking:
         entry["missing"] = "skip"
+    if found.joined is not None and found.joined.stated:
+        entry["joined"] = list(found.joined.stated)
     entry["time"] = found.time.stated
     turning = np.asarray(chain.revolute, bool)
     unit = choice.angle if turning.any() else choice.length
@@ -100,8 +102,8 @@ def _proved(found: Findings) -> tuple[str, ...]:
         direction = "points of the tool in the tracker"
     joints = fitted.choice.angle if np.any(found.chain.revolute) else fitted.choice.length
     out = [
-        f"{turning_words(best)}; {direction}; positions in {best.meaning.unit}; joints in {joints}: the nominal arm misses "
-        f"{len(fitted.rows)} rows by {missed(best)} (median)"
+        f"{turning_words(best)}; {direction}; positions in {best.meaning.unit}; joints in {joints}: the nominal arm "
+        f"misses {len(fitted.rows)} rows by {missed(best)} (median)"
     ]
     if (other := second(fitted)) is not None:
         out.append(f"the second best differs in {differences(found.numbers, fitted, best, other)}")
@@ -116,6 +118,7 @@ def _assumed(found: Findings, used: list[int], lacking: int, warm: Mapping[str, 
         f"{name} = {numbers.shown(k)}" for name, k in zip(found.chain.names, fitted.choice.joints.columns, strict=True)
     )
     out.append(f"the joints' columns by {fitted.choice.joints.how}: {shown}")
+    out += found.joined.said if found.joined is not None else ()
     if not sniffed.sure:
         out.append(f"the text is not UTF-8 and is read as {sniffed.form.encoding}")
     if lacking:

@@ -21,12 +21,13 @@ from modcal_core.plausibility.conventions import BEYOND_DOUBT
 from modcal_core.plausibility.joint_columns import likely_orders
 from modcal_core.plausibility.meanings import LEAST_ROWS, LENGTHS, Judged, Postures, judge, rivals, same_poses
 from modcal_core.robots.chain import Chain
-from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, pool
-from modcal_msgs_py.tables.labels import MEASURED
+from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
+from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import Moments, find_time
-from modcal_msgs_py.tables.sniff import sniff
+from modcal_msgs_py.tables.together import Together, together
 
 _MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _ORDERS = 6  # of columns without labels that are judged in full
 _MOST_BODIES = 10  # that are judged where labels do not tell
@@ -80,16 +81,23 @@ class Findings:
     assumed: tuple[str, ...] = ()
     others: tuple[Fitted, ...] = field(default=())
     commanded: JointColumns | None = None
+    joined: Together | None = None
 
 
-def find(path: Path, chain: Chain, watch: Callable[[str], None] = lambda stage: None) -> Findings:
-    """What the columns of a file are. Raises BadTable where no reading of them has to do with the arm at all."""
+def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lambda stage: None) -> Findings:
+    """What the columns of a file are; of several, joined by a column that they share.
+
+    Raises BadTable where no reading of them has to do with the arm at all.
+    """
+    path = paths[0]
     watch(f"reading {path.name}")
-    numbers = Numbers.of(sniff(path))
+    joined = together(paths)
+    numbers = Numbers.of(joined.sniffed)
     if len(numbers.values) < LEAST_ROWS:
         said = f"has {len(numbers.values)} rows, {LEAST_ROWS} are needed to tell what its columns are"
-        raise BadTable(path.name, said, "write a mapping, see docs/recordings.md")
-    labelled = joints(numbers, chain.names)
+        raise BadTable(path.name, said, "write a mapping, see docs/import.md")
+    sure = orthonormal(numbers)
+    labelled = [j for j in joints(numbers, chain.names) if not set(j.columns) & sure]
     measured = [j for j in labelled if j.role == MEASURED]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
@@ -100,10 +108,13 @@ def find(path: Path, chain: Chain, watch: Callable[[str], None] = lambda stage: 
         watch("looking for the joints' columns")
         by_fit = bodies(numbers, set(), set(time.columns)) if not measured else places
         fits += _without_labels(numbers, chain, by_fit, set(time.columns))
-    if not fits:
-        said = "no columns are found that could be the joints, and the position of a target, of this arm"
-        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/recordings.md")
-    return _decided(numbers, chain, time, fits, labelled)
+    near = min((f.best.match.typical for f in fits), default=np.inf)
+    if not near <= NOT_AN_ARM * chain.reach():
+        said = "no columns are found that could be the joints of this arm and the position of a target on it"
+        if fits:
+            said += f"; the best leave {1e3 * near:.0f} mm"
+        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
+    return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
 
 
 def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
@@ -165,40 +176,48 @@ def scales(chain: Chain, angle: str, length: str) -> Array:
 
 
 def _without_labels(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
-    """Places of the readings with joints' columns that are told by what they explain."""
-    tried: dict[tuple[int, int, int], list[JointColumns]] = {}
-    for body in places:
-        if len(tried) >= _MOST_BODIES:
-            break
-        if body.position not in tried:
-            taken = {*body.position, *(body.turned or ()), *time}
-            tried[body.position] = _orders(numbers, chain, body, pool(numbers, taken))
+    """Places of the readings with joints' columns that are told by what they explain; labelled places first."""
     out: list[Fitted] = []
-    for position, choices in tried.items():
-        if not choices:
-            continue
-        for body in [b for b in places if b.position == position][:4]:
-            clear = [c for c in choices if not set(c.columns) & {*body.position, *(body.turned or ())}]
-            if clear and (fitted := _fitted(numbers, chain, body, clear)) is not None:
+    for stage in ([b for b in places if b.named], [b for b in places if not b.named]):
+        out += _searched(numbers, chain, stage, time)
+        if any(f.best.explained(chain) for f in out):
+            break
+    return out
+
+
+def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
+    triples = list(dict.fromkeys(body.position for body in places))
+    taken = set(time)
+    if places and places[0].named:
+        taken |= turn_labels(numbers.labels)
+        taken |= {k for body in places for k in (*body.position, *(body.turned if _sure(body) else ()))}
+    columns = pool(numbers, taken)
+    used = sorted({*columns, *(k for triple in triples for k in triple)})
+    whole = np.isfinite(numbers.values[:, used]).all(axis=1)
+    if not triples or not whole.any():
+        return []
+    values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
+    largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
+    found = []
+    for scale in (np.pi / 180.0,) if largest > _MOST_RAD else (1.0, np.pi / 180.0):
+        found += likely_orders(chain, values, scale, columns, triples, _ORDERS)
+    found.sort(key=lambda order: order.left)
+    out: list[Fitted] = []
+    for t in dict.fromkeys(order.triple for order in found[:_ORDERS]):
+        orders = dict.fromkeys(order.columns for order in found if order.triple == t)
+        choices = [JointColumns(order, "what they explain of the readings") for order in orders]
+        for body in [b for b in places if b.position == triples[t]][:6]:
+            free = [c for c in choices if not set(c.columns) & {*body.position, *(body.turned or ())}][:_ORDERS]
+            if free and (fitted := _fitted(numbers, chain, body, free)) is not None:
                 out.append(fitted)
                 if fitted.best.explained(chain) and body.turned is not None:
                     return out
     return out
 
 
-def _orders(numbers: Numbers, chain: Chain, body: Body, columns: Sequence[int]) -> list[JointColumns]:
-    used = [*columns, *body.position]
-    values = numbers.values[np.isfinite(numbers.values[:, used]).all(axis=1)]
-    if not len(values) or len(columns) < chain.n:
-        return []
-    q = values[:, list(columns)]
-    largest = float(np.median(np.abs(q).max(axis=0)))
-    out: list[JointColumns] = []
-    for scale in (np.pi / 180.0,) if largest > _MOST_RAD else (1.0, np.pi / 180.0):
-        for order in likely_orders(chain, scale * q, values[:, list(body.position)], _ORDERS):
-            chosen = JointColumns(tuple(columns[i] for i in order), "what they explain of the readings")
-            out += [chosen] if chosen not in out else []
-    return out
+def _sure(body: Body) -> bool:
+    """Whether an orientation is one by its numbers alone."""
+    return body.turned is not None and len(body.turned) > 3
 
 
 def _decided(
@@ -217,12 +236,13 @@ def _decided(
     best = chosen.best
     if not best.explained(chain):
         questions.append(
-            f"no reading of the columns makes the nominal arm fit; the best leaves {missed(best)}: check the URDF, --tip, "
-            "and every line below"
+            f"no reading of the columns makes the nominal arm fit; the best leaves {missed(best)}: check the URDF, "
+            "--tip, and every line below"
         )
     if chosen.computed:
         questions.append(
-            "the nominal arm reproduces the readings to some micrometres: they look computed from the joints, not measured"
+            "the nominal arm reproduces the readings to some micrometres: they look computed from the joints, not "
+            "measured"
         )
     others = tuple(f for f in rest if f.best.explained(chain))
     for other in others:
@@ -235,8 +255,8 @@ def _decided(
             questions.append(f"{names} both move with the tool: keep the columns of the target that was measured")
     if chosen.body.turned is None and any(f.body.turned for f in rest):
         questions.append(
-            "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, rotvec "
-            "or matrix, or leave the orientation out"
+            "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
+            "rotvec or matrix, or leave the orientation out"
         )
     for other in rivals(chosen.found):
         questions.append(f"cannot tell {differences(numbers, chosen, best, other)}")
@@ -317,17 +337,3 @@ def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -
 def second(fitted: Fitted) -> Judged | None:
     """The meaning that fits second best."""
     return fitted.found[1] if len(fitted.found) > 1 else None
-
-
-__all__ = [
-    "ColumnChoice",
-    "Findings",
-    "Fitted",
-    "differences",
-    "find",
-    "missed",
-    "replace",
-    "scales",
-    "second",
-    "turning_words",
-]

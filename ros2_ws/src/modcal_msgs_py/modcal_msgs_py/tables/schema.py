@@ -12,7 +12,7 @@ from modcal_core.measurements.schema import Schema, require, shown
 from modcal_msgs_py.tables.orientation import FORMS
 from modcal_msgs_py.tables.readings import TOPICS
 
-_REMEDY = "see docs/recordings.md"
+_REMEDY = "see docs/import.md"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")  # of a topic, as ROS 2 allows
 
 

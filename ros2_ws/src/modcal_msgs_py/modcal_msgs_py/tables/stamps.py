@@ -55,6 +55,8 @@ def _dates(table: Table, column: Any, form: str) -> Array:
             continue
         try:
             moment = datetime.strptime(cell, form)
+            if moment.year == 1900:  # a time of day without a date
+                moment = moment.replace(year=1970)
             out[i] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         except (ValueError, IndexError, KeyError, OverflowError, re.error):
             table.bad(i, column, f"'{cell[:40]}' is not {form}", form)

@@ -11,46 +11,114 @@ from typing import Any
 import click
 
 from modcal_core.errors import BadTable, ModcalError, about
-from modcal_core.files import read_yaml, write_file
+from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements.imported import remedies_of
 from modcal_core.measurements.recording import IMPORTED, Recording
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables import import_tables
+from modcal_msgs_py.tables import read_tables
+from modcal_msgs_py.tables.schema import json_schema
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.robot import described
+from modcal_nodes.cli.import_proposal import is_kinematic, proposed
+from modcal_nodes.cli.robot import BASE, TIP, described
 
 _EXISTING = click.Path(exists=True, path_type=Path)
+_YAML = (".yaml", ".yml")
+
+
+def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        click.echo(to_json(json_schema()), nl=False)
+        context.exit()
 
 
 @click.command("import")
-@click.argument("mapping", type=_EXISTING)
+@click.argument("sources", type=_EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
 @click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="The bag or URDF to write. Default: MAPPING's name."
+    "--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag, and to prove a mapping by."
+)
+@BASE
+@TIP
+@click.option(
+    "--mapping",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.",
+)
+@click.option(
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
+    help="Print the JSON schema of MAPPING, for editors.",
 )
 @speaking
-def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Path | None, output: Output) -> None:
+def import_command(
+    sources: tuple[Path, ...],
+    data: Path | None,
+    urdf: Path | None,
+    base: str | None,
+    tip: str | None,
+    mapping: Path | None,
+    out: Path | None,
+    output: Output,
+) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
+
+    Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
+    out, proved by the nominal arm that fits, and written as a mapping to edit. What the data cannot tell is asked,
+    with exit code 3. Further files are joined by a column that they share.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
     takes.
-    """
-    table = read_table(mapping)
+    """  # fmt: skip
+    first = sources[0]
+    if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
+        made, path = proposed(sources, urdf, base, tip, mapping, output)
+        if made.open:
+            raise SystemExit(3)
+        if out is not None:
+            _import(path, data or first.parent, urdf, out, output)
+        return
+    if len(sources) > 1:
+        raise BadTable(str(sources[1]), "stands beside a mapping", "name all files in the mapping, or give tables only")
+    table = _kinematic_table(first)
     if table is not None:
-        with about(str(mapping)):
+        with about(str(first)):
             chain = from_table(table)
-        out = out or Path(f"{mapping.stem}.urdf")
+        out = out or Path(f"{first.stem}.urdf")
         write_file(out, chain_urdf(chain))
         output.result(*told(out, chain))
         return
+    _import(first, data or first.parent, urdf, out or Path(first.stem), output)
+
+
+def _kinematic_table(path: Path) -> dict[str, Any] | None:
+    try:
+        return read_table(path)
+    except BadTable as error:
+        if path.suffix.lower() in _YAML or is_kinematic(path):
+            raise
+        remedy = "give --urdf ROBOT, and a mapping is found out for a table of measurements"
+        raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
+
+
+def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: Output) -> None:
+    """The bag that a mapping makes."""
     stated = read_yaml(mapping)
-    folder, out = data or mapping.parent, out or Path(mapping.stem)
     with output.working() as watch:
-        recording = import_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
+        tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
+        recording = tables.recording
         recording = replace(recording, warnings=(f"{IMPORTED}{mapping.name}.", *recording.warnings))
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
@@ -58,11 +126,13 @@ def import_command(mapping: Path, data: Path | None, urdf: Path | None, out: Pat
             watch("comparing conventions")
             with remedies_of(recording.warnings):
                 recording = _proved(recording, stated)
-        write_recording(recording, out, partial(watch, f"writing {out.name}"))
+        write_recording(recording, out, partial(watch, f"writing {out.name}"), tables.commanded)
     frames = list(recording.frames)
-    found = {"bag": str(out), "stations": sum(len(r.stamps) for r in recording.readings), "frames": frames}
-    line = f"{out}: {found['stations']} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
-    output.result(found, partial(tell, [line]))
+    stations = sum(len(r.stamps) for r in recording.readings)
+    left_out = [note for note in recording.warnings if "left out" in note]
+    found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
+    line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
+    output.result(found, partial(tell, [*left_out, line]))
 
 
 def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
@@ -78,7 +148,12 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
         samples = cut_stations(recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording
-    sequences = {str((t.get("pose") or {}).get("euler", {}).get("sequence", "")) for t in stated["tables"]}
+    poses = [
+        p
+        for t in stated["tables"]
+        for p in ([t["pose"]] if isinstance(t.get("pose"), Mapping) else t.get("pose") or [])
+    ]
+    sequences = {str(pose.get("euler", {}).get("sequence", "")) for pose in poses}
     undone = proved(samples, chain, sequences.pop() or None if len(sequences) == 1 else None)[1]
     if undone is None:
         return recording
