@@ -63,17 +63,19 @@ def delta_files(calibration: Calibration, report: ReportContents, page: bool = T
     )
 
 
-def report_files(report: ReportContents, page: bool = True) -> dict[str, str]:
-    """Names and texts of a report."""
-    return _with_report(report, {}, page)
+def report_files(report: ReportContents, page: bool = True, calibration: str = "") -> dict[str, str]:
+    """Names and texts of a report. calibration: of an evaluation, the name of what was evaluated."""
+    return _with_report(report, {}, page, calibration)
 
 
-def _with_report(report: ReportContents, others: dict[str, str], page: bool = True) -> dict[str, str]:
+def _with_report(
+    report: ReportContents, others: dict[str, str], page: bool = True, calibration: str = ""
+) -> dict[str, str]:
     """A report, whose page names the other files as well, before those."""
     files = {"report.json": to_json(to_json_data(report))}
     if page:
         # drawing it takes longer than many a fit, and so does the import of what draws it
         from modcal_core.report.html import to_html
 
-        files["report.html"] = to_html(report, ["report.json", *others])
+        files["report.html"] = to_html(report, ["report.json", *others], calibration)
     return {**files, **others}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -15,6 +16,8 @@ from modcal_core.report.palette import DARK, LIGHT, TINT
 if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
+
+    from modcal_core.report.robot_scene import RobotScene
 
 _PX = 1.34  # on the page, per point of a figure: its 8 point labels are then as large as small text
 _NARROWEST = 300.0  # px; a wider chart is shrunk no further than 0.65 of its size, and can be moved sideways instead
@@ -27,6 +30,17 @@ class Chart:
     name: str
     drawn: str
     caption: str
+
+
+@dataclass(frozen=True)
+class PageTable:
+    """A table of a page. words: how many columns, from the left, hold words. below: a sentence under it."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+    below: str = ""
 
 
 def chart(figure: Figure, name: str, alt: str, caption: str) -> Chart:
@@ -65,8 +79,19 @@ def _environment() -> Environment:
     )
 
 
-def plain_page(title: str, verdict: str, lines: list[str], charts: list[Chart], files: list[tuple[str, str]]) -> str:
-    """A page of sentences and pictures. files: names and what each holds."""
+def plain_page(
+    title: str,
+    verdict: str,
+    lines: list[str],
+    charts: list[Chart],
+    files: list[tuple[str, str]],
+    tables: Sequence[PageTable] = (),
+    robot: RobotScene | None = None,
+) -> str:
+    """A page of an answer, sentences, tables and pictures. verdict: the answer. files: names and what each holds.
+
+    robot: the arm in three dimensions, where there is one to show.
+    """
     return render(
         "plain.html.j2",
         title=title,
@@ -76,6 +101,10 @@ def plain_page(title: str, verdict: str, lines: list[str], charts: list[Chart], 
         lines=lines,
         charts=charts,
         files=files,
+        tables=tables,
+        scene=None if robot is None else as_script_data(robot.to_data()),
+        scene_alt="" if robot is None else robot.alt,
+        postures=0 if robot is None else len(robot.arms),
     )
 
 

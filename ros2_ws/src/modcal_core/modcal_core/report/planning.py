@@ -11,8 +11,10 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.plan import Plan
+from modcal_core.report.figures import thinned
 from modcal_core.report.page import chart, plain_page, svg
 from modcal_core.report.palette import LIGHT
+from modcal_core.report.robot_scene import MOST_POINTS, MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 from modcal_core.robots.table_rows import plain
 
 if TYPE_CHECKING:
@@ -148,9 +150,22 @@ def to_html(plan: Plan, title: str) -> str:
     first, *others = sentences(plan)
     alt = f"{len(plan.q)} stations among the postures that could be chosen, from above and from the side."
     caption = "Dots could be chosen; the line connects the stations in their order."
-    return plain_page(
-        f"{title}: stations to measure", first, others, [chart(_drawn(plan), "stations", alt, caption)], _FILES
-    )
+    charts = [chart(_drawn(plan), "stations", alt, caption)]
+    return plain_page(f"{title}: stations to measure", first, others, charts, _FILES, robot=_robot(plan))
+
+
+def _robot(plan: Plan) -> RobotScene:
+    """The arm at the stations in their order, among the places that could be chosen."""
+    pool, tracker = plan.pool, plan.pool.site.tracker
+    chain = pool.model.serial
+    rows = thinned(len(plan.q), MOST_POSTURES)
+    paths = arm_paths(chain, plan.q, pool.model.T_tip_tool)
+    could = arm_paths(chain, pool.q[thinned(len(pool.q), MOST_POINTS)], pool.model.T_tip_tool)[:, -1]
+    said = [f"Station {row + 1} of {len(plan.q)}: {joints_in_words(chain, plan.q[row])}." for row in rows]
+    marks = () if tracker is None else (("tracker", tracker.position),)
+    alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
+    points = paths[:, -1]
+    return RobotScene(tuple(paths[rows]), tuple(said), points, rows, chain.base, alt, True, could, marks)
 
 
 def _drawn(plan: Plan) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from modcal_core.report.palette import LIGHT
 from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.mechanism import tool_frames
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 MOST_ARROWS = 300
 _MOST_POSTURES = 60
 _MOST_STAGES = 7
@@ -29,6 +32,7 @@ _MOST_STAGES = 7
 class ReportScene:
     """All in the arm's base [m]. points: where the tool is, (N, 3). stages: name and misses (N, 3). paths: of the arm
     at the points ``shown``, polylines (k, 3). names: of the points. partly: some readings see along one line only.
+    base: name of the base link.
     """
 
     points: Array
@@ -37,6 +41,7 @@ class ReportScene:
     shown: np.ndarray
     names: tuple[str, ...]
     partly: bool
+    base: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """What the page's script draws: metres, and millimetres of the misses."""
@@ -46,6 +51,7 @@ class ReportScene:
             "arms": [[np.round(path, 3).tolist() for path in arm] for arm in self.paths],
             "shown": self.shown.tolist(),
             "names": list(self.names),
+            "base": self.base,
         }
 
 
@@ -67,7 +73,7 @@ def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
     shown = thinned(len(samples), max(int(share * _MOST_POSTURES), 8))
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
-    return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()))
+    return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()), model.chain.base)
 
 
 def _in_base(model: Model, samples: Samples, errors: Errors, rows: np.ndarray, indirect: np.ndarray) -> Array:
@@ -116,9 +122,22 @@ def still(drawn: ReportScene) -> Chart:
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7.5)
         label(axes, f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
-    alt = f"The arm and the misses of {len(drawn.points)} held-out samples, from above and from the side."
+        _scale_bar(axes, scale)
+    alt = f"The arm and the errors of {len(drawn.points)} held-out samples, from above and from the side."
     words = (
         f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
         "thick blue ones with the final."
     )
     return chart(figure, "still", alt, words)
+
+
+def _scale_bar(axes: Axes, scale: float) -> None:
+    """A stroke as long as a round error is drawn, in the lower left corner."""
+    axes.autoscale_view()
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    room = 0.25 * (right - left) / scale * 1e3  # mm of error
+    mm = 10.0 ** np.floor(np.log10(room))
+    mm *= max(m for m in (1.0, 2.0, 5.0) if m * mm <= room)
+    x, y = left + 0.04 * (right - left), low + 0.05 * (high - low)
+    axes.plot([x, x + 1e-3 * scale * mm], [y, y], "|-", color=LIGHT["ink"], lw=1.6, ms=5.0)
+    axes.text(x, y + 0.02 * (high - low), f"{mm:g} mm of error", fontsize=7)

@@ -9,8 +9,10 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.gain import NAMED
 from modcal_core.planning.study import Study
-from modcal_core.report.page import chart, plain_page, svg
+from modcal_core.report.figures import thinned
+from modcal_core.report.page import PageTable, chart, plain_page, svg
 from modcal_core.report.palette import LIGHT
+from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,6 +23,7 @@ _FILES = [
     ("single_point.csv", "single-point indices, one row a posture"),
 ]
 _SAME = 1e-6  # share of an index within which it is the same at every posture
+_LISTED = 10  # parameters of a table on the page
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -83,15 +86,15 @@ def sentences(study: Study) -> list[str]:
     joint, names = study.joint, study.closed.names
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
-    out = [_about_lengths(study, lengths, constant)]
+    order = np.argsort(-joint.before.share)
+    strongest = ", ".join(f"{names[k]} ({joint.before.share[k]:.1%})" for k in order[:_NAMED])
+    said = f"RMS position error {1e3 * joint.before.rms:.3f} mm; the largest shares of its square: {strongest}."
+    out = [said, _about_lengths(study, lengths, constant)]
     if (~lengths).any():
         steady = [names[k] for k in np.flatnonzero(~lengths & constant)]
         varying, angles = int((~lengths & ~constant).sum()), int((~lengths).sum())
         said = f"{varying} of {angles} angles have a different influence from pose to pose"
         out.append(said + (f"; {', '.join(steady)} move the point by the same at every one." if steady else "."))
-    order = np.argsort(-joint.before.share)
-    strongest = ", ".join(f"{names[k]} ({joint.before.share[k]:.1%})" for k in order[:_NAMED])
-    out.append(f"RMS position error {1e3 * joint.before.rms:.3f} mm; the largest shares of its square: {strongest}.")
     out.append(
         f"{len(study.measured.q)} stations ({study.measured.kind}s, {1e3 * study.measured.std_m:.3g} mm) would leave "
         f"{1e3 * joint.after.rms:.3f} mm."
@@ -147,10 +150,55 @@ def pictures(study: Study) -> dict[str, str]:
 
 
 def to_html(study: Study, title: str) -> str:
-    """The study as a page: sentences and pictures."""
+    """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
     first, *others = sentences(study)
     charts = [chart(drawn, name, words, words) for name, (drawn, words) in _figures(study).items()]
-    return plain_page(f"{title}: sensitivity", first, others, charts, _FILES)
+    return plain_page(f"{title}: sensitivity", first, others, charts, _FILES, _tables(study), _robot(study))
+
+
+def _tables(study: Study) -> tuple[PageTable, ...]:
+    """The strongest parameters, lengths and angles apart, with what each adds to the error."""
+    joint, out = study.joint, []
+    order = [int(k) for k in np.argsort(-joint.before.share, kind="stable")]
+    for title, lengths, unit in (("Angles", False, "mrad"), ("Lengths", True, "mm")):
+        rows = [
+            (
+                study.closed.names[k],
+                f"{1e3 * study.indices.sizes[k]:.3g} {unit}",
+                f"{joint.before.share[k]:.1%}",
+                f"{joint.seen[k]:.0%}",
+            )
+            for k in order
+            if study.closed.factors[k].is_length == lengths
+        ]
+        header = ("parameter", "assumed error", "share of the squared error", "observed by the stations")
+        below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in sensitivity.md."
+        if rows:
+            out.append(PageTable(f"{title} that matter most", header, tuple(rows[:_LISTED]), below=below))
+    return tuple(out)
+
+
+def _robot(study: Study) -> RobotScene:
+    """The arm in the postures of the study, every joint as large as the share of its parameters."""
+    chain, share = study.closed.chain, study.joint.before.share
+    rows = thinned(len(study.q), MOST_POSTURES)
+    paths = arm_paths(chain, study.q[rows])
+    of_joint = [
+        sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint)
+        for joint in chain.names
+    ]
+    said = [
+        f"Posture {row + 1} of {len(study.q)}: {joints_in_words(chain, study.q[row])}. Discs: share of the "
+        "squared error that each joint's parameters have."
+        for row in rows
+    ]
+    alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
+        f"{name} {value:.0%}" for name, value in zip(chain.names, of_joint, strict=True)
+    )
+    points = paths[:, -1]
+    return RobotScene(
+        tuple(paths), tuple(said), points, np.arange(len(rows)), chain.base, alt, weights=tuple(map(float, of_joint))
+    )
 
 
 def _figures(study: Study) -> dict[str, tuple[Figure, str]]:

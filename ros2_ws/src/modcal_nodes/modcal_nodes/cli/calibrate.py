@@ -208,7 +208,7 @@ def evaluate_command(
             tolerance_mm=tolerance_mm,
             tolerance_of=tolerance_of,
         )
-        files: dict[str, str | bytes] = {**report_files(report)}
+        files: dict[str, str | bytes] = {**report_files(report, calibration=_name(calibration))}
         if said is not None:
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
@@ -218,6 +218,12 @@ def evaluate_command(
     write_folder(out, files)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, written(out, files), output)
+
+
+def _name(calibration: Path) -> str:
+    """What a calibration is called: its folder, or the file where that has another name than usual."""
+    path = calibration.resolve()
+    return path.parent.name if path.name == "calibration.yaml" else path.stem if path.is_file() else path.name
 
 
 def _stated(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:

@@ -16,6 +16,7 @@ from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording, joint_stamps_and
 from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
+from modcal_core.report.limits_page import to_html
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm
@@ -81,7 +82,10 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="Folder of limits.json and joint_limits.yaml."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of limits.json, joint_limits.yaml and report.html.",
 )
 @topic_options
 @speaking
@@ -135,7 +139,11 @@ def limits_command(
         data = {**to_json_data(found), "notes": list(notes)}
     where = ""
     if out is not None:
-        files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
+        files = {
+            "limits.json": to_json(data),
+            "joint_limits.yaml": to_yaml(joint_limits(found)),
+            "report.html": to_html(found, source.stem, tuple(notes)),
+        }
         write_folder(out, files)
         where = written(out, files, "Limits", "limits.json")
     output.result(data, partial(_show, data, said, len(q), notes), where)

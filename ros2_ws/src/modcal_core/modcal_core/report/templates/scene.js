@@ -10,18 +10,21 @@
   const turning = new Map();
 
   const size = (v) => Math.hypot(v[0], v[1], v[2]);
-  const points = [[0, 0, 0], ...data.points, ...data.arms.flat(2)];
+  const cloud = data.cloud || [], marks = data.marks || [], stages = data.stages;
+  const chosenStage = () => (stage ? stage.selectedIndex : 0);
+  const points = [[0, 0, 0], ...data.points, ...data.arms.flat(2), ...cloud, ...marks.map((m) => m.at)];
   const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])));
   const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])));
   const middle = low.map((a, k) => (a + high[k]) / 2);
   const radius = Math.max(1e-3, ...points.map((p) => size(p.map((v, k) => v - middle[k]))));
+  const nice = (x) => { const p = 10 ** Math.floor(Math.log10(x)); return Number(([5, 2, 1].find((m) => m * p <= x) * p).toPrecision(1)); };
   const round = (x) => { const p = 10 ** Math.floor(Math.log10(x)); return Math.max(1, [1, 2, 5, 10].filter((m) => m * p <= x).pop() * p); };
   // a tenth of the picture for what 19 of 20 stay below
   const fitting = (k) => {
     const sizes = data.stages[k].arrows.map(size).sort((a, b) => a - b);
     return round(0.3 * radius / Math.max(1e-9, 1e-3 * (sizes[Math.floor(0.95 * sizes.length)] || 0)));
   };
-  const scale = () => stretch * fitting(own.checked ? stage.selectedIndex : 0);
+  const scale = () => stretch * (stages.length ? fitting(own.checked ? chosenStage() : 0) : 1);
 
   function draw() {
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(`--${name}`).trim();
@@ -43,7 +46,7 @@
     const text = (p, words) => { const [x, y] = at(p); pen.fillStyle = colour("soft"); pen.fillText(words, x + 4, y - 3); };
     pen.font = "12px system-ui, sans-serif"; pen.lineCap = pen.lineJoin = "round";
 
-    const step = round(radius / 2), floor = 0;
+    const step = nice(radius / 2), floor = 0;
     for (let k = -4; k <= 4; k++) {
       line([[-4 * step, k * step, floor], [4 * step, k * step, floor]], "line", 1);
       line([[k * step, -4 * step, floor], [k * step, 4 * step, floor]], "line", 1);
@@ -51,10 +54,13 @@
     [["x", "bad"], ["y", "good"], ["z", "after"]].forEach(([name, tone], k) => {
       const end = [0, 0, 0]; end[k] = 0.25 * radius; line([[0, 0, 0], end], tone, 2); text(end, name);
     });
-    const shown = data.stages[stage.selectedIndex].arrows, factor = 1e-3 * scale(), chosen = Number(posture.value);
-    data.points.forEach((p, k) => {
+    cloud.forEach((p) => dot(p, "before", 1));
+    if (data.route) line(data.points, "after", 0.8);
+    const shown = stages.length ? stages[chosenStage()].arrows : null, factor = 1e-3 * scale(), chosen = Number(posture.value);
+    if (!shown) data.points.forEach((p, k) => dot(p, data.shown[chosen] === k ? "warn" : "after", data.shown[chosen] === k ? 5 : 2.5));
+    if (shown) data.points.forEach((p, k) => {
       const tip = p.map((v, i) => v + factor * shown[k][i]), here = data.shown[chosen] === k;
-      line([p, tip], here ? "warn" : stage.selectedIndex ? "after" : "bad", here ? 3 : 1.6);
+      line([p, tip], here ? "warn" : chosenStage() ? "after" : "bad", here ? 3 : 1.6);
       const [ax, ay] = at(p), [bx, by] = at(tip), length = Math.hypot(bx - ax, by - ay);
       if (length > 5) {
         const ux = (bx - ax) / length, uy = (by - ay) / length, h = Math.min(6, length / 2);
@@ -64,10 +70,23 @@
       dot(p, here ? "warn" : "soft", here ? 4 : 1.7);
     });
     (data.arms[chosen] || []).forEach((path) => { line(path, "ink", 4); path.forEach((p) => dot(p, "ink", 4)); });
-    Object.assign(canvas.dataset, { yaw: view.yaw.toFixed(3), pitch: view.pitch.toFixed(3), zoom: view.zoom.toFixed(3), stage: stage.value, scale: scale() });
+    marks.forEach((m) => { dot(m.at, "bad", 6); text(m.at, m.name); });
+    (data.weights || []).forEach((w, k) => { if (w) { const p = data.arms[chosen][0][k + 1]; pen.globalAlpha = 0.6; dot(p, "bad", 4 + 18 * Math.sqrt(w)); pen.globalAlpha = 1; } });
+    // what the picture's lengths are
+    const left = 14, low_ = height - 16;
+    pen.fillStyle = colour("soft"); pen.fillText(`axes x, y, z of ${data.base || "the base"}; grid ${step} m`, left, low_ + 4);
+    if (shown) {
+      const mm = nice(110 / (unit * factor)), wide = mm * unit * factor;
+      pen.strokeStyle = pen.fillStyle = colour("ink"); pen.lineWidth = 2; pen.beginPath();
+      pen.moveTo(left, low_ - 22); pen.lineTo(left + wide, low_ - 22);
+      for (const x of [left, left + wide]) { pen.moveTo(x, low_ - 26); pen.lineTo(x, low_ - 18); }
+      pen.stroke(); pen.fillText(`${mm} mm of error`, left + wide + 8, low_ - 18);
+    }
+    Object.assign(canvas.dataset, { yaw: view.yaw.toFixed(3), pitch: view.pitch.toFixed(3), zoom: view.zoom.toFixed(3), stage: stage ? stage.value : "", scale: scale() });
   }
   function tell() {
-    const k = data.shown[Number(posture.value)], now = data.stages[stage.selectedIndex];
+    if (!stages.length) { said.textContent = data.said[Number(posture.value)] || ""; draw(); return; }
+    const k = data.shown[Number(posture.value)], now = stages[chosenStage()];
     const miss = (s) => `${size(s.arrows[k]).toFixed(3)} mm`, more = now === data.stages[0] ? "" : `, ${miss(now)} with ${now.name} added`;
     said.textContent = `Arrows are drawn ${scale()} times as long as they are. In this posture, ${data.names[k]}: ${miss(data.stages[0])} with the nominal model${more}.`;
     draw();
@@ -92,9 +111,9 @@
   for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (e) => turning.delete(e.pointerId));
   // a plain wheel scrolls the page
   canvas.addEventListener("wheel", (e) => { if (e.ctrlKey || document.activeElement === canvas) { zoom(e.deltaY < 0 ? 1.1 : 1 / 1.1); e.preventDefault(); } }, { passive: false });
-  for (const [control, happens] of [[stage, "change"], [posture, "input"], [own, "change"]]) control.addEventListener(happens, tell);
-  longer.addEventListener("click", () => { stretch *= 2; tell(); });
-  shorter.addEventListener("click", () => { stretch /= 2; tell(); });
+  for (const [control, happens] of [[stage, "change"], [posture, "input"], [own, "change"]]) control?.addEventListener(happens, tell);
+  longer?.addEventListener("click", () => { stretch *= 2; tell(); });
+  shorter?.addEventListener("click", () => { stretch /= 2; tell(); });
   document.addEventListener("recolour", draw);
   addEventListener("resize", draw);
   tell();

@@ -1,0 +1,105 @@
+"""Bounds of acceleration as a page: the answer, a table for each unit, and the robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.report.counted import counted
+from modcal_core.report.figures import thinned
+from modcal_core.report.limits import LimitsFound
+from modcal_core.report.page import PageTable, plain_page
+from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+
+_FILES = [
+    ("limits.json", "all numbers, for programs"),
+    ("joint_limits.yaml", "constant bounds in the form of MoveIt's file"),
+]
+
+
+def answer(found: LimitsFound) -> str:
+    """What a person asks first: how fast the weakest joint may accelerate, and which drive is nearest to its limit."""
+    lower, upper = found.constant
+    least = np.minimum(-lower, upper)
+    chain, most = found.arm.chain, found.load.max(axis=0)
+    loaded = int(np.argmax(most))
+    carried = f"With {found.arm.payload.mass:g} kg" if found.arm.payload.mass else "Without a payload"
+    said = f"{carried} at {counted(len(found.q), 'posture')}, "
+    parts = []
+    for turning, unit in ((True, "rad/s²"), (False, "m/s²")):
+        rows = np.flatnonzero(chain.revolute == turning)
+        if len(rows):
+            j = int(rows[np.argmin(least[rows])])
+            parts.append(f"{chain.names[j]} may accelerate by {least[j]:.3g} {unit}")
+    said += " and ".join(parts) + ", the least of all joints, whatever the others do within their bounds."
+    return f"{said} {chain.names[loaded]} needs up to {most[loaded]:.0%} of its torque to hold and move at all."
+
+
+def to_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
+    """The page. notes: sentences beside it."""
+    lines = [
+        *notes,
+        f"{found.arm.share:.0%} of the torque of each drive may be used.",
+        "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own bounds "
+        "at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
+        "joint_limits.yaml has it.",
+    ]
+    return plain_page(
+        f"{title}: limits of acceleration", answer(found), lines, [], _FILES, _tables(found), _robot(found)
+    )
+
+
+def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
+    """What may be accelerated and what is needed to hold, turning and sliding joints apart."""
+    chain, drives = found.arm.chain, found.arm.drives
+    alone, together = found.window.equivalent(), found.coupled
+    out = []
+    for turning, kind, unit, torque, inertia in (
+        (True, "turning", "rad/s²", "N m", "kg m²"),
+        (False, "sliding", "m/s²", "N", "kg"),
+    ):
+        rows = [int(j) for j in np.flatnonzero(chain.revolute == turning)]
+        if not rows:
+            continue
+        bounds = tuple(
+            (
+                chain.names[j],
+                f"{alone[0][:, j].max():.3g} … {alone[1][:, j].min():.3g}",
+                f"{together[0][:, j].max():.3g} … {together[1][:, j].min():.3g}",
+                f"{found.constant[0][j]:.3g} … {found.constant[1][j]:.3g}",
+            )
+            for j in rows
+        )
+        header = ("joint", "alone", "together", "for all postures")
+        out.append(PageTable(f"Acceleration of {kind} joints, {unit}", header, bounds))
+        loads = tuple(
+            (
+                chain.names[j],
+                f"{drives.torque[j]:.3g}",
+                f"{found.load[:, j].max():.0%}",
+                f"{found.inertia[:, j].min():.3g} … {found.inertia[:, j].max():.3g}",
+            )
+            for j in rows
+        )
+        header = ("joint", f"torque of the drive, {torque}", "of it needed to hold", f"inertia, {inertia}")
+        out.append(PageTable(f"Load of {kind} joints", header, loads))
+    return tuple(out)
+
+
+def _robot(found: LimitsFound) -> RobotScene:
+    """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
+    chain = found.arm.chain
+    rows = thinned(len(found.q), MOST_POSTURES)
+    paths = arm_paths(chain, found.q[rows])
+    said = []
+    for row in rows:
+        j = int(np.argmax(found.load[row]))
+        said.append(
+            f"Posture {row + 1} of {len(found.q)}: {joints_in_words(chain, found.q[row])}. {chain.names[j]} needs "
+            f"{found.load[row, j]:.0%} of its torque here. Discs: the share that each joint needs at most."
+        )
+    most = found.load.max(axis=0)
+    alt = "The arm; a disc at each joint shows the share of its torque that is needed: " + ", ".join(
+        f"{name} {value:.0%}" for name, value in zip(chain.names, most, strict=True)
+    )
+    weights = tuple(float(min(value, 1.0)) for value in most)
+    return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt, weights=weights)
