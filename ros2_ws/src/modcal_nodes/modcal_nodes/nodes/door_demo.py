@@ -29,6 +29,7 @@ from modcal_nodes.simulation.learned import PullRecord
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
 _KINDS = ("door", "drawer")
+_PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 
 
 class DoorDemo(GuardedNode):
@@ -71,8 +72,12 @@ class DoorDemo(GuardedNode):
             words += ["--params-file", str(share / "config" / f"{node}.yaml")]
             for name, value in plan.fixed.get(node, {}).items():
                 words += ["-p", f"{name}:={str(share / value) if name == 'urdf' else str(value).lower()}"]
+            # a time that waits for the machine: a busy one is slower, and no limit of the control is in the way
             if node == "simulated_furniture":
                 words += ["-p", f"kind:={self._chosen['kind']}", "-p", f"seed:={self._chosen['seed']}"]
+                words += [word for paced in _PACED for word in ("-p", paced)]
+            else:
+                words += ["-p", "use_sim_time:=true"]
             for old, new in plan.remaps.get(node, ()):
                 words += ["-r", f"{old}:={new}"]
             children.append(subprocess.Popen(words, stdin=subprocess.DEVNULL))
