@@ -162,6 +162,8 @@ MEANINGS: dict[str, dict[str, str]] = {
         "header.stamp": STAMP, "name": "the object's joint", "position": "how far it is open in truth, rad, m",
     },
     "door_demo simulated_furniture/object_truth": {"position": "how far it is open in truth, rad, m", "name": "not looked at"},
+    "door_demo simulated_furniture/contact_force": {"wrench.force": "N; the largest is said in the end"},
+    "door_demo joint_states": {"header.stamp": STAMP, "name": "of the arm", "position": "rad, m; the way of the hand is learned from"},
     "trajectory_sender ~/joint_trajectory": TRAJECTORY,
 }  # fmt: skip
 SERVICES = {

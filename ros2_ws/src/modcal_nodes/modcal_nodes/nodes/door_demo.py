@@ -49,9 +49,8 @@ class DoorDemo(GuardedNode):
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
-        if self._chosen["out"]:
-            self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), LATCHED)
-            self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
+        self.create_subscription(String, "robot_description", self._hear_description, LATCHED)
+        self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
         Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waiting for the pull to begin")])
@@ -89,6 +88,9 @@ class DoorDemo(GuardedNode):
     def _hear_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._record.feel(np.array([force.x, force.y, force.z]))
+
+    def _hear_description(self, message: String) -> None:
+        self._record.describe(message.data)
 
     def _hear_joints(self, message: JointState) -> None:
         if self._pulls and not self._over:
