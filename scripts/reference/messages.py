@@ -165,13 +165,10 @@ MEANINGS: dict[str, dict[str, str]] = {
     "simulated_furniture ~/object_truth": {
         "header.stamp": STAMP, "name": "the object's joint", "position": "how far it is open in truth, rad, m",
     },
-    "door_demo simulated_furniture/contact_force": {"wrench.force": "the largest of its lengths is shown, N"},
     "door_demo simulated_furniture/object_truth": {"position": "how far it is open in truth, rad, m", "name": "not looked at"},
-    "trajectory_sender ~/joint_trajectory": {
-        "header.stamp": "0: from now on",
-        "joint_names": "as in the file",
-        "points": "the whole trajectory: positions, rad, m, velocities 0, time_from_start",
-    },
+    "door_demo simulated_furniture/contact_force": {"wrench.force": "N; the largest is said in the end"},
+    "door_demo joint_states": {"header.stamp": STAMP, "name": "of the arm", "position": "rad, m; the way of the hand is learned from"},
+    "trajectory_sender ~/joint_trajectory": TRAJECTORY,
 }  # fmt: skip
 SERVICES = {
     "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",

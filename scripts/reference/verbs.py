@@ -8,24 +8,43 @@ from collections.abc import Iterator
 import click
 from cells import code, prose, table
 
-from modcal_nodes.cli.main import VERBS, modcal
+from modcal_nodes.cli.main import GROUPS, VERBS, modcal
 
 INTRODUCTION = """# The command line
 
 `modcal --help` lists the verbs, and `modcal VERB --help` prints the same as this page. Every verb ends with exit code 0
 on success; 2 when the input cannot be used, with one line on stderr that says what offends, the limit and the
 remedy, and nothing written (`modcal fleet` excepted, which writes what could be done); 130 when it was interrupted; 1
-when modcal itself is at fault, with a traceback.
+when modcal itself is at fault, with a traceback; 3 when it is done, and a tolerance that was asked for is not met or cannot
+be told.
+
+* `--json` prints the result as JSON in place of tables, `-v` says on stderr what takes how long.
+* The first line names the arm that was taken, `arm: base_link → tool0, 6 joints`, and, where another arm has as many
+  joints, the option that takes that one. The default tip is the link behind most recorded joints, short of a gripper.
+* The lines below a table say what its columns mean; the last lines name every file that was written.
+
+**Completion** of verbs, options, choices and files, by a script that Click writes:
+
+    modcal completion bash >> ~/.bashrc
+    modcal completion zsh >> ~/.zshrc                                # after compinit
+    modcal completion fish > ~/.config/fish/completions/modcal.fish
 
 What `modcal calibrate` and `modcal evaluate` write: [fields of report.json](../report.md#fields-of-reportjson)."""
 
 
 def page() -> str:
     """Text of the page."""
-    listing = table(("verb", ""), ((f"[`{verb}`](#modcal-{verb})", prose(VERBS[verb][2])) for verb in VERBS))
+    listing = table(
+        ("", "verb", ""),
+        (
+            ("" if i else group, f"[`{verb}`](#modcal-{verb})", prose(VERBS[verb][2]))
+            for group, verbs in GROUPS.items()
+            for i, verb in enumerate(verbs)
+        ),
+    )
     root = click.Context(modcal, info_name="modcal")
     parts = [INTRODUCTION, listing]
-    for verb in VERBS:
+    for verb in modcal.list_commands(root):
         command = modcal.get_command(root, verb)
         assert command is not None
         parts += _command(command, click.Context(command, info_name=verb, parent=root), 2)

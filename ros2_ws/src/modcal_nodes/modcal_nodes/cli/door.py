@@ -43,12 +43,13 @@ def door_command(kind: str, seed: int, patience: float, domain: int | None, out:
     """
     out = out or Path(f"{kind}_demo")
     chosen = 1 + os.getpid() % _DOMAINS if domain is None else domain
+    program = _program()
     parameters = {"kind": kind, "seed": seed, "patience_s": patience, "out": str(out.resolve())}
     out.mkdir(parents=True, exist_ok=True)
     (out / _RESULT).unlink(missing_ok=True)
     with output.working() as watch:
         watch(f"opening a {kind}; ROS_DOMAIN_ID={chosen} modcal watch shows the nodes")
-        code = _opened(parameters, chosen, out / _LOG)
+        code = _opened(program, parameters, chosen, out / _LOG)
     if code or not (out / _RESULT).is_file():
         raise BadCommand(f"{kind} {seed}", _last_word(out / _LOG), f"see {out / _LOG}, or give another --seed")
     data = json.loads((out / _RESULT).read_text(encoding="utf-8"))
@@ -56,14 +57,18 @@ def door_command(kind: str, seed: int, patience: float, domain: int | None, out:
     output.result(data, partial(tell, data["sentences"]), written(out, names))
 
 
-def _opened(parameters: dict[str, Any], domain: int, log: Path) -> int:
-    """The exit code of the demonstration, whose nodes write to a log."""
+def _program() -> Path:
+    """The executable of the demonstration. Raises BadCommand where it is not installed."""
     from ament_index_python.packages import get_package_prefix  # only where ROS is
 
     try:
-        program = Path(get_package_prefix("modcal_nodes"), "lib", "modcal_nodes", _NODE)
-    except LookupError as error:
+        return Path(get_package_prefix("modcal_nodes"), "lib", "modcal_nodes", _NODE)
+    except (LookupError, OSError) as error:
         raise BadCommand("package modcal_nodes", "is not installed for ROS", "source install/setup.bash") from error
+
+
+def _opened(program: Path, parameters: dict[str, Any], domain: int, log: Path) -> int:
+    """The exit code of the demonstration, whose nodes write to a log."""
     given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     # whatever robot listens in this network must not be told to move
     alone = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}

@@ -29,6 +29,7 @@ from modcal_nodes.simulation.learned import PullRecord
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
 _KINDS = ("door", "drawer")
+_PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 
 
 class DoorDemo(GuardedNode):
@@ -48,9 +49,8 @@ class DoorDemo(GuardedNode):
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
-        if self._chosen["out"]:
-            self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), LATCHED)
-            self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
+        self.create_subscription(String, "robot_description", self._hear_description, LATCHED)
+        self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
         Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waiting for the pull to begin")])
@@ -71,8 +71,12 @@ class DoorDemo(GuardedNode):
             words += ["--params-file", str(share / "config" / f"{node}.yaml")]
             for name, value in plan.fixed.get(node, {}).items():
                 words += ["-p", f"{name}:={str(share / value) if name == 'urdf' else str(value).lower()}"]
+            # a time that waits for the machine: a busy one is slower, and no limit of the control is in the way
             if node == "simulated_furniture":
                 words += ["-p", f"kind:={self._chosen['kind']}", "-p", f"seed:={self._chosen['seed']}"]
+                words += [word for paced in _PACED for word in ("-p", paced)]
+            else:
+                words += ["-p", "use_sim_time:=true"]
             for old, new in plan.remaps.get(node, ()):
                 words += ["-r", f"{old}:={new}"]
             children.append(subprocess.Popen(words, stdin=subprocess.DEVNULL))
@@ -84,6 +88,9 @@ class DoorDemo(GuardedNode):
     def _hear_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._record.feel(np.array([force.x, force.y, force.z]))
+
+    def _hear_description(self, message: String) -> None:
+        self._record.describe(message.data)
 
     def _hear_joints(self, message: JointState) -> None:
         if self._pulls and not self._over:
