@@ -66,6 +66,14 @@ def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
     assert "the tool (or the target on it) had two positions" in said(bent(made, made.samples.q, step))
 
 
+def test_one_of_two_targets_seen_by_points(made: Recorded) -> None:
+    other = np.arange(120) % 3 == 2
+    step = np.where(other[:, None], [4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0], 0.0)
+    seen = bent(made, made.samples.q, step)
+    points = replace(seen, kind=np.full(120, "point"), R=np.broadcast_to(np.eye(3), seen.R.shape))
+    assert "the tool (or the target on it) had two positions" in said(points)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("off", ["normal", "uniform", "wave", "outliers"])
 def test_what_has_more_values_than_two_is_not_split(made: Recorded, off: str) -> None:

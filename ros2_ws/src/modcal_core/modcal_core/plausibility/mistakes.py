@@ -113,7 +113,12 @@ def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
     for i, j, k in orders:
         order = list(range(n))
         order[i], order[j], order[k] = j, k, i
-        yield _reordered(f"joints {_listed([names[x] for x in sorted((i, j, k))])} look interchanged", order)
+        said = f"joints {_listed([names[x] for x in sorted((i, j, k))])} look interchanged"
+        yield _reordered(said, order)
+        for r in (i, j, k):
+            sign = np.ones(n)
+            sign[r] = -1.0
+            yield _reordered(f"{said}, and {names[r]} reversed", order, sign)
     yield _reordered("joints look written in reverse order", list(range(n))[::-1])
     for i, j in permutations(range(n), 2):
         for sign, how in ((-1.0, "the sum of both"), (1.0, "its difference to the other")):
@@ -127,8 +132,9 @@ def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
             )
 
 
-def _reordered(offender: str, order: list[int]) -> Mistake:
-    return Mistake(offender, "correct the names in joint_states", lambda s: replace(s, q=s.q[:, order]), "joints")
+def _reordered(offender: str, order: list[int], sign: Array | float = 1.0) -> Mistake:
+    remedy = "correct the names in joint_states"
+    return Mistake(offender, remedy, lambda s: replace(s, q=s.q[:, order] * sign), "joints")
 
 
 def _listed(names: Sequence[str]) -> str:

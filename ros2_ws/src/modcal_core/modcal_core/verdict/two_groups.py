@@ -109,6 +109,7 @@ def _motions(chain: Chain, view: RowView, weight: Array) -> Iterator[_Motion]:
         yield _Motion(f"joint {name}", axis[None], every, "mrad" if chain.revolute[j] else "mm")
     for who, place in (("the tool (or the target on it)", chain.tool_place), ("the base (or the tracker)", 0)):
         columns = np.stack([unit(place, d) for d in range(6)])
+        columns = columns[np.abs(columns).max(axis=(1, 2)) > 0.0]  # a point of the tool does not turn
         yield _Motion(who, columns, every)
         if len(view.pose) and place == 0:  # readings of positions alone, as a tracker that looks with either face
             yield _Motion("the tracker, in its positions,", columns[:, :3], slice(0, 3))

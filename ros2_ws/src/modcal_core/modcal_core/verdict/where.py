@@ -81,7 +81,7 @@ def _apart(case: Case) -> Iterator[str]:
     if case.wrong.mean() <= MOST_REJECTED:
         return
     other, chain = None, case.model.chain
-    if case.wrong.mean() > 0.5:  # most of them: something is wrong throughout
+    if case.wrong.mean() > 0.5 or not case.fitted:  # something is wrong throughout; a base found again hides how much
         looks = (disagreeing_channel, written_otherwise, wrong_joints)
         other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
