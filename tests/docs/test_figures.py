@@ -56,6 +56,16 @@ def test_the_readme_states_what_the_table_has() -> None:
     assert all(f"| {figure}" in table for figure in figures)
 
 
+def test_the_moving_picture_says_what_the_readme_says() -> None:
+    """Both from one calibration of bags/ur10_cell; `make demo` prints the same figures."""
+    title = re.search(r"<title[^>]*>(.*?)</title>", MOVING.read_text())
+    assert title
+    drawn = re.findall(r"([\d.]+) mm", title[1])
+    readme = (ROOT / "README.md").read_text()
+    assert drawn == re.findall(r"([\d.]+) mm", next(line for line in readme.splitlines() if "before_after.svg" in line))
+    assert re.findall(r'class="rms"[^>]*>([\d.]+) mm', MOVING.read_text()) == drawn
+
+
 @pytest.mark.slow
 def test_it_moves_and_follows_the_colour_scheme(tmp_path: Path) -> None:
     """As a repository page shows it: an image, which may run no script. Takes the second until something has moved."""
