@@ -103,7 +103,9 @@ def test_matrices(by_rows: bool, tmp_path: Path) -> None:
     reading = read(tmp_path, text, point=None, pose=pose).recording.readings[0]
     assert np.abs(se3.from_pose(reading.values)[:, :3, :3] - R).max() < 3e-6
     with pytest.raises(BadTable, match="line 3, column r0: the nine numbers are not a rotation"):
-        read(tmp_path, text.replace(f"{flat[1, 4]:.6f}", "5.0"), point=None, pose={**pose, "matrix": {"columns": names}})
+        read(
+            tmp_path, text.replace(f"{flat[1, 4]:.6f}", "5.0"), point=None, pose={**pose, "matrix": {"columns": names}}
+        )
 
 
 def test_a_quaternion_of_zeros_is_a_lost_reading_where_those_are_skipped(tmp_path: Path) -> None:
@@ -157,7 +159,9 @@ def test_three_targets_on_one_tool_are_a_pose(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("by", "within"), [({"station": "nr"}, None), ({"t": "clock"}, 0.2)])
-def test_files_joined_by_a_station_or_by_the_nearest_time(by: dict[str, str], within: float | None, tmp_path: Path) -> None:
+def test_files_joined_by_a_station_or_by_the_nearest_time(
+    by: dict[str, str], within: float | None, tmp_path: Path
+) -> None:
     (tmp_path / "robot.csv").write_text("nr;clock;a\n3;3,1;30,5\n1;1,1;10,5\n")
     joined: dict[str, Any] = {"files": "robot.csv", "delimiter": ";", "decimal": ",", "by": by}
     if within:

@@ -103,11 +103,7 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
     time = find_time(numbers, taken)
     places = bodies(numbers, taken, set(time.columns))
     watch("comparing what columns may mean")
-    fits = _fits(numbers, chain, places, measured) if measured else []
-    if not any(f.best.explained(chain) for f in fits):
-        watch("looking for the joints' columns")
-        by_fit = bodies(numbers, set(), set(time.columns)) if not measured else places
-        fits += _without_labels(numbers, chain, by_fit, set(time.columns))
+    fits = _every_fit(numbers, chain, places, measured, set(time.columns), watch)
     near = min((f.best.match.typical for f in fits), default=np.inf)
     if not near <= NOT_AN_ARM * chain.reach():
         said = "no columns are found that could be the joints of this arm and the position of a target on it"
@@ -117,21 +113,48 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
     return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
 
 
-def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
-    """Every likely place of the readings with its meanings; those without labels only where labels lead nowhere."""
-    out: list[Fitted] = []
-    for stage in (
-        [b for b in places if b.named and b.turned],
-        [b for b in places if not b.named and b.turned],
-        [b for b in places if b.turned is None],
-    ):
-        for body in stage[:_MOST_BODIES]:
-            if any(_covers(f.body, body) and f.best.explained(chain) and not f.computed for f in out):
-                continue
-            if (fitted := _fitted(numbers, chain, body, choices)) is not None:
-                out.append(fitted)
-        if any(f.best.explained(chain) and not f.computed for f in out):
+def _every_fit(
+    numbers: Numbers,
+    chain: Chain,
+    places: Sequence[Body],
+    measured: Sequence[JointColumns],
+    time: set[int],
+    watch: Callable[[str], None],
+) -> list[Fitted]:
+    """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere."""
+    posed = [b for b in places if b.named and b.turned]
+    named = posed or [b for b in places if b.named]
+    points = [b for b in places if b.turned is None]
+    other = [b for b in (bodies(numbers, set(), time) if not measured else places) if not b.named and b.turned]
+    fits: list[Fitted] = []
+
+    def settled() -> bool:
+        return any(f.best.explained(chain) and not f.computed for f in fits)
+
+    def left(some: Sequence[Body]) -> list[Body]:
+        """Those that have no column of a pose that was computed from the joints."""
+        gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
+        return [b for b in some if not gone & {*b.position, *(b.turned or ())}]
+
+    for some, search in ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True)):
+        if search:
+            watch("looking for the joints' columns")
+            fits += _searched(numbers, chain, left(some), time)
+        elif measured:
+            fits += _fits(numbers, chain, left(some), measured)
+        if settled():
             break
+    return fits
+
+
+def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
+    """These places with their meanings; of columns that are explained already no other place is looked for."""
+    out: list[Fitted] = []
+    for body in places[:_MOST_BODIES]:
+        if any(_covers(f.body, body) and f.best.explained(chain) for f in out):
+            continue
+        if (fitted := _fitted(numbers, chain, body, choices)) is not None:
+            out.append(fitted)
     return out
 
 
@@ -173,16 +196,6 @@ def scales(chain: Chain, angle: str, length: str) -> Array:
     """What a unit of each joint is in rad or m, (n,)."""
     turning = np.asarray(chain.revolute, bool)
     return np.where(turning, np.pi / 180.0 if angle == "deg" else 1.0, LENGTHS[length])
-
-
-def _without_labels(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
-    """Places of the readings with joints' columns that are told by what they explain; labelled places first."""
-    out: list[Fitted] = []
-    for stage in ([b for b in places if b.named], [b for b in places if not b.named]):
-        out += _searched(numbers, chain, stage, time)
-        if any(f.best.explained(chain) for f in out):
-            break
-    return out
 
 
 def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
