@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place, turns_left
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.conventions import BEYOND_DOUBT, Match, match, points_match, rough_scores, thinned
@@ -29,6 +29,7 @@ LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 LEAST_ROWS = 12  # six unknown turns, and as much again to tell
 ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
 ARM_ANGLE = 0.035  # rad; the same of orientations
+OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 _FEW, _MOST = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
 _ROTATIONS = 48  # ways to read orientations, the best by themselves, that are tried with positions
 _NEAR = (3.0, 0.02)  # times, and rad more than, what the best leaves of orientations, that still count as good
@@ -66,8 +67,20 @@ class Judged:
     position: Array
 
     def explained(self, chain: Chain) -> bool:
-        """Whether what is left is what a nominal arm may be wrong by."""
-        return self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
+        """Whether what is left is what a nominal arm may be wrong by, and little of what moves.
+
+        A meaning by which hardly anything moves fits whatever the columns are.
+        """
+        place, turn = moved(self.R, self.position)
+        if self.match.typical > min(ARM_SHARE * chain.reach(), OF_MOTION * place):
+            return False
+        return self.meaning.turning is None or self.match.typical_angle <= min(ARM_ANGLE, OF_MOTION * turn)
+
+
+def moved(R: Array, position: Array) -> tuple[float, float]:
+    """By how much poses (N, 3, 3), (N, 3) differ from their middle, medians [m, rad]."""
+    place = float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+    return place, float(np.median(np.linalg.norm(so3.log(so3.mean(R).T @ R), axis=1)))
 
 
 def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:

@@ -105,6 +105,9 @@ def bodies(numbers: Numbers, joints: set[int], time: set[int]) -> list[Body]:
         computed = any(numbers.labels[k].computed for k in p)
         own = [t for t in turns if not set(t) & set(p)]
         own.sort(key=lambda t, p=p: (_apart(numbers, p, t), -len(t)))  # type: ignore[misc]
+        if not own:  # columns beside it, whatever they are called
+            beside = [tuple(range(max(p) + 1, max(p) + 4)), tuple(range(min(p) - 3, min(p)))]
+            own = [t for t in beside if set(t) <= set(free) - set(joints) and _is_turned(numbers, t)]
         out += [Body(p, t, True, computed) for t in own[:4]]
         out.append(Body(p, None, True, computed))
     out.sort(key=lambda body: (body.computed, body.turned is None))

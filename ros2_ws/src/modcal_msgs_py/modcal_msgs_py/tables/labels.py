@@ -25,20 +25,7 @@ _ROLES = (
     (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",
                  "nominal", "soll", "planned", "goal"}),
 )  # fmt: skip
-_COMPUTED = {
-    "tcp",
-    "flange",
-    "fk",
-    "nominal",
-    "target",
-    "commanded",
-    "cmd",
-    "desired",
-    "setpoint",
-    "controller",
-    "robot",
-    "soll",
-}
+_COMPUTED = {"tcp", "flange", "fk", "controller", "robot", *dict(_ROLES)[COMMANDED]}
 TURNS = {
     "r",
     "rot",

@@ -10,7 +10,7 @@ import numpy as np
 
 from modcal_core.files import to_yaml
 from modcal_core.plausibility.turning import EULER, MATRIX, QUATERNION
-from modcal_msgs_py.tables.propose import Findings, differences, missed, second, turning_words
+from modcal_msgs_py.tables.propose import Findings, differences, missed, second, turning_words, worse
 from modcal_msgs_py.tables.sheet import Form
 
 _WIDTH = 116  # of comments
@@ -101,12 +101,13 @@ def _proved(found: Findings) -> tuple[str, ...]:
     if best.meaning.turning is None:
         direction = "points of the tool in the tracker"
     joints = fitted.choice.angle if np.any(found.chain.revolute) else fitted.choice.length
-    out = [
-        f"{turning_words(best)}; {direction}; positions in {best.meaning.unit}; joints in {joints}: the nominal arm "
-        f"misses {len(fitted.rows)} rows by {missed(best)} (median)"
-    ]
+    said = "; ".join((turning_words(found.numbers, fitted.body, best), direction, f"positions in {best.meaning.unit}"))
+    rows = f"the nominal arm misses {len(fitted.rows)} rows by {missed(best)} (median)"
+    out = [f"{said}; joints in {joints}: {rows}"]
     if (other := second(fitted)) is not None:
-        out.append(f"the second best differs in {differences(found.numbers, fitted, best, other)}")
+        pairs = differences(found.numbers, fitted, best, other)
+        instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
+        out.append(f"second best, {worse(best, other)}: {instead}")
     return tuple(out)
 
 

@@ -103,11 +103,7 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
     time = find_time(numbers, taken)
     places = bodies(numbers, taken, set(time.columns))
     watch("comparing what columns may mean")
-    fits = _fits(numbers, chain, places, measured) if measured else []
-    if not any(f.best.explained(chain) for f in fits):
-        watch("looking for the joints' columns")
-        by_fit = bodies(numbers, set(), set(time.columns)) if not measured else places
-        fits += _without_labels(numbers, chain, by_fit, set(time.columns))
+    fits = _every_fit(numbers, chain, places, measured, set(time.columns), watch)
     near = min((f.best.match.typical for f in fits), default=np.inf)
     if not near <= NOT_AN_ARM * chain.reach():
         said = "no columns are found that could be the joints of this arm and the position of a target on it"
@@ -117,21 +113,48 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
     return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
 
 
-def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
-    """Every likely place of the readings with its meanings; those without labels only where labels lead nowhere."""
-    out: list[Fitted] = []
-    for stage in (
-        [b for b in places if b.named and b.turned],
-        [b for b in places if not b.named and b.turned],
-        [b for b in places if b.turned is None],
-    ):
-        for body in stage[:_MOST_BODIES]:
-            if any(_covers(f.body, body) and f.best.explained(chain) and not f.computed for f in out):
-                continue
-            if (fitted := _fitted(numbers, chain, body, choices)) is not None:
-                out.append(fitted)
-        if any(f.best.explained(chain) and not f.computed for f in out):
+def _every_fit(
+    numbers: Numbers,
+    chain: Chain,
+    places: Sequence[Body],
+    measured: Sequence[JointColumns],
+    time: set[int],
+    watch: Callable[[str], None],
+) -> list[Fitted]:
+    """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere."""
+    posed = [b for b in places if b.named and b.turned]
+    named = posed or [b for b in places if b.named]
+    points = [b for b in places if b.turned is None]
+    other = [b for b in (bodies(numbers, set(), time) if not measured else places) if not b.named and b.turned]
+    fits: list[Fitted] = []
+
+    def settled() -> bool:
+        return any(f.best.explained(chain) and not f.computed for f in fits)
+
+    def left(some: Sequence[Body]) -> list[Body]:
+        """Those that have no column of a pose that was computed from the joints."""
+        gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
+        return [b for b in some if not gone & {*b.position, *(b.turned or ())}]
+
+    for some, search in ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True)):
+        if search:
+            watch("looking for the joints' columns")
+            fits += _searched(numbers, chain, left(some), time)
+        elif measured:
+            fits += _fits(numbers, chain, left(some), measured)
+        if settled():
             break
+    return fits
+
+
+def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
+    """These places with their meanings; of columns that are explained already no other place is looked for."""
+    out: list[Fitted] = []
+    for body in places[:_MOST_BODIES]:
+        if any(_covers(f.body, body) and f.best.explained(chain) for f in out):
+            continue
+        if (fitted := _fitted(numbers, chain, body, choices)) is not None:
+            out.append(fitted)
     return out
 
 
@@ -173,16 +196,6 @@ def scales(chain: Chain, angle: str, length: str) -> Array:
     """What a unit of each joint is in rad or m, (n,)."""
     turning = np.asarray(chain.revolute, bool)
     return np.where(turning, np.pi / 180.0 if angle == "deg" else 1.0, LENGTHS[length])
-
-
-def _without_labels(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
-    """Places of the readings with joints' columns that are told by what they explain; labelled places first."""
-    out: list[Fitted] = []
-    for stage in ([b for b in places if b.named], [b for b in places if not b.named]):
-        out += _searched(numbers, chain, stage, time)
-        if any(f.best.explained(chain) for f in out):
-            break
-    return out
 
 
 def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
@@ -259,13 +272,16 @@ def _decided(
             "rotvec or matrix, or leave the orientation out"
         )
     for other in rivals(chosen.found):
-        questions.append(f"cannot tell {differences(numbers, chosen, best, other)}")
+        pairs = "; ".join(f"{one} from {two}" for one, two in differences(numbers, chosen, best, other))
+        questions.append(f"cannot tell {pairs} ({worse(best, other)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
     if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
         named = ", ".join(numbers.shown(k) for k in by_labels[0].columns)
         questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
     commanded = next((j for j in labelled if j.role == "commanded" and _follows(numbers, j, chosen)), None)
-    return Findings(numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(assumed), others, commanded)
+    return Findings(
+        numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(dict.fromkeys(assumed)), others, commanded
+    )
 
 
 def _follows(numbers: Numbers, commanded: JointColumns, chosen: Fitted) -> bool:
@@ -294,44 +310,49 @@ def missed(judged: Judged) -> str:
     return f"{1e3 * judged.match.typical:.3g} mm{turn}"
 
 
-def turning_words(judged: Judged) -> str:
+def turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
     """How orientations are read, in words."""
     turning = judged.meaning.turning
-    if turning is None:
+    if turning is None or body.turned is None:
         return "positions only"
-    unit = " in degrees" if turning.degrees else " in radians"
     if turning.form == "quaternion":
         order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
         return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
     if turning.form == "matrix":
         return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
+    columns = ", ".join(numbers.shown(body.turned[i]) for i in turning.order)
+    unit = "degrees" if turning.degrees else "radians"
     if turning.form == "rotvec":
-        return f"a rotation vector{unit}, columns {', '.join(str(i + 1) for i in turning.order)}"
-    columns = ", ".join(str(i + 1) for i in turning.order)
+        return f"a rotation vector in {unit} ({columns})"
     fixed = turning.sequence[::-1].lower()
-    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes){unit}, columns {columns}"
+    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
 
 
-def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> str:
-    """In what another meaning differs from the best, and how much worse it fits."""
+def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
+    """In what another meaning differs from the best: what the best says, and what the other says."""
     a, b = best.meaning, other.meaning
-    parts = []
+    out = []
     if a.turning != b.turning:
-        parts.append(f"{turning_words(best)} from {turning_words(other)}")
+        out.append((turning_words(numbers, chosen.body, best), turning_words(numbers, chosen.body, other)))
     if a.unit != b.unit:
-        parts.append(f"{a.unit} from {b.unit}")
+        out.append((f"positions in {a.unit}", f"positions in {b.unit}"))
     if a.inverse != b.inverse:
-        ways = ("the tool in the tracker", "the tracker in the tool")
-        parts.append(f"{ways[a.inverse]} from {ways[b.inverse]}")
+        directions = ("the tool in the tracker", "the tracker in the tool")
+        out.append((directions[a.inverse], directions[b.inverse]))
     if a.postures != b.postures:
         one, two = chosen.choices[a.postures], chosen.choices[b.postures]
         if one.joints != two.joints:
             shown = [", ".join(numbers.shown(k) for k in c.joints.columns) for c in (one, two)]
-            parts.append(f"joints {shown[0]} from {shown[1]}")
+            out.append((f"joints {shown[0]}", f"joints {shown[1]}"))
         if (one.angle, one.length) != (two.angle, two.length):
-            parts.append(f"joints in {one.angle} from {two.angle}")
-    worse = best.match.score - other.match.score
-    return f"{'; '.join(parts)} (worse by {worse:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; {missed(other)})"
+            out.append((f"joints in {one.angle} and {one.length}", f"joints in {two.angle} and {two.length}"))
+    return out
+
+
+def worse(best: Judged, other: Judged) -> str:
+    """By how much another meaning fits worse than the best, in words."""
+    gap = best.match.score - other.match.score
+    return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
 
 
 def second(fitted: Fitted) -> Judged | None:

@@ -46,7 +46,7 @@ def proposed(
     lines = [
         *(f"proved: {said}" for said in made.proved),
         *(f"assumed: {said}" for said in made.assumed),
-        *(f"CANNOT TELL: {said}" for said in made.open),
+        *(f"asked: {said}" for said in made.open),
         f"{path}: the mapping; {following}",
     ]
     found = {

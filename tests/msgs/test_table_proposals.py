@@ -1,0 +1,211 @@
+"""A mapping that is found out: what was written is found again, and what the data cannot tell is asked.
+
+bench/imports has a hundred exports drawn by a generator that knows nothing of modcal; here are the parts, and a few whole ones.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cells import ur10
+from scipy.spatial.transform import Rotation
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3
+from modcal_core.robots.mechanism import forward
+from modcal_msgs_py.tables import import_tables
+from modcal_msgs_py.tables.labels import Label, angle_triples, matrices, quaternions
+from modcal_msgs_py.tables.proposal import Proposal, proposal
+from modcal_msgs_py.tables.propose import find
+from modcal_msgs_py.tables.sniff import sniff
+
+CHAIN = ur10()
+TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
+BASE = se3.transform(Rotation.from_euler("xyz", [1.0, -0.4, 2.0]).as_matrix(), [2.0, 1.0, 0.5])
+
+
+def poses(rng: np.random.Generator, rows: int = 40, spread: float = 1.3) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions, and poses that a nominal arm misses by two millimetres."""
+    q = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.4]) + spread * rng.uniform(-1.0, 1.0, (rows, CHAIN.n))
+    wrong = q + 1.5e-3 * rng.standard_normal(CHAIN.n)
+    return q, BASE @ forward(CHAIN, wrong) @ TOOL
+
+
+def write(
+    folder: Path, columns: dict[str, np.ndarray], head: str = "", separator: str = ",", decimal: str = "."
+) -> Path:
+    rows = [
+        separator.join(f"{v:.7f}".replace(".", decimal) for v in row) for row in np.column_stack(list(columns.values()))
+    ]
+    path = folder / "cell.csv"
+    path.write_text(head + separator.join(columns) + "\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: values[:, k] for k, name in enumerate(names.split())}
+
+
+def same(made: Proposal, folder: Path, q: np.ndarray, T: np.ndarray) -> None:
+    """The recording that a proposed mapping makes is what was written, but for a transform at the tool."""
+    assert not made.open
+    recording = import_tables(dict(made.mapping), folder, "m")
+    joints, reading = recording.joints[0], recording.readings[0]
+    assert joints.names == CHAIN.names
+    assert np.abs(joints.position - q).max() < 1e-6
+    tool = se3.inverse(T) @ se3.from_pose(reading.values)
+    assert np.abs(tool - tool[0]).max() < 1e-5
+
+
+def test_names_units_and_an_inverse_pose(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, T = poses(rng)
+    back = se3.inverse(T)
+    columns = {
+        **{f"{name} [deg]": np.degrees(q[:, k]) for k, name in enumerate(CHAIN.names)},
+        **named("X Y Z", 1e3 * back[:, :3, 3]),
+        **named("A B C", Rotation.from_matrix(back[:, :3, :3]).as_euler("ZYX", degrees=True)),
+    }
+    path = write(tmp_path, columns, "Measured by us\nToday\n", ";", ",")
+    made = proposal(find([path], CHAIN), None)
+    same(made, tmp_path, q, T)
+    (entry,) = made.mapping["tables"]
+    assert (entry["delimiter"], entry["decimal"], entry["preamble_rows"]) == (";", ",", 2)
+    assert entry["joints"]["unit"] == "deg"
+    assert entry["pose"]["inverse"] is True
+    assert entry["pose"]["euler"]["sequence"] == "ZYX"
+    assert any("second best" in said for said in made.proved)
+
+
+def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, T = poses(rng)
+    quaternion = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    shuffled = q[:, [3, 0, 5, 1, 4, 2]]
+    columns = {
+        **named("oak elm ash fir yew box", shuffled), "pressure": 1013.0 + rng.standard_normal(len(q)),
+        **named("x y z", T[:, :3, 3]), **named("q0 q1 q2 q3", quaternion),
+    }  # fmt: skip
+    same(proposal(find([write(tmp_path, columns)], CHAIN), None), tmp_path, q, T)
+
+
+def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, T = poses(rng)
+    order = rng.permutation(len(q))
+    station = np.arange(1.0, len(q) + 1)
+    tracker = {
+        "station": station,
+        **named("x y z", T[:, :3, 3]),
+        **named("rx ry rz", Rotation.from_matrix(T[:, :3, :3]).as_rotvec()),
+    }
+    write(tmp_path, tracker).rename(tmp_path / "tracker.csv")
+    robot = {"pose": station[order], **named("J1 J2 J3 J4 J5 J6", q[order])}
+    write(tmp_path, robot, separator=";", decimal=",").rename(tmp_path / "robot.csv")
+    same(proposal(find([tmp_path / "tracker.csv", tmp_path / "robot.csv"], CHAIN), None), tmp_path, q, T)
+
+
+def test_orientations_that_hardly_vary_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
+    """All sequences say nearly the same of angles this small: every one fits, and none is chosen in silence."""
+    q, T = poses(rng, 20, 1e-3)
+    columns = {
+        **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
+        **named("x y z", T[:, :3, 3]), **named("a b c", Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz")),
+    }  # fmt: skip
+    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    assert any("cannot tell" in question for question in made.open)
+    with pytest.raises(BadTable, match="undecided"):
+        import_tables(dict(made.mapping), tmp_path, "m")
+
+
+def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, _ = poses(rng)
+    T = BASE @ forward(CHAIN, q) @ TOOL
+    columns = {
+        **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
+        **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
+    }  # fmt: skip
+    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    assert any("computed from the joints" in question for question in made.open)
+
+
+def test_labels_that_contradict_the_arm_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, T = poses(rng)
+    columns = {
+        **named("J1 J2 J3 J5 J4 J6", q),
+        **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
+    }  # fmt: skip
+    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    assert any("labels say that the joints are" in question for question in made.open)
+
+
+def test_a_table_of_something_else_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = write(tmp_path, named("a b c d e f g h i j", rng.standard_normal((40, 10))))
+    with pytest.raises(BadTable, match="no columns are found that could be the joints of this arm"):
+        find([path], CHAIN)
+    (tmp_path / "prose.txt").write_text("nothing\nbut words\n")
+    with pytest.raises(BadTable, match="no block of rows with numbers"):
+        find([tmp_path / "prose.txt"], CHAIN)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")])
+def test_how_a_file_is_written(encoding: str, separator: str, decimal: str, tmp_path: Path) -> None:
+    rows = [[f"{i + k + 0.25:.2f}".replace(".", decimal) for k in range(4)] for i in range(5)]
+    rows[2][1] = "nan"
+    lines = ["Bediener: Müller", "", separator.join(["t", "größe", "b", "c"]), separator.join(["s", "mm", "mm", "deg"])]
+    text = "\r\n".join([*lines, *(separator.join(row) for row in rows)])
+    (tmp_path / "t.csv").write_bytes(text.encode(encoding))
+    found = sniff(tmp_path / "t.csv")
+    assert (found.form.delimiter, found.form.decimal) == (separator, decimal)
+    assert (found.form.preamble_rows, found.form.units_rows, found.form.header) == (2, 1, True)
+    assert found.labels == ("t", "größe", "b", "c")
+    assert found.units == ("s", "mm", "mm", "deg")
+    assert len(found.rows) == 5
+
+
+def test_labels_in_several_rows(tmp_path: Path) -> None:
+    text = "Format,1.2\n\n,,Rigid Body,Rigid Body,Rigid Body\n,,tool,tool,tool\n,,Position,Position,Position\n"
+    (tmp_path / "m.csv").write_text(text + "Frame,Time (Seconds),X,Y,Z\n0,0.0,1.0,2.0,3.0\n1,0.1,1.0,2.0,3.5\n")
+    found = sniff(tmp_path / "m.csv")
+    assert found.labels == ("Frame", "Time (Seconds)", "X", "Y", "Z")
+    assert found.full[2] == "Rigid Body tool Position X"
+
+
+def labelled(*texts: str) -> dict[int, Label]:
+    return {k: Label.of(text) for k, text in enumerate(texts)}
+
+
+@pytest.mark.parametrize(
+    ("text", "axis", "unit"),
+    [
+        ("X [mm]", ("x", ""), "mm"), ("tool_pos_y", ("y", "tool pos"), None), ("Tz", ("z", "t"), None),
+        ("x_mm", ("x", ""), "mm"), ("Rotation X", None, None), ("std_x", None, None), ("rx", None, None),
+    ],
+)  # fmt: skip
+def test_labels_of_positions(text: str, axis: tuple[str, str] | None, unit: str | None) -> None:
+    label = Label.of(text)
+    assert (label.axis, label.unit) == (axis, unit)
+
+
+def test_labels_of_orientations() -> None:
+    assert quaternions(labelled("Q0", "Qx", "Qy", "Qz")) == [(1, 2, 3, 0)]
+    assert quaternions(labelled("tool.qw", "tool.qx", "tool.qy", "tool.qz")) == [(1, 2, 3, 0)]
+    assert quaternions(labelled("q1", "q2", "q3", "q4")) == [(0, 1, 2, 3)]
+    assert angle_triples(labelled("Yaw", "Pitch", "Roll")) == [(2, 1, 0)]
+    assert matrices(labelled(*(f"r{i}{j}" for i in "123" for j in "123"))) == [tuple(range(9))]
+    assert matrices(labelled(*(f"Rot[{k}]" for k in range(9)))) == [tuple(range(9))]
+
+
+@pytest.mark.parametrize(
+    ("text", "role"),
+    [
+        ("actual_q_1", "measured"),
+        ("target_q_1", "commanded"),
+        ("qd 3", "velocity"),
+        ("Torque J1", "effort"),
+        ("Temp1", "other"),
+    ],
+)
+def test_labels_of_what_joints_do(text: str, role: Any) -> None:
+    assert Label.of(text).role == role
