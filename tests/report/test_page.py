@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 
@@ -12,7 +13,7 @@ from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.html import FILES, to_html
+from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
 from modcal_core.report.page import as_script_data
 from modcal_core.report.palette import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN
 from modcal_core.report.scene import scene
@@ -71,7 +72,7 @@ def test_it_is_one_file_that_fetches_nothing(name: str) -> None:
     assert "://" not in page(name)
     assert not re.search(r"@import|url\((?!#)", page(name))
     assert "default-src 'none'" in page(name)
-    assert len(page(name).encode()) < 2_500_000
+    assert len(page(name).encode()) < 1_000_000
 
 
 @ALL
@@ -202,6 +203,34 @@ def luminance(colour: tuple[float, ...]) -> float:
 def contrast(a: tuple[float, ...], b: tuple[float, ...]) -> float:
     high, low = sorted((luminance(a), luminance(b)), reverse=True)
     return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.slow
+def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
+    """Thinned charts, and the same numbers."""
+    report = warm_cell()
+    heavy = replace(report, effects=report.effects * 12, steps=report.steps * 5)
+    assert len(_page(heavy, (), "", 1.0).encode()) > MAX_BYTES
+    thinner = to_html(heavy)
+    assert len(thinner.encode()) < MAX_BYTES
+    assert "Charts are thinned" in thinner
+    assert "Charts are thinned" not in page("warm")
+    assert f"{to_json_data(heavy)['error_mm']['final']['rms']:.3f}" in thinner
+
+
+def test_joint_offsets_come_first_and_no_table_mixes_units() -> None:
+    text = page("warm")
+    assert text.index('id="offsets"') < text.index('id="error"') < text.index('class="expert"')
+    for part in ("account", "evidence", "told", "parameters", "steps"):
+        assert text.index('class="expert"') < text.index(f'id="{part}"')
+    for head in re.findall(r"<thead>(.*?)</thead>", text, re.DOTALL):
+        units = set(re.findall(r", (mm|mrad|°|‰)\b|, (°)", re.sub(r"<[^>]+>", ";", head)))
+        assert len(units) <= 1, head
+
+
+def test_an_evaluation_is_named_after_its_calibration() -> None:
+    report = replace(points(), searched=None)
+    assert "<title>cell_3, evaluated on recording</title>" in to_html(report, calibration="cell_3")
 
 
 def test_text_stands_out_in_light_and_dark() -> None:

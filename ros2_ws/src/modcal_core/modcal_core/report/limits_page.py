@@ -39,8 +39,8 @@ def to_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
     lines = [
         *notes,
         f"{found.arm.share:.0%} of the torque of each drive may be used.",
-        "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own bounds "
-        "at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
+        "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own "
+        "bounds at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
         "joint_limits.yaml has it.",
     ]
     return plain_page(
@@ -63,9 +63,9 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
         bounds = tuple(
             (
                 chain.names[j],
-                f"{alone[0][:, j].max():.3g} … {alone[1][:, j].min():.3g}",
-                f"{together[0][:, j].max():.3g} … {together[1][:, j].min():.3g}",
-                f"{found.constant[0][j]:.3g} … {found.constant[1][j]:.3g}",
+                _span(alone[0][:, j].max(), alone[1][:, j].min()),
+                _span(together[0][:, j].max(), together[1][:, j].min()),
+                _span(found.constant[0][j], found.constant[1][j]),
             )
             for j in rows
         )
@@ -76,13 +76,19 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
                 chain.names[j],
                 f"{drives.torque[j]:.3g}",
                 f"{found.load[:, j].max():.0%}",
-                f"{found.inertia[:, j].min():.3g} … {found.inertia[:, j].max():.3g}",
+                _span(found.inertia[:, j].min(), found.inertia[:, j].max()),
             )
             for j in rows
         )
         header = ("joint", f"torque of the drive, {torque}", "of it needed to hold", f"inertia, {inertia}")
         out.append(PageTable(f"Load of {kind} joints", header, loads))
     return tuple(out)
+
+
+def _span(low: float, high: float) -> str:
+    """Both ends with three digits, large ones in full."""
+    ends = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.3g}" for x in (low, high))
+    return " … ".join(ends).replace("-", "−")
 
 
 def _robot(found: LimitsFound) -> RobotScene:

@@ -22,9 +22,13 @@ def to_pdf(one: Certificate) -> bytes:
     """The certificate as the bytes of a PDF file, the same for the same certificate."""
     for size in _SIZES:
         made, end = _written(one, size)
-        if made.pages_count == 1 and end <= _BOTTOM:
-            break
-    return bytes(made.output())
+        try:
+            if end <= _BOTTOM or size == _SIZES[-1]:
+                return bytes(made.output())
+        finally:
+            for font in made.fonts.values():
+                font.close()  # type: ignore[union-attr]  # both are files, which FPDF leaves open
+    raise AssertionError("the smallest size is always taken")
 
 
 def _written(one: Certificate, size: float) -> tuple[FPDF, float]:
