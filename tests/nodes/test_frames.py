@@ -67,7 +67,7 @@ def test_how_far_collecting_is() -> None:
     supervisor.follow(Policy(first_solve=0))
     assert collected(supervisor) == "14 of 40 stations, then call ~/solve"
     supervisor.stations = 44
-    assert collected(supervisor) == "44 stations of 40 are collected: call ~/solve"
+    assert collected(supervisor) == "44 stations are collected, 40 are needed: call ~/solve"
 
 
 def said(pair: Pair) -> list[DiagnosticStatus]:

@@ -81,8 +81,8 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
-    for one in accounts(report.judged):
-        yield _account(one)
+    if judged := accounts(report.judged):
+        yield from map(_account, judged)
         yield _legend(_SHARES)
     yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:

@@ -212,6 +212,7 @@ def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:
         missing += ["the arm's repeatability in degrees"] if stated.repeatability_deg is None else []
         missing += ["the instrument's accuracy in degrees"] if stated.instrument_deg is None else []
     if missing:
-        ways.append(f"state {' and '.join(missing)}")
+        *others, last = missing
+        ways.append(f"state {', '.join(others)}{' and ' * bool(others)}{last}")
     text = ", or ".join(ways)
     return f"To know how small the error can be: {text}." if text else ""

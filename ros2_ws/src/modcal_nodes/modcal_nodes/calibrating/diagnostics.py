@@ -81,7 +81,8 @@ def collected(supervisor: Supervisor) -> str:
         return f"{supervisor.stations} stations"
     wanted, then = (policy.first_solve, "it is solved") if policy.first_solve else (_ADVISED, "call ~/solve")
     if supervisor.stations >= wanted:
-        return f"{supervisor.stations} stations of {wanted} are collected: {then}"
+        now = "it is being solved" if policy.first_solve else then
+        return f"{supervisor.stations} stations are collected, {wanted} are needed: {now}"
     return f"{supervisor.stations} of {wanted} stations, then {then}"
 
 

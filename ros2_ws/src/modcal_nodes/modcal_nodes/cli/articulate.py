@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
-from modcal_core.errors import BadRecording, BadTable
+from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dropouts import cleaned
@@ -95,7 +95,8 @@ def articulate_command(
         read = _of_bag(read_bag(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip)
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))
     values = read.values[rows]
-    track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
+    with about(str(bag)):
+        track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
     with output.working() as watch:
         watch("weighing the kinds of joint")
         choice = choose(track, np.random.default_rng(seed))

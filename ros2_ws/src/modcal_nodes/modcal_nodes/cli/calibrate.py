@@ -26,7 +26,7 @@ from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.io.inputs import read_cell, read_topics, stated_from
+from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
 from modcal_nodes.io.recorded import calibrate_bag, opened
 
@@ -197,17 +197,18 @@ def evaluate_command(
         recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
         samples = recorded.samples(Robot(frozen.nominal.chain), clock_limit)
         watch("scoring")
-        report = evaluate(
-            frozen,
-            samples,
-            seed,
-            refit_base=refit_base,
-            refit_tool=refit_tool,
-            cell=cell,
-            block=block,
-            tolerance_mm=tolerance_mm,
-            tolerance_of=tolerance_of,
-        )
+        with of_cell(cell_file):
+            report = evaluate(
+                frozen,
+                samples,
+                seed,
+                refit_base=refit_base,
+                refit_tool=refit_tool,
+                cell=cell,
+                block=block,
+                tolerance_mm=tolerance_mm,
+                tolerance_of=tolerance_of,
+            )
         files: dict[str, str | bytes] = {**report_files(report, calibration=_name(calibration))}
         if said is not None:
             watch("writing the certificate")

@@ -80,7 +80,7 @@ def _show(data: dict[str, Any], console: Console) -> None:
         rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
         table.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
     console.print(table)
-    console.print(f"{data['duration_s']:.1f} s")
+    console.print(f"duration: {data['duration_s']:.1f} s")
     if robot := data["robot"]:
         said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
         console.print(said, highlight=False)

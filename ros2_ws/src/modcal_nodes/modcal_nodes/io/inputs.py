@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,6 +38,7 @@ STATEMENTS = {
 }
 _MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
+_OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
 _AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
@@ -107,6 +110,18 @@ def read_topics(path: Path | None, said: Topics) -> Topics:
         for name in (names if isinstance(names, list) else [names])
     ]
     return said.over(Topics.of(pairs, data.get("ignore") or (), data.get("tf")))
+
+
+@contextmanager
+def of_cell(path: Path | None) -> Iterator[None]:
+    """Refusals from within of what a cell file states name the file."""
+    try:
+        yield
+    except BadTable as error:
+        if path is None or not _OF_CELL.match(error.offender):
+            raise
+        offender = f"{path}: {error.offender}".replace(": cell file", "")
+        raise BadTable(offender, error.limit, error.remedy) from error
 
 
 def _read_cell(path: Path) -> Mapping[str, Any]:

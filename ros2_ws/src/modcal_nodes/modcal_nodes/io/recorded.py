@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from modcal_core.result import Result
 from modcal_msgs_py.bag import Bag, read_bag
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.robot import described
-from modcal_nodes.io.inputs import read_cell, read_topics, stated_from
+from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
 from modcal_nodes.io.progress import Watch, silent
 
@@ -49,19 +50,21 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
         with about(str(other)):
             added = opened(other, watch, topics).samples(robot, options.clock_limit)
         samples, cell = _with(samples, cell, added, other.name)
-    result = calibrate(
-        robot,
-        samples,
-        options.seed,
-        cell=cell,
-        geometry_only=options.geometry_only,
-        block=options.block,
-        tolerance_mm=options.tolerance_mm,
-        tolerance_of=options.tolerance_of,
-        progress=watch,
-    )
+    with of_cell(options.cell_file):
+        result = calibrate(
+            robot,
+            samples,
+            options.seed,
+            cell=cell,
+            geometry_only=options.geometry_only,
+            block=options.block,
+            tolerance_mm=options.tolerance_mm,
+            tolerance_of=options.tolerance_of,
+            progress=watch,
+        )
     watch("writing the report")
-    return Calibrated(result, result.files(factory))
+    with about(str(options.factory_kinematics)) if factory is not None else nullcontext():
+        return Calibrated(result, result.files(factory))
 
 
 def opened(bag: Path, watch: Watch = silent, topics: Topics | None = None) -> Bag:

@@ -262,6 +262,8 @@ class Calibrator(GuardedNode):
             found = "; ".join(sentence.rstrip(".") for sentence in solved.story) or "no explanation found"
             self._verdict = f"Since something changed: {found}. {solved.verdict}"
         self.get_logger().info(self._verdict)
+        if self._chosen["out"]:
+            self.get_logger().info(f"written to {self._chosen['out']}: {', '.join(sorted(solved.files))}")
         self._answer(True, self._verdict)
 
     def _answer(self, success: bool, message: str) -> None:

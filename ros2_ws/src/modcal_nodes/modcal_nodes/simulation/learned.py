@@ -18,6 +18,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_nodes.io.articulated import write_articulation
 
 _PERIOD = 0.04  # s between two poses of the hand that are kept: some millimetres of the way
+_STILL = 2e-4  # rad or m by which some joint must have gone since the last one: waiting says nothing of the way
 _MOST = 2000  # of them; a minute has 1500
 
 
@@ -35,14 +36,17 @@ class PullRecord:
         self._chain = read_chain(urdf_xml)
 
     def take(self, names: list[str], positions: list[float], stamp: float) -> None:
-        """One joint state [rad, m]; those of other joints, and those that follow too closely, are passed over."""
+        """One joint state [rad, m]. Other joints are left out, and what is too near the last one, in time or in way."""
         if self._chain is None or len(self._stamps) >= _MOST or not set(self._chain.names) <= set(names):
             return
         if self._stamps and stamp - self._stamps[-1] < _PERIOD:
             return
         at = dict(zip(names, positions, strict=False))
+        q = np.array([at[name] for name in self._chain.names])
+        if self._postures and np.abs(q - self._postures[-1]).max() < _STILL:
+            return
         self._stamps.append(stamp)
-        self._postures.append(np.array([at[name] for name in self._chain.names]))
+        self._postures.append(q)
 
     def feel(self, force: Array) -> None:
         """A force at the handle (3,) [N]."""

@@ -71,9 +71,9 @@ def sentence(entry: ReportEntry) -> str:
             f"{entry.place} deflects under load by {1e6 * abs(size):.3g} {angle} per {per} that 1 kg at the tip "
             "exerts; the description states no masses, so no stiffness is known"
         )
-    part = "bearing tilts" if entry.direction == ACROSS else "joint deflects"
+    what = f"{entry.place}'s bearing tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
     stiffness, _, unit = entry.sizes.get("stiffness", (float("inf"), 0.0, "N m/rad"))
-    return f"{entry.place}'s {part} under load, stiffness {stiffness:.3g} {unit}"
+    return f"{what} under load, stiffness {stiffness:.3g} {unit}"
 
 
 FAMILY = Family(NAME, candidates, complexity=complexity_of_joint, sizes=sizes, sentence=sentence)
