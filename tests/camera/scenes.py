@@ -61,12 +61,13 @@ def scene(
     printed: Array | None = None,
     velocity: Array | None = None,
     delay_s: float = 0.0,
+    compliance: float = 0.0,
 ) -> CameraScene:
     """Images of a Panda whose bodies are displaced by some 7 mm each, and whose joints repeat to repeat_rad."""
     rng = np.random.default_rng(seed)
     chain = panda()
     tool, frame = (CAMERA_ON_TIP, BOARD_IN_WORLD) if on_tip else (BOARD_ON_TIP, CAMERA_IN_WORLD)
-    world = World(chain, rng, length_std, angle_std, se3.inverse(frame), tool)
+    world = World(chain, rng, length_std, angle_std, se3.inverse(frame), tool, compliance=compliance)
     q = np.empty((0, chain.n))
     while len(q) < count:
         T = facing(rng, 2 * count, tilt=0.6, near=0.35, far=0.6)

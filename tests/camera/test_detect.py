@@ -70,10 +70,18 @@ def test_grids_of_markers() -> None:
     assert (
         np.abs(np.c_[opencv.points[found.ids, :2], np.ones(24)] @ scale - found.pixels).max() < 2.0
     )  # as OpenCV fits the page
-    # Kalibr numbers from the lower left: the rows swapped
-    swapped = np.concatenate([grey[185:], grey[:185]])
-    kalibr = detect(np.ascontiguousarray(swapped), replace(opencv, kind=APRIL_GRID), "a").view
-    assert kalibr is not None
+    # Kalibr numbers from the lower left
+    upwards = cv2.aruco.GridBoard((3, 2), 100, 30, words, np.array([3, 4, 5, 0, 1, 2])).generateImage(
+        (420, 290), marginSize=20
+    )
+    kalibr = replace(opencv, kind=APRIL_GRID)
+    view = detect(cv2.GaussianBlur(upwards, (0, 0), 0.8), kalibr, "a").view
+    assert view is not None
+    assert len(view) == 24
+    flat = np.c_[kalibr.points[view.ids, :2], np.ones(24)]
+    fitted = np.linalg.lstsq(flat, view.pixels, rcond=None)[0]
+    assert np.abs(flat @ fitted - view.pixels).max() < 2.0
+    assert fitted[1, 1] < 0.0 < fitted[0, 0]  # y goes up
 
 
 @pytest.mark.parametrize(

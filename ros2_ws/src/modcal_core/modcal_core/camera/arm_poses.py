@@ -108,12 +108,16 @@ def arm_poses(
     fixed: Sequence[str] = (),
     hand_eye_only: bool = False,
 ) -> ArmPoses:
-    """The arm as drawn, base and tool where they were found first, with the parameters that images can tell apart.
+    """The arm as drawn, base and tool where they were found first, with the parameters that a fit may change.
 
     fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone.
     """
     frame = "target" if camera_on_tip else "camera"
     model = Model(chain, (frame,), np.asarray(T_frame_base)[None], np.asarray(T_tip_tool))
-    among = (lambda p: not p.of_arm) if hand_eye_only else (lambda p: True)
-    choice = choose_parameters(model, (View(POSE, 0),), fixed, among=among)
-    return ArmPoses(model, choice.parameters, np.asarray(q), np.asarray(velocity), camera_on_tip)
+    views = (View(POSE, 0),)
+    # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
+    # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
+    placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
+    arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
+    parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
+    return ArmPoses(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip)

@@ -20,7 +20,7 @@ from modcal_core.camera.views import BoardView, whitening
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
-POSE = 6
+POSE = 6  # values of a pose
 SHAPE_NAMES = ("scale_x", "scale_y", "bow_xx", "bow_xy", "bow_yy")
 SHAPE = len(SHAPE_NAMES)  # scale [1], bow at the edge of the sheet [m]
 COMMON = LENS + SHAPE  # what all images share

@@ -12,6 +12,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
 _NAMES = ("flange_x", "flange_y", "flange_z", "flange_rz", "flange_ry", "flange_rx")
+# of its joints
 _AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 

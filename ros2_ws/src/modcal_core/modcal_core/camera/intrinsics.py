@@ -17,7 +17,7 @@ from modcal_core.camera.pnp import board_poses
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
-_STEPS = 100
+_STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
 

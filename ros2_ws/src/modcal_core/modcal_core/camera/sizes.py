@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.geometry.so3 import Array
 
-START = Sizes(1.0, 1e-4, 1e-4, 0.1)
+START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
 # size that the data say nothing of where arms and cameras have it.
 _USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)

@@ -38,7 +38,7 @@ from modcal_core.robots.kinematics import forward
 _HELD_OUT = 4  # every fourth image
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
-_CORNERS_OUT = 0.05
+_CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
 _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may differ from what is stated of it
 
 

@@ -14,7 +14,7 @@ from modcal_core.geometry.so3 import Array
 _TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
 _DISTANCES = 1.3  # farthest over nearest
 _COVERED = 0.4  # of the image, in a grid of eight by eight
-_GRID = 8
+_GRID = 8  # cells a side
 _JOINT = np.radians(20.0)  # range of a joint that shows what its axis does
 _SLIDE = 0.05  # m, of a sliding joint
 

@@ -44,7 +44,7 @@ VERBS = {
 }
 # The same in the order of work, as the list shows them
 GROUPS = {
-    "Prepare a measurement": ("sensitivity", "plan", "limits", "simulate"),
+    "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
     "Get and look at a recording": ("import", "info", "repair"),
     "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
     "Use the result": ("export", "watch"),
