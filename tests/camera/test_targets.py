@@ -57,6 +57,8 @@ def test_file_and_measured_rulers(tmp_path: Path) -> None:
     assert scale.measured
     assert (scale.x, scale.y) == pytest.approx((0.99, 1.01))
     assert scale.std < board.scale.std
+    data["rulers"]["measured_std_m"] = 3e-5  # with a calliper
+    assert target_from_data(data, "target.yaml").scale.std == pytest.approx(0.1 * scale.std)
     data["rulers"]["measured_x_m"] = 198.0
     with pytest.raises(BadTable, match="in metres"):
         target_from_data(data, "target.yaml")

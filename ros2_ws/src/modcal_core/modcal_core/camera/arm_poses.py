@@ -14,12 +14,12 @@ import numpy as np
 
 from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import Parameter, View
+from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import choose_parameters, exact_samples
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import KIND_NAMES
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian
 
@@ -34,7 +34,7 @@ class ArmPoses:
     """
 
     model: Model
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     q: Array
     velocity: Array
     camera_on_tip: bool

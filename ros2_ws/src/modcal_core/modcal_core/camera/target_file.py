@@ -70,8 +70,10 @@ def target_to_data(target: PrintedTarget, rulers_m: tuple[float, float] | None =
     return out
 
 
-def scale_of_rulers(nominal: tuple[float, float], measured: tuple[float, float], source: str) -> PrintScale:
-    """How large a sheet came out whose rulers of these lengths [m], along x and y, measure so much.
+def scale_of_rulers(
+    nominal: tuple[float, float], measured: tuple[float, float], source: str, std: float = RULER_STD_M
+) -> PrintScale:
+    """How large a sheet came out whose rulers of these lengths [m], along x and y, measure so much, to std [m].
 
     Raises BadTable for lengths that are no print's.
     """
@@ -79,7 +81,7 @@ def scale_of_rulers(nominal: tuple[float, float], measured: tuple[float, float],
     if abs(x - 1.0) > _OFF or abs(y - 1.0) > _OFF:
         said = f"rulers of {nominal[0]:g} and {nominal[1]:g} m measure {measured[0]:g} and {measured[1]:g} m"
         raise BadTable(source, said, "give what a ruler shows, in metres, or print at 100 %")
-    each = [RULER_STD_M / n for n in nominal]
+    each = [std / n for n in nominal]
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
     return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True)
 
@@ -88,7 +90,11 @@ def _scale(rulers: Any, source: str) -> PrintScale:
     if not isinstance(rulers, Mapping) or rulers.get("measured_x_m") is None or rulers.get("measured_y_m") is None:
         return PrintScale()
     nominal = float(rulers["x_m"]), float(rulers["y_m"])
-    return scale_of_rulers(nominal, (float(rulers["measured_x_m"]), float(rulers["measured_y_m"])), source)
+    measured = float(rulers["measured_x_m"]), float(rulers["measured_y_m"])
+    std = rulers.get("measured_std_m")
+    if std is not None and not 0.0 < float(std) < min(nominal):
+        raise BadTable(source, f"rulers were measured to {float(std):g} m", "give a small length, in metres")
+    return scale_of_rulers(nominal, measured, source, RULER_STD_M if std is None else float(std))
 
 
 def _from_kalibr(data: Mapping[str, Any], source: str) -> PrintedTarget:

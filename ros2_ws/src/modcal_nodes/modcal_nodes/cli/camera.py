@@ -12,7 +12,8 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.files import write_folder
-from modcal_nodes.cli.console import Output, say
+from modcal_nodes.cli.console import Output, tell, written
+from modcal_nodes.cli.robot import arm_line
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _TOGETHER = ("images", "joints", "target", "camera_info", "intrinsics", "arm_mm", "mounting", "flat_target")
@@ -110,9 +111,11 @@ def calibrate_images(camera: dict[str, Any], options: dict[str, Any], out: Path 
         )
     images = len(found.views) + len(found.left_out)
     out = out or Path(f"{camera['images'].resolve().name}_calibration")
-    write_folder(out, camera_files(solution, robot, images, found.left_out))
+    files = camera_files(solution, robot, images, found.left_out)
+    write_folder(out, files)
     data = camera_report(solution, robot, images, found.left_out)
-    output.result(data, partial(say, lines(solution, images, found.left_out)), f"Report: {out / 'report.json'}")
+    said = [arm_line(robot), *lines(solution, images, found.left_out)]
+    output.result(data, partial(tell, said), written(out, files, first="report.json"))
     return 0
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import click
 
 from modcal_core.errors import BadTable
-from modcal_core.files import read_yaml, replace_folder, to_yaml, write_file
-from modcal_nodes.cli.console import Output, say, speaking
+from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
+from modcal_nodes.cli.console import Output, speaking, tell, written
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
@@ -79,6 +79,13 @@ class _Lengths(click.ParamType):
     help="Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
 )  # fmt: skip
 @click.option(
+    "--measured-to-mm",
+    type=click.FloatRange(min=0.001),
+    default=None,
+    metavar="MM",
+    help="How well you measured them.  [default: 0.3, as with a ruler]",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), default=Path("target"), show_default=True, help="Folder of the results."
 )
 @speaking
@@ -92,6 +99,7 @@ def target_command(
     dictionary: str | None,
     paper: str,
     measured: tuple[float, float] | None,
+    measured_to_mm: float | None,
     out: Path,
     output: Output,
 ) -> int:
@@ -104,7 +112,7 @@ def target_command(
     kinds |= {"tag": None if tag is None else (1, 1)}
     chosen = [(kind, counts) for kind, counts in kinds.items() if counts is not None]
     if not chosen and measured is not None:
-        return _measured(out, measured, output)
+        return _measured(out, measured, measured_to_mm, output)
     if len(chosen) != 1:
         raise click.UsageError(
             "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
@@ -126,12 +134,8 @@ def target_command(
     made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, tag or 0)
     sheet = draw_sheet(made, paper)
     data = target_to_data(made, sheet.rulers_m)
-    files = {"target.pdf": sheet.pdf, "target.yaml": to_yaml(data).encode()}
-    if out.exists() and not out.is_dir():
-        raise BadTable(str(out), "is a file", "give --out a folder")
-    if out.is_dir() and set(p.name for p in out.iterdir()) - set(files):
-        raise BadTable(str(out), "holds other files", "give --out a new folder")
-    replace_folder(out, files)
+    files: dict[str, str | bytes] = {"target.pdf": sheet.pdf, "target.yaml": to_yaml(data)}
+    write_folder(out, files)
     x, y = (1e3 * length for length in sheet.rulers_m)
     said = [
         f"{made.label}, to be printed at 100 % on {paper}.",
@@ -144,12 +148,12 @@ def target_command(
         )
         measured = _Lengths().convert(answer, None, None) if answer else None
     if measured is not None:
-        return _measured(out, measured, output)
-    output.result(data, partial(say, said), f"Target: {out / 'target.pdf'}")
+        return _measured(out, measured, measured_to_mm, output)
+    output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
     return 0
 
 
-def _measured(out: Path, measured: tuple[float, float], output: Output) -> int:
+def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> int:
     """Put the measured lengths of the rulers into a target file."""
     from modcal_core.camera.target_file import target_from_data
 
@@ -160,8 +164,10 @@ def _measured(out: Path, measured: tuple[float, float], output: Output) -> int:
     if not isinstance(data, dict) or not isinstance(data.get("rulers"), dict):
         raise BadTable(str(path), "has no rulers", "give --out the folder that modcal target wrote")
     data["rulers"] |= {"measured_x_m": measured[0], "measured_y_m": measured[1]}
+    if to_mm is not None:
+        data["rulers"]["measured_std_m"] = 1e-3 * to_mm
     scale = target_from_data(data, str(path)).scale
     write_file(path, to_yaml(data))
     said = f"The sheet came out {100.0 * (scale.x - 1.0):+.2f} % along x and {100.0 * (scale.y - 1.0):+.2f} % along y."
-    output.result(data, partial(say, [said]), f"Target: {path}")
+    output.result(data, partial(tell, [said]), f"Target: {path}")
     return 0
