@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from modcal_nodes.vision.detect import detect
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _MOST_BYTES = 1 << 28  # of one image, before it is read
 _MOST_IMAGES = 5000
+_MOST_TABLE = 1 << 28  # bytes of a table of joints
 _MOSAIC = 0.04  # relative difference between the four phases of a Bayer pattern; those of a grey image differ by noise
 _DEGREES = 4.0 * np.pi  # rad; no joint turns farther, and degrees do
 _NANOSECONDS = 1e14  # stamps beyond it are nanoseconds
@@ -58,7 +60,7 @@ def read_images(
         raise BadRecording(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES[:3])} files")
     if len(files) > _MOST_IMAGES:
         raise BadRecording(str(folder), f"holds {len(files)} images, {_MOST_IMAGES} are read", "give fewer")
-    rows = _read_joints(joints, names)
+    rows = joints_of_text(_text(joints), names, str(joints))
     left_out: dict[str, str] = {}
     views: list[BoardView] = []
     at: list[tuple[Array, Array]] = []
@@ -99,18 +101,23 @@ def read_images(
 
 def read_camera_info(path: Path) -> Lens:
     """The lens in a YAML file as ROS's camera calibrators write it. Raises BadTable."""
-    data = read_yaml(path)
+    return lens_from_data(read_yaml(path), str(path))
+
+
+def lens_from_data(data: Any, source: str) -> Lens:
+    """The lens that the data of a camera_info file describes. Raises BadTable, naming the source."""
     try:
         K = np.array(data["camera_matrix"]["data"], dtype=float).reshape(3, 3)
         d = np.array(data.get("distortion_coefficients", {"data": []})["data"], dtype=float).ravel()
         size = int(data["image_width"]), int(data["image_height"])
         model = str(data.get("distortion_model", "plumb_bob"))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         remedy = "give image_width, image_height, camera_matrix and distortion_coefficients as camera_info files do"
-        raise BadTable(str(path), "is not a camera_info file", remedy) from error
-    if model not in ("plumb_bob", "") or len(d) > 5 or not np.isfinite(K).all() or K[0, 0] <= 0.0 or K[1, 1] <= 0.0:
+        raise BadTable(source, "is not a camera_info file", remedy) from error
+    usable = bool(np.isfinite(K).all() and np.isfinite(d).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0)
+    if model not in ("plumb_bob", "") or len(d) > 5 or not usable:
         said = f"has model {model[:40]} with {len(d)} coefficients"
-        raise BadTable(str(path), said, "give plumb_bob with up to five coefficients, or leave it to the images")
+        raise BadTable(source, said, "give plumb_bob with up to five coefficients, or leave it to the images")
     return Lens.of(K, d, size)
 
 
@@ -131,7 +138,10 @@ def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
     """(grey image of 8 bits, "") or (None, why not and what to do)."""
     if file.stat().st_size > _MOST_BYTES:
         return None, f"has more than {_MOST_BYTES >> 20} MiB: give a smaller image"
-    image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    try:
+        image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # empty, or of more pixels than OpenCV reads
+        image = None
     if image is None:
         return None, "cannot be read as an image: save it again"
     if image.dtype != np.uint8:
@@ -152,7 +162,7 @@ def is_mosaic(grey: np.ndarray) -> bool:
 
 
 @dataclass(frozen=True)
-class _Joints:
+class JointTable:
     """Rows of a table by image, or a log by stamp."""
 
     source: str
@@ -184,27 +194,32 @@ def _stamp(text: str) -> float | None:
     return (1e-9 * stamp if stamp > _NANOSECONDS else stamp) if np.isfinite(stamp) else None
 
 
-def _read_joints(path: Path, names: Sequence[str]) -> _Joints:
-    """The table of joints, checked. Raises BadTable."""
+def _text(path: Path) -> str:
+    if path.stat().st_size > _MOST_TABLE:
+        raise BadTable(str(path), f"has more than {_MOST_TABLE >> 20} MiB", "give a table of joints")
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is not UTF-8 text", "give a CSV file") from error
+
+
+def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
+    """The table of joints in a text, checked. Raises BadTable, naming the source."""
     try:
         delimiter = ";" if text.partition("\n")[0].count(";") > text.partition("\n")[0].count(",") else ","
         table = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(cell.strip() for cell in row)]
     except csv.Error as error:
-        raise BadTable(str(path), f"is not CSV ({error})", "give columns with commas between") from error
+        raise BadTable(source, f"is not CSV ({error})", "give columns with commas between") from error
     if len(table) < 2:
-        raise BadTable(str(path), "holds no row of joints", "give a line of column names, then one row an image")
+        raise BadTable(source, "holds no row of joints", "give a line of column names, then one row an image")
     header = [cell.strip() for cell in table[0]]
     missing = [name for name in names if name not in header]
     if missing:
         said = f"has no column for joint {missing[0]} (it has {', '.join(header)[:120]})"
-        raise BadTable(str(path), said, "name the columns as the URDF names its joints")
+        raise BadTable(source, said, "name the columns as the URDF names its joints")
     key = next((k for k in ("image", "stamp") if k in header), None)
     if key is None:
-        raise BadTable(str(path), "has neither a column image nor a column stamp", "say which image a row belongs to")
+        raise BadTable(source, "has neither a column image nor a column stamp", "say which image a row belongs to")
     columns = [header.index(name) for name in names]
     keys, values = [], []
     for number, row in enumerate(table[1:], start=2):
@@ -212,21 +227,21 @@ def _read_joints(path: Path, names: Sequence[str]) -> _Joints:
             values.append([float(row[c]) for c in columns])
             keys.append(row[header.index(key)].strip())
         except (ValueError, IndexError) as error:
-            raise BadTable(f"{path}: line {number}", "holds a value that cannot be read", "give numbers") from error
+            raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
     q = np.array(values)
     if not np.isfinite(q).all():
         row = int(np.argmax(~np.isfinite(q).all(axis=1))) + 2
-        raise BadTable(f"{path}: line {row}", "holds a number that is not finite", "correct it")
+        raise BadTable(f"{source}: line {row}", "holds a number that is not finite", "correct it")
     if np.abs(q).max() > _DEGREES:
         said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
-        raise BadTable(str(path), said, "give radians and metres")
+        raise BadTable(source, said, "give radians and metres")
     if key == "image":
         names_of = [Path(k).name for k in keys]
         if len(set(names_of)) < len(names_of):
             twice = next(k for k, n in Counter(names_of).items() if n > 1)
-            raise BadTable(str(path), f"has two rows for image {twice[:80]}", "give one row an image")
-        return _Joints(str(path), dict(zip(names_of, q, strict=True)), np.empty(0), q)
+            raise BadTable(source, f"has two rows for image {twice[:80]}", "give one row an image")
+        return JointTable(source, dict(zip(names_of, q, strict=True)), np.empty(0), q)
     stamps = np.array([_stamp(k) if _stamp(k) is not None else np.nan for k in keys], dtype=float)
     if not (np.diff(stamps) > 0.0).all():
-        raise BadTable(str(path), "has stamps that do not increase", "give rows in the order of time, in seconds")
-    return _Joints(str(path), {}, stamps, q)
+        raise BadTable(source, "has stamps that do not increase", "give rows in the order of time, in seconds")
+    return JointTable(source, {}, stamps, q)
