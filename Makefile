@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict constants closed-loop \
+.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict camera constants closed-loop \
 	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
@@ -76,6 +76,9 @@ undeclared: setup-test build  ## planted faults on three arms: are they named? B
 
 verdict: setup-test build  ## faults nobody planned for, and good arms: is the verdict right? BENCH_ARGS="--only tool --jobs 2"
 	@$(PY) bench/verdict/run.py $(BENCH_ARGS)
+
+camera: setup-test build  ## arms calibrated by a camera: true errors, intervals, advice; BENCH_ARGS="--cells 10 --rendered"
+	@$(PY) bench/camera/run.py $(BENCH_ARGS)
 
 constants: setup-test build  ## does a number that decides matter? each moved by 30 %; BENCH_ARGS="--only SIGNIFICANT --every 20"
 	@$(PY) bench/constants/run.py $(BENCH_ARGS)

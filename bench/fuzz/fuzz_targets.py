@@ -23,6 +23,7 @@ from mcap_cases import parts, spoilt_bytes
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.camera.target_file import target_from_data
 from modcal_core.correction.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
@@ -50,6 +51,7 @@ from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.types import message_class
 from modcal_nodes.calibrating.standing import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
+from modcal_nodes.vision.images import joints_of_text, lens_from_data
 
 ROOT = Path(__file__).resolve().parents[2]
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
@@ -374,8 +376,32 @@ def yaml_target() -> Target:
     )
 
 
+PRINTED = {
+    "modcal_target": 1, "type": "charuco", "columns": 7, "rows": 5, "square_m": 0.03, "marker_m": 0.022,
+    "dictionary": "DICT_5X5_100", "first_id": 0,
+    "rulers": {"x_m": 0.21, "y_m": 0.15, "measured_x_m": 0.209, "measured_y_m": 0.1501, "measured_std_m": 1e-4},
+}  # fmt: skip
+KALIBR = {"target_type": "aprilgrid", "tagCols": 6, "tagRows": 6, "tagSize": 0.088, "tagSpacing": 0.3}
+CAMERA = {
+    "image_width": 640, "image_height": 480, "distortion_model": "plumb_bob",
+    "camera_matrix": {"data": [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]},
+    "distortion_coefficients": {"data": [0.1, 0.0, 0.0, 0.0, 0.0]},
+}  # fmt: skip
+
+
+def _csv(data: Any) -> str:
+    """Rows as CSV, whatever they hold."""
+    rows = data.get("rows") if isinstance(data, dict) else None
+    return "\n".join(
+        ",".join(map(str, row)) if isinstance(row, list) else str(row)
+        for row in (rows if isinstance(rows, list) else [])
+    )
+
+
 def other_files_target() -> Target:
-    """Deltas, kinematic tables, assemblies, tasks of synthesis, sites of planning, plans and stores of modules."""
+    """Deltas, kinematic tables, assemblies, tasks of synthesis, sites of planning, plans, stores of modules, what
+    belongs to a camera.
+    """
     readers: dict[str, tuple[Any, Callable[[Any], Any]]] = {}
     for name, path, read in (
         ("table", ROOT / "bench" / "fuzz" / "table.yaml", from_table),
@@ -388,6 +414,11 @@ def other_files_target() -> Target:
     readers["library"] = parse_yaml(published_text(), "library"), lambda data: library_from_data(data, "library.yaml")
     chain = read_chain(URDF.read_text(), None, "tool0")
     plan = {"modcal_plan": 1, "joints": list(chain.names), "stations": [{"position": [0.0] * 6}] * 3}
+    readers["printed target"] = PRINTED, lambda data: target_from_data(data, "target.yaml")
+    readers["kalibr target"] = KALIBR, lambda data: target_from_data(data, "aprilgrid.yaml")
+    readers["camera_info"] = CAMERA, lambda data: lens_from_data(data, "camera.yaml")
+    rows = {"rows": [["image", "a", "b"], ["1.png", 0.1, 0.2], ["2.png", "0.3", 1e-3], ["3.png", -1, 2]]}
+    readers["joints"] = rows, lambda data: joints_of_text(_csv(data), ("a", "b"), "joints.csv")
     readers["plan"] = plan, lambda data: stations_from_data(data, chain.names, "plan.yaml")
     ways = {name: places(base) for name, (base, _) in readers.items()}
     names = sorted(readers)

@@ -34,6 +34,7 @@ _ALSO = {"errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
 LAYERS["planning"] = LAYERS["calibration"] | {"planning"}
+LAYERS["camera"] = LAYERS["calibration"] | {"camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}

@@ -21,6 +21,7 @@ from modcal_core.report.report import Report
 from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
+from modcal_nodes.cli.camera import calibrate_images, camera_options, require_bag, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.robot import arm_line, chain_line
@@ -120,7 +121,7 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("calibrate")
-@click.argument("bag", type=EXISTING)
+@click.argument("bag", type=EXISTING, required=False)
 @click.option(
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
@@ -134,10 +135,13 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @calibration_options
 @_with((*_TOLERANCE, *CERTIFICATE))
+@camera_options
 @_OUT
 @speaking
+@click.pass_context
 def calibrate_command(
-    bag: Path,
+    ctx: click.Context,
+    bag: Path | None,
     more: tuple[Path, ...],
     certificate: bool,
     serial: str | None,
@@ -145,7 +149,14 @@ def calibrate_command(
     output: Output,
     **options: Any,
 ) -> int:
-    """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report."""
+    """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report.
+
+    With --images, --joints, --target and --urdf: from images of a printed target (docs/camera.md).
+    """
+    camera = split_options(options)
+    require_bag(ctx, bag, camera)
+    if bag is None:
+        return calibrate_images(camera, options, out, output)
     asked = Options(**options)
     said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
     with output.working() as watch:

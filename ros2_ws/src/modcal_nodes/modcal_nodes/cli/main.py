@@ -30,6 +30,7 @@ VERBS = {
     "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
     "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
     "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
+    "target": ("target", "target_command", "Write a board to print for calibrating with a camera."),
     "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
     "repair": ("repair", "repair_command", "Repair a truncated bag."),
@@ -43,7 +44,7 @@ VERBS = {
 }
 # The same in the order of work, as the list shows them
 GROUPS = {
-    "Prepare a measurement": ("sensitivity", "plan", "limits", "simulate"),
+    "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
     "Get and look at a recording": ("import", "info", "repair"),
     "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
     "Use the result": ("export", "watch"),
@@ -139,7 +140,14 @@ def _fault() -> int:
 
 
 # What a verb may need beyond what is always installed: the extra of the distribution that brings it
-_EXTRAS = {"mujoco": "simulate", "pyarrow": "fleet", "distributed": "dask", "dask": "dask"}
+_EXTRAS = {
+    "cv2": "camera",
+    "fpdf": "camera",
+    "mujoco": "simulate",
+    "pyarrow": "fleet",
+    "distributed": "dask",
+    "dask": "dask",
+}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
 
 

@@ -1,0 +1,110 @@
+"""Whether camera or target was moved between two of the images: the half in the world, or the one on the arm.
+
+For each place in their order, six more parameters move one half from there on; a scan of small sums finds the place
+that gains most. Then the sizes of all errors are found again with the move and without: a move makes the images' own
+errors look large, so that only both together say whether it is there. What counts is the likelihood with everything
+integrated out, which has the price of six more parameters in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from modcal_core.camera.equations import Equations
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.sizes import likeliest
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+
+_GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
+_USUAL_M, _USUAL_RAD = 0.01, 0.02  # how far something is moved that is kicked
+_SCREEN = 6.0  # gain at the sizes of the fit, below which nothing is worth a second look
+_EDGE = 3  # images on either side
+
+
+@dataclass(frozen=True)
+class MovedHalf:
+    """From the image with index ``at`` on, the half in the world (in_world) or on the arm is elsewhere.
+
+    shift_m, turn_rad: by how much. gain: of −2 log likelihood.
+    """
+
+    at: int
+    in_world: bool
+    shift_m: float
+    turn_rad: float
+    gain: float
+
+
+def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
+    """The likeliest move among the images of a fit, None where none is beyond doubt. arm: as in the fit."""
+    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
+    N = len(T)
+    if N < 2 * _EDGE:
+        return None
+    R, p = T[:, :3, :3], T[:, :3, 3]
+    eye, zero = np.broadcast_to(np.eye(3), (N, 3, 3)), np.zeros((N, 3, 3))
+    by_world = np.concatenate([np.concatenate([eye, -so3.hat(p)], 2), np.concatenate([zero, eye], 2)], 1)
+    by_tool = np.concatenate([np.concatenate([R, zero], 2), np.concatenate([zero, R], 2)], 1)
+    scanned = []
+    for in_world, motions in ((True, by_world), (False, by_tool)):
+        twists = fit.poses.as_twists(T, motions)
+        at, gain, step = _scan(fit, twists)
+        scanned.append((gain, at, in_world, twists, step))
+    gain, at, in_world, twists, step = max(scanned, key=lambda s: s[0])
+    if gain < _SCREEN:
+        return None
+    added = np.where((np.arange(N) >= at)[:, None, None], twists, 0.0)
+    wider = _with_move(fit.equations, added)
+    without, along = likeliest(fit.equations, fit.sizes, arm), likeliest(wider, fit.sizes, arm)
+    solved = wider.solve(along)
+    better = fit.equations.solve(without).misfit() - solved.misfit()
+    if better < _GAIN:
+        return None
+    K = fit.equations.moved.shape[2]
+    step = solved.step()[K : K + 6]
+    shift = step[:3] + np.cross(step[3:], p.mean(0)) if in_world else step[:3]
+    return MovedHalf(at, in_world, float(np.linalg.norm(shift)), float(np.linalg.norm(step[3:])), better)
+
+
+def _with_move(eq: Equations, added: Array) -> Equations:
+    """The equations with six more parameters, these twists (N, 6, 6), behind those of arm and clock."""
+    K, six = eq.moved.shape[2], np.arange(6)
+    information = np.insert(np.insert(eq.information, [K] * 6, 0.0, axis=0), [K] * 6, 0.0, axis=1)
+    information[K + six, K + six] = np.repeat([_USUAL_M**-2, _USUAL_RAD**-2], 3)
+    return replace(
+        eq,
+        moved=np.concatenate([eq.moved, added], axis=2),
+        arm=np.r_[eq.arm, np.zeros(6, bool)],
+        offset=np.insert(eq.offset, [K] * 6, 0.0),
+        information=information,
+        free=np.insert(eq.free, [K] * 6, True),
+    )
+
+
+def _scan(fit: CameraFit, twists: Array) -> tuple[int, float, Array]:
+    """(first image after the move, gain, the six values) of the best place."""
+    eq = fit.equations
+    solved = eq.solve(fit.sizes)
+    E = solved.E
+    At = np.swapaxes(twists, 1, 2)
+    own = At @ E[:, :6, :6] @ twists
+    arm = At @ E[:, :6, :6] @ eq.moved
+    common = At @ E[:, :6, 6:-1]
+    right = (At @ E[:, :6, -1:])[:, :, 0]
+    cross = np.concatenate([arm, common], axis=2)[:, :, solved.use]
+    factor = scipy.linalg.cho_factor(solved.H)
+    step = scipy.linalg.cho_solve(factor, solved.b)
+    best = (0, -np.inf, np.zeros(6))
+    for k in range(_EDGE, len(twists) - _EDGE + 1):
+        B = cross[k:].sum(0)
+        C = own[k:].sum(0) - B @ scipy.linalg.cho_solve(factor, B.T) + 1e-9 * np.eye(6)
+        b = right[k:].sum(0) - B @ step
+        x = np.linalg.solve(C, b)
+        gain = float(b @ x)
+        if gain > best[1]:
+            best = k, gain, x
+    return best

@@ -1,0 +1,56 @@
+"""Whether to use the calibrated arm: *apply*, *do not apply*, or *cannot tell*, and why, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.camera.tool_error import ToolError
+
+APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
+_WORSE = 0.005  # chance of an arm made worse that may be taken
+_WHAT_TELLS = (
+    "measure the two rulers on the sheet (modcal target --measured), state the arm's accuracy (--arm-mm), "
+    "or add a second target at another distance, two scale marks, a ball in a socket or a few tracker points"
+)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn."""
+
+    word: str
+    because: tuple[str, ...]
+    chance_worse: float
+
+
+def decide(error: ToolError, metric: bool, problems: tuple[str, ...], stated_m: float | None = None) -> Decision:
+    """The decision over the postures that were asked for.
+
+    metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
+    RMS error of the arm as drawn, as the user states it [m].
+    """
+    worse = float((error.ratio >= 1.0).mean())
+    middle, _, high = error.interval
+    drawn, drawn_low, _ = error.nominal_interval
+    if problems:
+        return Decision(DO_NOT_APPLY, problems, worse)
+    if not metric:
+        said = "Nothing in these images has a length that somebody measured: "
+        return Decision(CANNOT_TELL, (said + _WHAT_TELLS + ".",), worse)
+    least = drawn if stated_m is None else min(drawn, stated_m)
+    compared = (
+        f"The calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
+        f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
+    )
+    if worse > _WORSE or high >= least:
+        stated = "" if stated_m is None else f", and {1e3 * stated_m:.2f} mm is stated of it"
+        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.",), worse)
+    return Decision(APPLY, (f"{compared}.",), worse)
+
+
+def chance(draws: np.ndarray) -> str:
+    """A share of draws for a person: never 0 or 100 % of what was sampled."""
+    share, least = float(draws.mean()), 1.0 / max(len(draws), 1)
+    return f"below {100.0 * least:.1g} %" if share < least else f"{100.0 * share:.0f} %"

@@ -1,0 +1,171 @@
+"""The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.camera.arm_poses import ArmPoses
+from modcal_core.camera.corners import COMMON, CornerTable, corner_rows, grams
+from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.priors import CLOCK_S, CommonPrior
+from modcal_core.camera.sizes import START, likeliest
+from modcal_core.geometry.so3 import Array
+
+_STEPS = 30  # at the same sizes
+_MET = 1e-4  # gain of −2 log likelihood
+_ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
+_SETTLED = 0.05  # change of a size's logarithm
+_DAMPED = 1e6  # at which no step helps
+_MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """values: of the arm's parameters, (P,). offset_s: of the clock. lens, shape (5,): as elsewhere."""
+
+    values: Array
+    offset_s: float
+    lens: Lens
+    shape: Array
+
+    @property
+    def common(self) -> Array:
+        """Lens and shape, (14,)."""
+        return np.r_[self.lens.values, self.shape]
+
+    def moved(self, step: Array) -> CameraState:
+        """The state a step (P + 1 + 14,) farther."""
+        P = len(self.values)
+        lens = self.lens.moved(step[P + 1 : P + 1 + LENS])
+        return CameraState(
+            self.values + step[:P], self.offset_s + float(step[P]), lens, self.shape + step[P + 1 + LENS :]
+        )
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
+    clock, lens and shape, (P + 1 + 14, P + 1 + 14). equations: at the state. pixels: residuals (M, 2), the images' own
+    twists not put in. converged: whether it met. arm_stated: whether the size of the arm's faults was.
+    """
+
+    table: CornerTable
+    poses: ArmPoses
+    prior: CommonPrior
+    state: CameraState
+    sizes: Sizes
+    covariance: Array
+    equations: Equations
+    pixels: Array
+    converged: bool
+    arm_stated: bool = False
+
+    @property
+    def rms_px(self) -> float:
+        """RMS distance of corners from the model [px]."""
+        w = self.table.weight
+        return float(np.sqrt((w @ (self.pixels**2).sum(1)) / max(w.sum(), 1.0)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows of the covariance."""
+        from modcal_core.camera.corners import SHAPE_NAMES
+        from modcal_core.camera.lens import NAMES
+
+        arm = tuple(p.name for p in self.poses.parameters)
+        return (*arm, "clock", *(f"lens/{n}" for n in NAMES), *(f"sheet/{n}" for n in SHAPE_NAMES))
+
+
+def fit_camera(
+    table: CornerTable,
+    poses: ArmPoses,
+    lens: Lens,
+    prior: CommonPrior,
+    sizes: Sizes = START,
+    arm: float | None = None,
+    fixed_sizes: bool = False,
+) -> CameraFit:
+    """The fit from this lens and from base and tool of the poses' model, arm as drawn.
+
+    sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
+    sizes as they are.
+    """
+    shape = prior.mean[LENS:].copy()
+    state = CameraState(np.zeros(len(poses.parameters)), 0.0, lens, shape)
+    if arm is not None:
+        sizes = replace(sizes, arm=arm)
+    converged = False
+    equations = equations_at(table, poses, prior, state)
+    for _ in range(_ROUNDS):
+        state, equations, converged = _descend(table, poses, prior, state, sizes)
+        if fixed_sizes:
+            break
+        new = likeliest(equations, sizes, arm)
+        settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
+        sizes = new
+        if settled:
+            break
+    if not fixed_sizes:
+        state, equations, converged = _descend(table, poses, prior, state, sizes)
+    T, _ = poses.tool_motions(state.values, state.offset_s)
+    pixels = corner_rows(table, state.lens, state.shape, poses.seen(T)).pixels
+    covariance = equations.solve(sizes).covariance()
+    return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged, arm is not None)
+
+
+def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
+    """The equations at a state."""
+    T, motions = poses.tool_motions(state.values, state.offset_s)
+    joints = poses.joint_motions(state.values, T)
+    N, P = len(T), motions.shape[2]
+    by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
+    moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
+    shifts = np.zeros((N, 6, 3))
+    shifts[:, :3] = np.eye(3)
+    rows = corner_rows(table, state.lens, state.shape, poses.seen(T))
+    information = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
+    information[:P, :P] = np.diag(poses.prior_std**-2)
+    information[P, P] = CLOCK_S**-2
+    information[P + 1 :, P + 1 :] = prior.information
+    clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
+    return Equations(
+        grams(table, rows),
+        moved,
+        poses.as_twists(T, joints),
+        poses.as_twists(T, shifts),
+        np.r_[poses.of_arm, False],
+        np.r_[state.values, state.offset_s, state.common - prior.mean],
+        information,
+        np.r_[np.ones(P, bool), clocked, prior.free],
+        int((table.weight > 0.0).sum()),
+    )
+
+
+def _descend(
+    table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState, sizes: Sizes
+) -> tuple[CameraState, Equations, bool]:
+    """(state, equations there, whether it met): damped Gauss-Newton steps at these sizes."""
+    equations = equations_at(table, poses, prior, state)
+    solved = equations.solve(sizes)
+    damping = 1e-6
+    for _ in range(_STEPS):
+        new_state = state.moved(solved.step(damping))
+        new: SolvedEquations | None = None
+        if (new_state.lens.values[:2] > 0.0).all() and np.isfinite(new_state.common).all():
+            there = equations_at(table, poses, prior, new_state)
+            new = there.solve(sizes)
+        if new is not None and new.cost <= solved.cost + _MET:
+            gain = solved.cost - new.cost
+            state, equations, solved = new_state, there, new
+            damping = max(0.1 * damping, 1e-9)
+            if gain < _MET * (1.0 + 1e-6 * solved.cost):
+                return state, equations, True
+        else:
+            damping = max(10.0 * damping, 1e-6)
+            if damping > _DAMPED:
+                return state, equations, True
+    return state, equations, False

@@ -1,0 +1,94 @@
+"""The lens from images alone, the target anywhere in each of them: least squares over lens and poses together.
+
+Poses are eliminated image by image (Schur complement), so that the step is solved for the lens only. No prior: the
+minimum is that of any other program on the same corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
+from modcal_core.camera.homography import homography, lens_of_homographies
+from modcal_core.camera.lens import COUNT, Lens
+from modcal_core.camera.pnp import board_poses
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+_STEPS = 100  # of Gauss and Newton, at most
+_MET = 1e-12  # relative gain of the cost
+_FLAT = np.zeros(SHAPE)
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """A lens and the target's pose in each image, T_camera_target (N, 4, 4) [m]. cost: sum of whitened squares.
+
+    rms: [px]. cov: of the lens's values, (9, 9), rows and columns of those held fixed zero. converged: whether it met.
+    """
+
+    lens: Lens
+    T_camera_target: Array
+    cost: float
+    rms: float
+    cov: Array
+    converged: bool
+
+
+def first_lens(table: CornerTable, size: tuple[int, int]) -> Lens:
+    """A lens to begin with, from the homographies of all images. Raises NotEnoughData."""
+    found = []
+    for i in range(table.views):
+        rows = table.of_view(i)
+        found.append(homography(table.points[rows, :2], table.pixels[rows]))
+    return lens_of_homographies(found, size)
+
+
+def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, prior: Array | None = None) -> LensFit:
+    """The lens, from this start, and poses with least squares over all corners.
+
+    free: which of its nine values to fit, (9,) bool; None: all. prior: information (9, 9) about the start; None: none.
+    """
+    use = np.flatnonzero(np.ones(COUNT, bool) if free is None else free)
+    P0 = np.zeros((len(use), len(use))) if prior is None else prior[np.ix_(use, use)]
+    lens, T = start, board_poses(table, start, _FLAT).T[:, 0]
+    damping, converged = 1e-4, False
+    G = grams(table, corner_rows(table, lens, _FLAT, T))
+    off = np.zeros(len(use))
+    cost = float(G[:, -1, -1].sum())
+    H = np.zeros((len(use), len(use)))
+    for _ in range(_STEPS):
+        p, c = slice(0, POSE), POSE + use
+        Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
+        Hcp = G[:, c, p]
+        back = np.linalg.solve(Hpp, np.concatenate([np.swapaxes(Hcp, 1, 2), G[:, p, -1:]], axis=2))
+        H = (G[:, c[:, None], c]).sum(0) - (Hcp @ back[:, :, :-1]).sum(0) + P0
+        g = (G[:, c, -1] - (Hcp @ back[:, :, -1:])[:, :, 0]).sum(0) - P0 @ off
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        step = scale * np.linalg.solve(H * np.outer(scale, scale) + damping * np.eye(len(use)), scale * g)
+        moves = back[:, :, -1] - back[:, :, :-1] @ step
+        values = lens.values.copy()
+        values[use] += step
+        new_lens, new_T = Lens(values, lens.size), se3.exp(moves) @ T
+        new_G = grams(table, corner_rows(table, new_lens, _FLAT, new_T))
+        new_cost = float(new_G[:, -1, -1].sum() + (off + step) @ P0 @ (off + step))
+        if new_cost <= cost and values[:2].min() > 0.0:
+            gain = cost - new_cost
+            lens, T, G, off, cost = new_lens, new_T, new_G, off + step, new_cost
+            damping = max(0.1 * damping, 1e-12)
+            if gain <= _MET * max(cost, 1e-30):
+                converged = True
+                break
+        else:
+            damping = max(10.0 * damping, 1e-9)
+            if damping > 1e8:
+                converged = True  # no step of any size is better
+                break
+    cov = np.zeros((COUNT, COUNT))
+    cov[np.ix_(use, use)] = np.linalg.pinv(H, hermitian=True)
+    rows = corner_rows(table, lens, _FLAT, T)
+    w = table.weight
+    rms = float(np.sqrt((w @ (rows.pixels**2).sum(1)) / max(w.sum(), 1.0)))
+    return LensFit(lens, T, cost, rms, cov, converged)

@@ -1,0 +1,116 @@
+"""The lens: pinhole with radial and tangential distortion, in OpenCV's nine numbers, and its derivatives.
+
+With x = X / Z, y = Y / Z, r² = x² + y² and D = 1 + k1 r² + k2 r⁴ + k3 r⁶,
+
+    x_d = x D + 2 p1 x y + p2 (r² + 2 x²)        u = fx x_d + cx
+    y_d = y D + p1 (r² + 2 y²) + 2 p2 x y        v = fy y_d + cy
+
+(Brown 1971, in the order of OpenCV). Pixels count from the middle of the upper left one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.geometry.read_only import view
+from modcal_core.geometry.so3 import Array
+
+NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+COUNT = len(NAMES)
+_STEPS = 20  # of Newton's method; three are enough near the middle
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics of a camera. values: fx fy cx cy [px] k1 k2 p1 p2 k3, (9,). size: width and height of images [px]."""
+
+    values: Array
+    size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", view(np.asarray(self.values, dtype=float)))
+
+    @classmethod
+    def of(cls, K: ArrayLike, distortion: ArrayLike, size: tuple[int, int]) -> Lens:
+        """From a camera matrix (3, 3) and up to five coefficients k1 k2 p1 p2 k3."""
+        K = np.asarray(K, dtype=float)
+        d = np.zeros(5)
+        given = np.asarray(distortion, dtype=float).ravel()
+        d[: len(given)] = given
+        return cls(np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], d], size)
+
+    @property
+    def K(self) -> Array:
+        """The camera matrix, (3, 3)."""
+        fx, fy, cx, cy = self.values[:4]
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    def project(self, X: ArrayLike) -> Array:
+        """Pixels (..., 2) of points (..., 3) [m] in the camera's frame, z along its view."""
+        X = np.asarray(X, dtype=float)
+        xd, yd = _distort(X[..., 0] / X[..., 2], X[..., 1] / X[..., 2], self.values)[:2]
+        fx, fy, cx, cy = self.values[:4]
+        return np.stack([fx * xd + cx, fy * yd + cy], axis=-1)
+
+    def linearise(self, X: Array) -> tuple[Array, Array, Array]:
+        """Pixels (N, 2) of points (N, 3) [m], and their derivatives by the points (N, 2, 3) and by values (N, 2, 9)."""
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
+        z = 1.0 / X[:, 2]
+        x, y = X[:, 0] * z, X[:, 1] * z
+        xd, yd, r2, D = _distort(x, y, self.values)
+        slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
+        xx = D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        zero = np.zeros_like(x)
+        by_point = np.stack(
+            [
+                np.stack([fx * xx * z, fx * xy * z, -fx * z * (xx * x + xy * y)], axis=1),
+                np.stack([fy * xy * z, fy * yy * z, -fy * z * (xy * x + yy * y)], axis=1),
+            ],
+            axis=1,
+        )
+        by_values = np.empty((len(X), 2, COUNT))
+        u = (xd, zero, zero + 1.0, zero, x * r2, x * r2**2, 2.0 * x * y, r2 + 2.0 * x * x, x * r2**3)
+        v = (zero, yd, zero, zero + 1.0, y * r2, y * r2**2, r2 + 2.0 * y * y, 2.0 * x * y, y * r2**3)
+        for j, (a, b) in enumerate(zip(u, v, strict=True)):
+            by_values[:, 0, j], by_values[:, 1, j] = (a, b) if j < 4 else (fx * a, fy * b)
+        return np.stack([fx * xd + cx, fy * yd + cy], axis=1), by_point, by_values
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Directions x, y at z = 1, (N, 2), that these pixels (N, 2) show, by Newton's method."""
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
+        goal = (np.asarray(pixels, dtype=float) - [cx, cy]) / [fx, fy]
+        xy = goal.copy()
+        for _ in range(_STEPS):
+            x, y = xy.T
+            xd, yd, r2, D = _distort(x, y, self.values)
+            slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
+            a = D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+            b = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+            d = D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+            gap = goal - np.stack([xd, yd], axis=1)
+            det = a * d - b * b
+            det = np.where(np.abs(det) < 1e-6, 1.0, det)
+            step = np.stack([d * gap[:, 0] - b * gap[:, 1], a * gap[:, 1] - b * gap[:, 0]], axis=1) / det[:, None]
+            xy = xy + np.clip(step, -0.5, 0.5)
+            if np.abs(step).max(initial=0.0) < 1e-13:
+                break
+        return xy
+
+    def moved(self, change: ArrayLike) -> Lens:
+        """The lens with its values changed by (9,)."""
+        return Lens(self.values + np.asarray(change), self.size)
+
+
+def _distort(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array, Array]:
+    """Distorted x and y, r², and the radial factor."""
+    k1, k2, p1, p2, k3 = values[4:]
+    r2 = x * x + y * y
+    D = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    xd = x * D + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    yd = y * D + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return xd, yd, r2, D

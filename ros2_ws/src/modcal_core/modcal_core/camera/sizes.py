@@ -1,0 +1,49 @@
+"""How large noise, what an image has of its own, and the arm's faults are: those sizes that the data make likeliest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from modcal_core.camera.equations import Equations, Sizes
+from modcal_core.geometry.so3 import Array
+
+START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
+# What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
+# size that the data say nothing of where arms and cameras have it.
+_USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
+_FACTOR = np.log(np.array([10.0, 10.0, 10.0, 10.0]))
+_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3]), np.log([50.0, 0.03, 0.03, 5.0])
+_EVALUATIONS = 300
+_MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
+
+
+def usual(sizes: Sizes) -> float:
+    """−2 log of how usual these sizes are."""
+    off = (sizes.logs - _USUAL.logs) / _FACTOR
+    return float(off @ off)
+
+
+def likeliest(equations: Equations, start: Sizes, arm: float | None = None) -> Sizes:
+    """The sizes that make the data likeliest. arm: size of the arm's faults where it is stated."""
+    fixed_arm = arm is not None or not equations.arm.any()
+    begin = start if arm is None else replace(start, arm=arm)
+    keep = 3 if fixed_arm else 4
+
+    def misfit(logs: Array) -> float:
+        full = np.clip(np.r_[logs, begin.logs[keep:]], _LEAST, _MOST)
+        if fixed_arm:
+            full[3] = begin.logs[3]
+        outside = float(np.abs(np.r_[logs, begin.logs[keep:]] - full)[:keep].sum())
+        sizes = Sizes.of_logs(full)
+        return equations.solve(sizes).misfit() + usual(sizes) + outside
+
+    simplex = np.vstack([begin.logs[:keep], begin.logs[:keep] + np.eye(keep)])
+    options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
+    found = minimize(misfit, begin.logs[:keep], method="Nelder-Mead", options=options).x
+    full = np.clip(np.r_[found, begin.logs[keep:]], _LEAST, _MOST)
+    if fixed_arm:
+        full[3] = begin.logs[3]
+    return Sizes.of_logs(full)

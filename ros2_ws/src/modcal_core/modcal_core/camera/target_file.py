@@ -1,0 +1,112 @@
+"""Targets as data: our own form, which ``modcal target`` writes, and Kalibr's YAML.
+
+The rulers on a printed sheet have a nominal length; what somebody measured of them says how large the sheet came out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget, PrintScale
+from modcal_core.errors import BadTable, refusing
+from modcal_core.files import read_yaml
+
+FORMAT = 1  # of the file
+RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third of its millimetre
+_TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
+_OFF = 0.1  # a sheet farther from its stated size was measured in another unit
+_KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
+_REMEDY = "give a target file as modcal target writes it, or Kalibr's aprilgrid.yaml"
+_APRIL = "DICT_APRILTAG_36h11"  # the family of Kalibr's grids
+
+
+def read_target(path: Path) -> PrintedTarget:
+    """The target in a file of ours or of Kalibr's. Raises BadTable."""
+    return target_from_data(read_yaml(path), str(path))
+
+
+@refusing
+def target_from_data(data: Any, source: str = "target") -> PrintedTarget:
+    """The target that this data describes; raises BadTable, naming the source."""
+    if not isinstance(data, Mapping) or not {"modcal_target", "target_type"} & set(data):
+        raise BadTable(source, "is not a target file", _REMEDY)
+    if "target_type" in data:
+        return _from_kalibr(data, source)
+    if data["modcal_target"] != FORMAT:
+        raise BadTable(source, f"has format {data['modcal_target']}, {FORMAT} is read", "print the target again")
+    if data.get("type") not in _KINDS:
+        raise BadTable(source, f"type {str(data.get('type'))[:40]} is not known", f"use {', '.join(_KINDS)}")
+    return PrintedTarget(
+        str(data["type"]),
+        int(data.get("columns", 1)),
+        int(data.get("rows", 1)),
+        float(data["square_m"]),
+        float(data.get("marker_m", data.get("gap_m", 0.0))),
+        str(data.get("dictionary", "")),
+        int(data.get("first_id", 0)),
+        _scale(data.get("rulers"), source),
+    )
+
+
+def target_to_data(target: PrintedTarget, rulers_m: tuple[float, float] | None = None) -> dict[str, Any]:
+    """The target as nested dictionaries; rulers_m: nominal lengths of the rulers on the sheet, along x and y."""
+    grid = target.kind in (ARUCO_GRID, APRIL_GRID)
+    out: dict[str, Any] = {"modcal_target": FORMAT, "type": target.kind}
+    out |= {"columns": target.columns, "rows": target.rows, "square_m": target.square}
+    if target.marker:
+        out["gap_m" if grid else "marker_m"] = target.marker
+    if target.dictionary:
+        out |= {"dictionary": target.dictionary, "first_id": target.first_id}
+    if rulers_m is not None:
+        known = target.scale.measured
+        out["rulers"] = {
+            "x_m": rulers_m[0],
+            "y_m": rulers_m[1],
+            "measured_x_m": rulers_m[0] * target.scale.x if known else None,
+            "measured_y_m": rulers_m[1] * target.scale.y if known else None,
+        }
+    return out
+
+
+def scale_of_rulers(
+    nominal: tuple[float, float], measured: tuple[float, float], source: str, std: float = RULER_STD_M
+) -> PrintScale:
+    """How large a sheet came out whose rulers of these lengths [m], along x and y, measure so much, to std [m].
+
+    Raises BadTable for lengths that are no print's.
+    """
+    x, y = (m / n for m, n in zip(measured, nominal, strict=True))
+    if abs(x - 1.0) > _OFF or abs(y - 1.0) > _OFF:
+        said = f"rulers of {nominal[0]:g} and {nominal[1]:g} m measure {measured[0]:g} and {measured[1]:g} m"
+        raise BadTable(source, said, "give what a ruler shows, in metres, or print at 100 %")
+    each = [std / n for n in nominal]
+    apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
+    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True)
+
+
+def _scale(rulers: Any, source: str) -> PrintScale:
+    if not isinstance(rulers, Mapping) or rulers.get("measured_x_m") is None or rulers.get("measured_y_m") is None:
+        return PrintScale()
+    nominal = float(rulers["x_m"]), float(rulers["y_m"])
+    measured = float(rulers["measured_x_m"]), float(rulers["measured_y_m"])
+    std = rulers.get("measured_std_m")
+    if std is not None and not 0.0 < float(std) < min(nominal):
+        raise BadTable(source, f"rulers were measured to {float(std):g} m", "give a small length, in metres")
+    return scale_of_rulers(nominal, measured, source, RULER_STD_M if std is None else float(std))
+
+
+def _from_kalibr(data: Mapping[str, Any], source: str) -> PrintedTarget:
+    """Kalibr's forms: aprilgrid counts tags, checkerboard counts inner corners."""
+    kind = str(data["target_type"])
+    if kind == "aprilgrid":
+        side, ratio = float(data["tagSize"]), float(data["tagSpacing"])
+        low = int(data.get("lowID", 0))
+        return PrintedTarget(APRIL_GRID, int(data["tagCols"]), int(data["tagRows"]), side, side * ratio, _APRIL, low)
+    if kind == "checkerboard":
+        across, down = float(data["colSpacingMeters"]), float(data["rowSpacingMeters"])
+        if across != down:
+            raise BadTable(source, f"has squares of {across:g} × {down:g} m", "use a board of squares")
+        return PrintedTarget(CHESSBOARD, int(data["targetCols"]) + 1, int(data["targetRows"]) + 1, across)
+    raise BadTable(source, f"target_type {kind[:40]} is not read", "use aprilgrid, checkerboard or a ChArUco board")

@@ -1,0 +1,144 @@
+"""How far the arm's model is off at the tool, in millimetres, with an interval: over postures, from the fit alone.
+
+What counts is where the model has a point of the tool in the frame of the other half: the flange in the target's frame
+where the camera is carried, in the camera's where the target is. Errors over M postures are drawn from the fit's
+covariance; each draw has one RMS, and the interval is that of the draws. Of the arm as drawn, camera and target placed
+by the same images, the same draws say what it is off by, so that the two can be compared draw by draw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.sizes import usual
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+
+_DRAWS = 1000  # for the ends of a 95 % interval to within a few per cent of themselves
+_POSTURES = 150  # which give the RMS over a range of joints to a few per cent
+_TRIES = 20  # postures drawn for each that shows the target
+_LEAST_SEEN = 20  # postures that show the target, below which those of the images are taken
+_INSIDE = 0.6  # of the corners, inside the image, count as a target that is in view
+
+
+@dataclass(frozen=True)
+class ToolError:
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,)."""
+
+    calibrated: Array
+    nominal: Array
+
+    @property
+    def interval(self) -> tuple[float, float, float]:
+        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m]."""
+        low, middle, high = np.quantile(self.calibrated, [0.025, 0.5, 0.975])
+        return float(middle), float(low), float(high)
+
+    @property
+    def nominal_interval(self) -> tuple[float, float, float]:
+        """The same of the arm as drawn."""
+        low, middle, high = np.quantile(self.nominal, [0.025, 0.5, 0.975])
+        return float(middle), float(low), float(high)
+
+    @property
+    def ratio(self) -> Array:
+        """Calibrated over nominal, draw by draw, (D,)."""
+        return self.calibrated / np.maximum(self.nominal, 1e-12)
+
+
+def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Generator) -> ToolError:
+    """The errors over postures q (M, n). nominal: of the same images, the arm held as drawn."""
+    at = fit.poses.at_postures(q)
+    T, motions = at.tool_motions(fit.state.values)
+    point = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]  # the tip, in the tool
+    away = T[:, :3, :3] @ point
+    J = motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1)
+    draws = _draws(fit, J.shape[2], rng)
+    error = np.einsum("mip,dp->dmi", J, draws)
+    drawn, _ = nominal.poses.at_postures(q).tool_motions(nominal.state.values)
+    apart = (se3.apply(drawn, point) - se3.apply(T, point))[None] - error
+
+    def rms(e: Array) -> Array:
+        return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1)))
+
+    return ToolError(rms(error), rms(apart))
+
+
+def _draws(fit: CameraFit, P: int, rng: np.random.Generator) -> Array:
+    """Draws (D, P) of what the arm's parameters are off by.
+
+    How faulty this arm is, is known from these images only where it is not stated; so the draws are from a mixture over
+    the sizes that its faults may have, each as likely as the data make it.
+    """
+    sizes = [fit.sizes]
+    if fit.poses.of_arm.any() and not fit.arm_stated:
+        sizes = [replace(fit.sizes, arm=float(fit.sizes.arm * factor)) for factor in np.exp(np.linspace(-2.5, 2.5, 11))]
+    solved = [fit.equations.solve(size) for size in sizes]
+    misfit = np.array([s.misfit() + usual(size) for s, size in zip(solved, sizes, strict=True)])
+    share = np.exp(-0.5 * (misfit - misfit.min()))
+    counts = rng.multinomial(_DRAWS, share / share.sum())
+    out = [
+        s.step()[:P] + rng.standard_normal((count, P)) @ _root(s.covariance()[:P, :P]).T
+        for s, count in zip(solved, counts, strict=True)
+        if count
+    ]
+    return np.concatenate(out)
+
+
+def postures_in_view(fit: CameraFit, rng: np.random.Generator, count: int = _POSTURES) -> tuple[Array, bool]:
+    """(postures (M, n) within the images' joint ranges that show the target, whether there are enough of them).
+
+    Where too few do, those of the images themselves, and what lies between neighbours among them.
+    """
+    q = fit.poses.q
+    low, high = q.min(axis=0), q.max(axis=0)
+    tried = rng.uniform(low, high, (_TRIES * count, q.shape[1]))
+    good = tried[in_view(fit, tried)][:count]
+    if len(good) >= _LEAST_SEEN:
+        return good, True
+    a, b = rng.integers(len(q), size=(2, count))
+    mixed = q[a] + rng.uniform(0.0, 1.0, (count, 1)) * (q[b] - q[a])
+    mixed = np.concatenate([q, mixed[in_view(fit, mixed)]])
+    return mixed[:count], False
+
+
+def postures_anywhere(chain: Chain, rng: np.random.Generator, count: int = _POSTURES) -> Array:
+    """Postures (count, n) anywhere within the joint limits; a full turn, or ±0.5 m, where there are none."""
+    span = np.where(chain.revolute, np.pi, 0.5)
+    low = np.where(np.isfinite(chain.lower), chain.lower, -span)
+    high = np.where(np.isfinite(chain.upper), chain.upper, span)
+    return rng.uniform(low, high, (count, chain.n))
+
+
+def in_view(fit: CameraFit, q: Array) -> np.ndarray:
+    """Whether the camera sees the front of the target at these postures (M, n), (M,) bool."""
+    at = fit.poses.at_postures(q)
+    T = at.seen(at.model_at(fit.state.values).predict(q))
+    points = _sheet(fit.table)
+    X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
+    ahead = X[:, :, 2] > 1e-3
+    pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
+    inside = ahead & ((pixels >= 0.0) & (pixels < np.array(fit.state.lens.size))).all(axis=2)
+    # the side that the images show
+    side = np.einsum("mi,mi->m", T[:, :3, 2], X.mean(axis=1))
+    seen = at.seen(fit.poses.model_at(fit.state.values).predict(fit.poses.q))
+    front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
+    return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
+
+
+def _sheet(table: CornerTable) -> Array:
+    """The corners of the sheet that any image shows, (C, 3)."""
+    first = np.unique(table.ids, return_index=True)[1]
+    return table.points[first]
+
+
+def _root(C: Array) -> Array:
+    """A matrix whose product with its transpose is the covariance C."""
+    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,98 @@
+"""What the images do not show well, by name, and what it would be worth to know more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.mounting import Mounting
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+_TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
+_DISTANCES = 1.3  # farthest over nearest
+_COVERED = 0.4  # of the image, in a grid of eight by eight
+_GRID = 8  # cells a side
+_JOINT = np.radians(20.0)  # range of a joint that shows what its axis does
+_SLIDE = 0.05  # m, of a sliding joint
+
+
+def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
+    """What these images leave open, each with what to do, in sentences."""
+    out = []
+    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
+    seen = fit.poses.seen(T)
+    centre = fit.table.points.mean(axis=0)
+    at = se3.apply(seen, centre)
+    away = np.linalg.norm(at, axis=1)
+    cosine = np.abs(np.einsum("ni,ni->n", seen[:, :3, 2], at)) / np.maximum(away, 1e-9)
+    tilt = float(np.arccos(np.clip(cosine, 0.0, 1.0)).max())
+    if tilt < _TILT:
+        out.append(
+            f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
+            "told apart. Take images with 20° to 45° of tilt."
+        )
+    if away.max() < _DISTANCES * away.min():
+        out.append(
+            f"All images are from {away.min():.2f} to {away.max():.2f} m: the distance and the lens go together. "
+            "Take some from half as far, or twice as far."
+        )
+    if (share := covered(fit.table, fit.state.lens.size)) < _COVERED:
+        out.append(
+            f"Corners cover {100.0 * share:.0f} % of the image: the lens is not known at its edges. "
+            "Bring the target into every corner of the image."
+        )
+    if mounting.one_axis:
+        turns = np.degrees(mounting.turns)
+        out.append(
+            f"The arm turned its tip about one axis only (RMS {turns[0]:.0f}°, across it {turns[1]:.1f}°): where "
+            "camera and target are along this axis is open. Turn the wrist about a second axis."
+        )
+    chain = fit.poses.model.serial
+    for name, low, high, turning in zip(
+        chain.names, fit.poses.q.min(0), fit.poses.q.max(0), chain.revolute, strict=True
+    ):
+        if high - low < (_JOINT if turning else _SLIDE):
+            moved = f"{np.degrees(high - low):.0f}°" if turning else f"{1e3 * (high - low):.0f} mm"
+            out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
+    return tuple(out)
+
+
+def covered(table: CornerTable, size: tuple[int, int]) -> float:
+    """Share of the image's cells, eight by eight, that hold a corner of some image."""
+    cell = np.clip((table.pixels * _GRID / np.array(size)).astype(int), 0, _GRID - 1)
+    return len(np.unique(cell[:, 0] * _GRID + cell[:, 1])) / _GRID**2
+
+
+def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
+    """For lens, print scale, flatness and clock: (mean square error at the tool that is known [m²], the same if that
+    thing were known exactly), over postures q (M, n).
+    """
+    at = fit.poses.at_postures(q)
+    T, motions = at.tool_motions(fit.state.values)
+    point = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+    away = T[:, :3, :3] @ point
+    J = motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1)
+    P = J.shape[2]
+    C = fit.covariance
+    lens = np.arange(P + 1, P + 1 + LENS)
+    groups = {
+        "lens": lens,
+        "print scale": lens[-1] + 1 + np.arange(2),
+        "flatness": lens[-1] + 3 + np.arange(3),
+        "clock": np.array([P]),
+    }
+    whole = _mean_square(J, C[:P, :P])
+    out = {}
+    for name, rows in groups.items():
+        rows = rows[np.diag(C)[rows] > 0.0]
+        if len(rows):
+            known = C[:P, :P] - C[:P][:, rows] @ np.linalg.pinv(C[np.ix_(rows, rows)], hermitian=True) @ C[rows][:, :P]
+            out[name] = (whole, max(_mean_square(J, known), 0.0))
+    return out
+
+
+def _mean_square(J: Array, C: Array) -> float:
+    return float(np.einsum("mip,pq,miq->", J, C, J) / len(J))

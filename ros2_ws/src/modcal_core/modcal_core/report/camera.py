@@ -1,0 +1,215 @@
+"""The report of a calibration by camera: the data of ``report.json``, lines for a person, and the files.
+
+Held-out pixels stand in it and are never called accuracy; what stands for accuracy is the interval in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.camera.decision import APPLY, CANNOT_TELL
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.lens import NAMES
+from modcal_core.camera.solve import CameraSolution
+from modcal_core.camera.tool_error import ToolError
+from modcal_core.files import to_json, to_yaml
+from modcal_core.report.as_json import FORMAT
+from modcal_core.report.trace import Trace
+from modcal_core.robot import Robot
+from modcal_core.robots.urdf import joint_origins
+from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
+
+_WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
+
+
+def camera_calibration(solution: CameraSolution) -> Calibration:
+    """The calibration as other verbs read it: the arm watched from the frame ``camera`` or ``target``."""
+    fit = solution.fit
+    seen = np.stack([fit.poses.q.min(axis=0), fit.poses.q.max(axis=0)])
+    std = np.sqrt(np.diag(fit.covariance))
+    table = tuple(
+        (p.name, float(v), float(s), p.unit)
+        for p, v, s in zip(fit.poses.parameters, fit.state.values, std, strict=False)
+    )
+    model = solution.model
+    noise = NoiseModel(max(fit.sizes.shift, 1e-6), max(fit.sizes.joint, 1e-6))
+    return Calibration(
+        *(solution.nominal_model, model, model, seen, table),
+        postures=fit.poses.q,
+        noise=noise,
+        converged=fit.converged,
+        clock=False,
+    )
+
+
+def camera_files(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, str]:
+    """Names and texts of everything a calibration by camera leaves behind."""
+    assert robot.description is not None
+    calibration = camera_calibration(solution)
+    calibrated = calibration.calibrated.serial
+    corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
+    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
+    return {
+        "report.json": to_json(camera_report(solution, robot, images, left_out)),
+        "calibration.yaml": to_yaml(to_data(calibration)),
+        "calibrated.urdf": corrected,
+        "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
+        "camera.yaml": to_yaml(camera_info(solution.fit)),
+    }
+
+
+def camera_info(fit: CameraFit) -> dict[str, Any]:
+    """The lens in the form of ROS's camera_info files."""
+    lens = fit.state.lens
+    fx, fy, cx, cy = (float(x) for x in lens.values[:4])
+    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return {
+        "image_width": lens.size[0],
+        "image_height": lens.size[1],
+        "camera_name": "camera",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [float(x) for x in lens.values[4:]]},
+        "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
+    }
+
+
+def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, Any]:
+    """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
+    fit, decision = solution.fit, solution.decision
+    P = len(fit.poses.parameters)
+    std = np.sqrt(np.diag(fit.covariance))
+    values = np.r_[fit.state.values, fit.state.offset_s, fit.state.common]
+    problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
+    trace = Trace(robot=robot.name, instrument=f"camera, {solution.target.label}")
+    out = dict(left_out) | solution.left_out
+    return {
+        "modcal_report": FORMAT,
+        "recording": {
+            "stations": fit.table.views,
+            "rejected": images - fit.table.views,
+            "measurement": "corners",
+            "joints": list(robot.names),
+            "duration_s": None,
+        },
+        "split": None,
+        "error_mm": None,
+        "error_deg": None,
+        "noise_floor_mm": None,
+        "effects": [],
+        "unexplained": None,
+        "identifiability": None,
+        "status": "open" if problems else "cannot_tell",
+        "open_because": list(problems),
+        "converged": fit.converged,
+        "regimes": [],
+        "convention": None,
+        "tolerance": None,
+        "trace": asdict(trace),
+        "camera": {
+            "decision": decision.word,
+            "because": list(decision.because),
+            "chance_worse": decision.chance_worse,
+            "metric": list(solution.metric),
+            "mounting": "tip" if fit.poses.camera_on_tip else "world",
+            "rival_mounting": float(solution.mounting.rival),
+            "target": solution.target.label,
+            "images": {"given": images, "used": fit.table.views, "left_out": out},
+            "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.corners_out},
+            "tool_error_mm": {"in_view": _errors(solution.in_view), "anywhere": _errors(solution.anywhere)},
+            "held_out_px": {
+                "nominal": _finite(solution.held_out_px[0]),
+                "calibrated": _finite(solution.held_out_px[1]),
+            },
+            "rms_px": fit.rms_px,
+            "sizes": asdict(fit.sizes),
+            "lens": {
+                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])} for i, name in enumerate(NAMES)
+            },
+            "sheet": {
+                name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
+                for i, name in enumerate(fit.names)
+                if name.startswith("sheet/")
+            },
+            "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
+            "moved": None if solution.moved is None else _moved(solution),
+            "account_mm2": [
+                {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
+            ],
+            "weak": list(solution.weak),
+        },
+        "parameters": [
+            {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
+            for p, v, s in zip(fit.poses.parameters, values, std, strict=False)
+        ],
+        "notes": list(notes(solution)),
+        "verdict": f"{decision.word.capitalize()}. {' '.join(decision.because)}",
+    }
+
+
+def notes(solution: CameraSolution) -> tuple[str, ...]:
+    """What else a person should know, in sentences."""
+    out = list(solution.weak)
+    for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
+        if whole - known > _WORTH * whole:
+            out.append(
+                f"{name.capitalize()}: were it known exactly, the error at the tool would be "
+                f"{1e3 * known**0.5:.2f} mm RMS and not {1e3 * whole**0.5:.2f} mm."
+            )
+    return tuple(out)
+
+
+def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) -> list[str]:
+    """The result for a terminal."""
+    fit = solution.fit
+    out = [
+        f"Mounting: {solution.mounting.label}. {solution.target.label}, {fit.table.views} of {images} images, "
+        f"{int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
+        _line("Where the target is in view", solution.in_view),
+        _line("Anywhere within the joint limits", solution.anywhere),
+        f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
+        "(pixels are no accuracy).",
+    ]
+    out += [f"Left out: {name}: {why}." for name, why in (dict(left_out) | solution.left_out).items()]
+    out += list(notes(solution))
+    return [*out, f"{solution.decision.word.upper()}: {' '.join(solution.decision.because)}"]
+
+
+def _line(where: str, error: ToolError) -> str:
+    (middle, low, high), (drawn, drawn_low, drawn_high) = error.interval, error.nominal_interval
+    return (
+        f"{where}: error at the tool {1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} to {1e3 * high:.2f}); "
+        f"nominal arm {1e3 * drawn:.2f} mm ({1e3 * drawn_low:.2f} to {1e3 * drawn_high:.2f})."
+    )
+
+
+def _errors(error: ToolError) -> dict[str, Any]:
+    names = ("rms", "low95", "high95")
+    return {
+        "calibrated": dict(zip(names, (1e3 * x for x in error.interval), strict=True)),
+        "nominal": dict(zip(names, (1e3 * x for x in error.nominal_interval), strict=True)),
+    }
+
+
+def _moved(solution: CameraSolution) -> dict[str, Any]:
+    moved = solution.moved
+    assert moved is not None
+    what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
+    return {
+        "what": what,
+        "before_image": solution.fit.table.names[moved.at],
+        "shift_mm": 1e3 * moved.shift_m,
+        "turn_deg": float(np.degrees(moved.turn_rad)),
+    }
+
+
+def _finite(x: float) -> float | None:
+    return x if np.isfinite(x) else None

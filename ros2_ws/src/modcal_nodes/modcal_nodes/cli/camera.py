@@ -1,0 +1,137 @@
+"""``modcal calibrate --images``: a folder of images, a table of joints and a printed target in place of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.files import write_folder
+from modcal_nodes.cli.console import Output, tell, written
+from modcal_nodes.cli.robot import arm_line
+
+_EXISTING = click.Path(exists=True, path_type=Path)
+_TOGETHER = ("images", "joints", "target", "camera_info", "intrinsics", "arm_mm", "mounting", "flat_target")
+_ALSO = ("urdf", "base", "tip", "fixed", "seed", "out", "as_json", "verbose", "bag")
+OPTIONS = (
+    click.option(
+        "--images", type=click.Path(exists=True, file_okay=False, path_type=Path), default=None, metavar="FOLDER",
+        help="Images of a printed target, in place of BAG; with --joints, --target and --urdf.",
+    ),
+    click.option(
+        "--joints", type=_EXISTING, default=None, metavar="FILE",
+        help="CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
+    ),
+    click.option(
+        "--target", type=_EXISTING, default=None, metavar="FILE", help="target.yaml of modcal target, or Kalibr's."
+    ),
+    click.option(
+        "--camera-info", type=_EXISTING, default=None, metavar="FILE", help="Intrinsics. Default: from the images."
+    ),
+    click.option(
+        "--intrinsics", type=click.Choice(["free", "tolerance", "fixed"]), default="tolerance", show_default=True,
+        help="What becomes of those in --camera-info.",
+    ),
+    click.option(
+        "--arm-mm", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="MM",
+        help="Error of the nominal arm at its tool, RMS, as you know it.",
+    ),
+    click.option(
+        "--mounting", type=click.Choice(["tip", "world"]), default=None, help="Where the camera is. Default: found."
+    ),
+    click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),
+)  # fmt: skip
+
+
+def camera_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with the options of a calibration by camera."""
+    for option in reversed(OPTIONS):
+        command = option(command)
+    return command
+
+
+def split_options(options: dict[str, Any]) -> dict[str, Any]:
+    """The camera's options, taken out of all."""
+    return {name: options.pop(name) for name in _TOGETHER}
+
+
+def require_bag(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> None:
+    """Raises click.UsageError unless there is either a bag or images with all that they need, and nothing else."""
+    given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
+    if camera["images"] is None:
+        if bag is None:
+            raise click.UsageError("Missing argument 'BAG'.", ctx)
+        if alone := given & set(_TOGETHER):
+            raise click.UsageError(f"{_option(min(alone))} needs --images.", ctx)
+        return
+    if bag is not None:
+        raise click.UsageError("--images stands in place of BAG.", ctx)
+    if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
+        raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
+    if other := given - set(_TOGETHER) - set(_ALSO):
+        raise click.UsageError(f"{_option(min(other))} does not work with --images.", ctx)
+
+
+def calibrate_images(camera: dict[str, Any], options: dict[str, Any], out: Path | None, output: Output) -> int:
+    """Calibrate the arm of the URDF from the images, write the results, and say them."""
+    # OpenCV, which other verbs can do without
+    from modcal_core.camera.solve import solve_camera
+    from modcal_core.camera.target_file import read_target
+    from modcal_core.report.camera import camera_files, camera_report, lines
+    from modcal_core.robot import Robot
+    from modcal_nodes.vision.images import read_camera_info, read_images, require_size
+
+    target = read_target(camera["target"])
+    robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], _columns(camera["joints"]))
+    lens = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
+    with output.working() as watch:
+        found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
+        if lens is not None:
+            require_size(lens, found.size, str(camera["camera_info"]))
+        solution = solve_camera(
+            robot.chain,
+            found.q,
+            found.views,
+            target,
+            found.size,
+            np.random.default_rng(options["seed"]),
+            velocity=found.velocity,
+            lens=lens,
+            stated=camera["intrinsics"],
+            arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
+            camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
+            flat=camera["flat_target"],
+            fixed=options["fixed"],
+            progress=watch,
+        )
+    images = len(found.views) + len(found.left_out)
+    out = out or Path(f"{camera['images'].resolve().name}_calibration")
+    files = camera_files(solution, robot, images, found.left_out)
+    write_folder(out, files)
+    data = camera_report(solution, robot, images, found.left_out)
+    said = [arm_line(robot), *lines(solution, images, found.left_out)]
+    output.result(data, partial(tell, said), written(out, files, first="report.json"))
+    return 0
+
+
+def camera_urdf(path: Path) -> Path:
+    """The path of a URDF; raises BadTable for a table, which has no origins to write back into."""
+    if path.suffix in (".yaml", ".yml"):
+        raise BadTable(str(path), "is a table", "give a URDF: modcal import makes one of a table")
+    return path
+
+
+def _columns(path: Path) -> frozenset[str]:
+    """The columns of a table of joints, so that the tip behind them is taken."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = file.readline(1 << 16)
+    return frozenset(cell.strip() for cell in first.replace(";", ",").split(","))
+
+
+def _option(name: str) -> str:
+    return {"fixed": "--fix", "cell_file": "--cell", "more": "--also"}.get(name, f"--{name.replace('_', '-')}")

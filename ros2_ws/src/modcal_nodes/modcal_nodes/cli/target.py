@@ -1,0 +1,173 @@
+"""``modcal target``: a board to print, to scale, with rulers; and what somebody measured of them."""
+
+from __future__ import annotations
+
+import re
+import sys
+from functools import partial
+from pathlib import Path
+
+import click
+
+from modcal_core.errors import BadTable
+from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
+from modcal_nodes.cli.console import Output, speaking, tell, written
+
+_PAPERS = ("A4", "A3", "A2", "letter")
+_MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
+
+
+class _Counts(click.ParamType):
+    """Columns and rows, such as 7x5."""
+
+    name = "7x5"
+
+    def convert(
+        self, value: str | tuple[int, int], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        """(columns, rows)."""
+        if isinstance(value, tuple):
+            return value
+        if (found := re.fullmatch(r"(\d{1,4})[x×](\d{1,4})", value)) is None:
+            self.fail(f"'{value}' is not of the form 7x5.", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+class _Length(click.ParamType):
+    """A length with its unit, such as 30mm."""
+
+    name = "30mm"
+
+    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The length [m]."""
+        if isinstance(value, float):
+            return value
+        if (found := re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", value)) is None:
+            self.fail(f"'{value}' is not a length such as 30mm.", param, ctx)
+        return float(found[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[found[2]]
+
+
+class _Lengths(click.ParamType):
+    """Two lengths in millimetres, such as 209.5x149.8."""
+
+    name = "209.5x149.8"
+
+    def convert(
+        self, value: str | tuple[float, float], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        """Both lengths [m]."""
+        if isinstance(value, tuple):
+            return value
+        if (found := re.fullmatch(r"(\d+(?:\.\d+)?)[x×](\d+(?:\.\d+)?)", value)) is None:
+            self.fail(f"'{value}' is not of the form 209.5x149.8 [mm].", param, ctx)
+        return 1e-3 * float(found[1]), 1e-3 * float(found[2])
+
+
+@click.command("target")
+@click.option("--charuco", type=_Counts(), default=None, help="ChArUco board of so many squares, across and down.")
+@click.option("--chessboard", type=_Counts(), default=None, help="Chessboard of so many squares.")
+@click.option("--aruco-grid", type=_Counts(), default=None, help="Grid of so many markers.")
+@click.option("--tag", type=click.IntRange(min=0), default=None, metavar="ID", help="One marker with this number.")
+@click.option("--square", type=_Length(), default=None, help="Side of a square, or of a marker of a grid or a tag.")
+@click.option("--marker", type=_Length(), default=None, help="Side of the markers in a ChArUco board; gap in a grid.")
+@click.option(
+    "--dictionary", default=None, metavar="NAME", help="Markers, as OpenCV names them.  [default: DICT_5X5_100]"
+)
+@click.option("--paper", type=click.Choice(_PAPERS), default="A4", show_default=True, help="Paper to print on.")
+@click.option(
+    "--measured", type=_Lengths(), default=None,
+    help="Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
+)  # fmt: skip
+@click.option(
+    "--measured-to-mm",
+    type=click.FloatRange(min=0.001),
+    default=None,
+    metavar="MM",
+    help="How well you measured them.  [default: 0.3, as with a ruler]",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("target"), show_default=True, help="Folder of the results."
+)
+@speaking
+def target_command(
+    charuco: tuple[int, int] | None,
+    chessboard: tuple[int, int] | None,
+    aruco_grid: tuple[int, int] | None,
+    tag: int | None,
+    square: float | None,
+    marker: float | None,
+    dictionary: str | None,
+    paper: str,
+    measured: tuple[float, float] | None,
+    measured_to_mm: float | None,
+    out: Path,
+    output: Output,
+) -> int:
+    """Write a target to print, as PDF, and its description for calibrate --target.
+
+    Print it at 100 %, glue it to something flat, measure both rulers, and state them: modcal target --measured
+    209.5x149.8 puts them into target.yaml.
+    """
+    kinds = {"charuco": charuco, "chessboard": chessboard, "aruco_grid": aruco_grid}
+    kinds |= {"tag": None if tag is None else (1, 1)}
+    chosen = [(kind, counts) for kind, counts in kinds.items() if counts is not None]
+    if not chosen and measured is not None:
+        return _measured(out, measured, measured_to_mm, output)
+    if len(chosen) != 1:
+        raise click.UsageError(
+            "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
+        )
+    if square is None:
+        raise click.UsageError("Missing option '--square'.", click.get_current_context())
+    # OpenCV, which other verbs can do without
+    from modcal_core.camera.target import CHARUCO, CHESSBOARD, TAG, PrintedTarget
+    from modcal_core.camera.target_file import target_to_data
+    from modcal_nodes.vision.sheet import draw_sheet
+
+    kind, (columns, rows) = chosen[0]
+    inner = {CHARUCO: _MARKER * square, CHESSBOARD: 0.0, TAG: 0.0}.get(kind, 0.25 * square)
+    if marker is not None:
+        if kind in (CHESSBOARD, TAG):
+            raise click.UsageError(f"--marker does not work with --{kind}.", click.get_current_context())
+        inner = marker
+    words = "" if kind == CHESSBOARD else dictionary or "DICT_5X5_100"
+    made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, tag or 0)
+    sheet = draw_sheet(made, paper)
+    data = target_to_data(made, sheet.rulers_m)
+    files: dict[str, str | bytes] = {"target.pdf": sheet.pdf, "target.yaml": to_yaml(data)}
+    write_folder(out, files)
+    x, y = (1e3 * length for length in sheet.rulers_m)
+    said = [
+        f"{made.label}, to be printed at 100 % on {paper}.",
+        f"Its rulers should measure {x:.0f} mm (horizontal) and {y:.0f} mm (vertical). What do they measure? State it:",
+        f"modcal target --measured {x:.1f}x{y:.1f} --out {out}",
+    ]
+    if sys.stdin.isatty() and sys.stdout.isatty() and measured is None:
+        answer = click.prompt(
+            "Measured lengths [mm] as 209.5x149.8, or Enter for later", default="", show_default=False
+        )
+        measured = _Lengths().convert(answer, None, None) if answer else None
+    if measured is not None:
+        return _measured(out, measured, measured_to_mm, output)
+    output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
+    return 0
+
+
+def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> int:
+    """Put the measured lengths of the rulers into a target file."""
+    from modcal_core.camera.target_file import target_from_data
+
+    path = out / "target.yaml" if out.is_dir() else out
+    if not path.is_file():
+        raise BadTable(str(path), "does not exist", "give --out the folder that modcal target wrote")
+    data = read_yaml(path)
+    if not isinstance(data, dict) or not isinstance(data.get("rulers"), dict):
+        raise BadTable(str(path), "has no rulers", "give --out the folder that modcal target wrote")
+    data["rulers"] |= {"measured_x_m": measured[0], "measured_y_m": measured[1]}
+    if to_mm is not None:
+        data["rulers"]["measured_std_m"] = 1e-3 * to_mm
+    scale = target_from_data(data, str(path)).scale
+    write_file(path, to_yaml(data))
+    said = f"The sheet came out {100.0 * (scale.x - 1.0):+.2f} % along x and {100.0 * (scale.y - 1.0):+.2f} % along y."
+    output.result(data, partial(tell, [said]), f"Target: {path}")
+    return 0

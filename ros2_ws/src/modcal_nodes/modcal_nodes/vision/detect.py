@@ -1,0 +1,226 @@
+"""Corners of a printed target in an image, by OpenCV, each with a covariance from the image itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from modcal_core.camera.clean import LEAST_CORNERS, enough_corners
+from modcal_core.camera.homography import homography
+from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_nodes.vision.corner_noise import corner_covariance, edge_width, grey_noise
+
+BLURRED_PX = 6.0  # of an edge from black to white; beyond it a corner's place depends on the light
+_LEAST_SHARE = 0.3  # of the windows' half side a square may be: a corner needs its own four squares and no others
+_MOST_WINDOW, _LEAST_WINDOW = 11, 2  # px, half side of the windows in which corners are refined
+_SMALLEST_GREY = 12.0  # grey levels between black and white
+_FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
+_MIN_QUADS = 4  # markers that the image shows, none of them of the target, before another board is suspected
+_GAP = 6.0  # square sides between corners of one board and those of another
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What an image shows. view: its corners; None where it cannot be used, and reason and remedy say why."""
+
+    view: BoardView | None
+    reason: str = ""
+    remedy: str = ""
+
+
+def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
+    """The corners of the target in a grey image (h, w) of 8 bits."""
+    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
+        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
+    ids, pixels, half = _found(grey, target)
+    if len(ids) == 0:
+        return _why_not(grey, target)
+    if not enough_corners(target.points[ids]):
+        said = f"shows {len(ids)} corners of the target, {LEAST_CORNERS} not on one line are needed"
+        return Detection(None, said, "bring more of the target into view")
+    miss = _misfit(target, ids, pixels)
+    extent = float(np.ptp(pixels, axis=0).max())
+    if miss > max(_FITS_PX, _FITS_SHARE * extent):
+        said = f"shows corners that lie {miss:.0f} px off a flat {target.label}"
+        remedy = "check the target file, show one board only, and keep it flat"
+        return Detection(None, said, remedy)
+    width = edge_width(grey, pixels, half)
+    if width > BLURRED_PX:
+        return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
+    cov = corner_covariance(grey, pixels, half, grey_noise(grey))
+    return Detection(BoardView(name, ids, pixels, cov, width))
+
+
+def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int]:
+    """(ids (m,), pixels (m, 2), half side of the windows of refinement [px])."""
+    none = np.empty(0, int), np.empty((0, 2)), _LEAST_WINDOW
+    if target.kind == CHARUCO:
+        for legacy in (False, True):
+            corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
+            if ids is not None and len(ids) >= LEAST_CORNERS:
+                break
+        if ids is None or len(ids) == 0:
+            return none
+        order = np.argsort(np.asarray(ids).ravel())
+        ids, pixels = np.asarray(ids).ravel()[order], np.asarray(corners, dtype=float).reshape(-1, 2)[order]
+        return _refined(grey, target, ids, pixels)
+    if target.kind == CHESSBOARD:
+        shape = (target.columns - 1, target.rows - 1)
+        ok, corners = cv2.findChessboardCornersSB(grey, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not ok:
+            return none
+        pixels = _turned_right(grey, np.asarray(corners, dtype=float).reshape(-1, 2), shape)
+        return _refined(grey, target, np.arange(len(pixels)), pixels)
+    return _markers(grey, target) or none
+
+
+def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int] | None:
+    """Corners of the markers of a grid, or of one tag."""
+    corners, ids, _ = _marker_detector(target.dictionary).detectMarkers(grey)
+    if ids is None:
+        return None
+    number = np.asarray(ids).ravel() - target.first_id
+    good = np.flatnonzero((number >= 0) & (number < target.columns * target.rows))
+    if len(good) == 0 or len(np.unique(number[good])) < len(good):
+        return None  # a number that stands twice is of two boards
+    order = good[np.argsort(number[good])]
+    quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
+    numbers = number[order]
+    if target.kind != TAG:
+        # a marker's own upper left corner is a convention of its maker: a grid shows which it is
+        turns = [np.roll(quads, k, axis=1) for k in range(4)]
+        if target.kind == APRIL_GRID:
+            turns = [np.roll(quads[:, ::-1], k, axis=1) for k in range(4)]
+        every = (4 * numbers[:, None] + np.arange(4)).ravel()
+        quads = min(turns, key=lambda q: _misfit(target, every, q.reshape(-1, 2))) if len(quads) > 1 else turns[0]
+    every = (4 * numbers[:, None] + np.arange(4)).ravel()
+    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
+    half = int(np.clip(0.1 * side, _LEAST_WINDOW, _MOST_WINDOW))
+    return every, quads.reshape(-1, 2), half
+
+
+def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:
+    """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
+    half = _LEAST_WINDOW
+    if len(ids) >= 4:
+        H = homography(target.points[ids, :2], pixels)
+        h, w = grey.shape
+        middle = np.r_[target.points[ids, :2].mean(axis=0), 1.0]
+        steps = [middle + np.r_[target.square, 0.0, 0.0], middle + np.r_[0.0, target.square, 0.0]]
+        at = [(H @ p)[:2] / (H @ p)[2] for p in (middle, *steps)]
+        square = min(float(np.linalg.norm(a - at[0])) for a in at[1:])
+        margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
+        half = int(np.clip(min(_LEAST_SHARE, margin) * square, _LEAST_WINDOW, _MOST_WINDOW))
+    h, w = grey.shape
+    inside = ((pixels >= half + 1) & (pixels <= np.array([w, h]) - half - 2)).all(axis=1)
+    ids, pixels = ids[inside], pixels[inside]
+    if len(ids) == 0:
+        return ids, pixels, half
+    end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
+    start = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    fine = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), end).reshape(-1, 2).astype(float)
+    near = np.linalg.norm(fine - pixels, axis=1) < half
+    return ids[near], fine[near], half
+
+
+def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Array:
+    """Corners of a chessboard in the order of its numbers: the square before the first corner is black."""
+    grid = pixels.reshape(shape[1], shape[0], 2)
+
+    def first_square(g: Array) -> float:
+        at = np.clip(np.rint(g[0, 0] - 0.5 * (g[1, 1] - g[0, 0])), 0, np.array(grey.shape)[::-1] - 1).astype(int)
+        beside = np.clip(np.rint(0.5 * (g[0, 0] + g[1, 1]) + (g[0, 0] - g[1, 0])), 0, np.array(grey.shape)[::-1] - 1)
+        x, y = beside.astype(int)
+        return float(grey[at[1], at[0]]) - float(grey[y, x])
+
+    turned = grid[::-1, ::-1]
+    return np.ascontiguousarray(min((grid, turned), key=first_square)).reshape(-1, 2)
+
+
+def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:
+    """Largest distance of corners from the homography of all of them [px]."""
+    if len(ids) < 5:
+        return 0.0
+    points = target.points[ids, :2]
+    H = homography(points, pixels)
+    q = np.c_[points, np.ones(len(points))] @ H.T
+    return float(np.linalg.norm(q[:, :2] / q[:, 2:] - pixels, axis=1).max())
+
+
+def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
+    """Why no corner of the target was found."""
+    if target.kind == CHESSBOARD:
+        said = f"shows no whole {target.label}"
+        return Detection(None, said, "count the squares, show the whole board, or use a ChArUco board")
+    mirrored = np.ascontiguousarray(grey[:, ::-1])
+    if len(_found(mirrored, target)[0]):
+        return Detection(None, "is mirrored", "turn off mirroring in the camera's driver")
+    _, ids, _ = _marker_detector(target.dictionary).detectMarkers(grey)
+    if ids is not None and len(ids):
+        most = _marker_count(target)
+        seen = np.asarray(ids).ravel()
+        if len(np.unique(seen)) < len(seen):
+            return Detection(None, "shows two boards with the same markers", "show one board only")
+        said = f"shows {len(seen)} markers of {target.dictionary}, numbers {seen.min()} to {seen.max()}"
+        remedy = f"check the number of squares and the dictionary: a {target.label} has {most} markers"
+        return Detection(None, said, remedy)
+    for other in _families():
+        found = _marker_detector(other).detectMarkers(grey)[1]
+        if found is not None and len(found) >= _MIN_QUADS and other != target.dictionary:
+            said = f"shows {len(found)} markers of {other}, the target has {target.dictionary}"
+            return Detection(None, said, "give the target file of this board")
+    return Detection(None, "shows no target", "bring the target into view, sharp and lit")
+
+
+def _families() -> Sequence[str]:
+    """One dictionary of each size of marker, and AprilTags: the largest, whose words include those of the smaller."""
+    return tuple(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)) + ("DICT_APRILTAG_36h11",)
+
+
+def _marker_count(target: PrintedTarget) -> int:
+    return target.columns * target.rows // 2 if target.kind == CHARUCO else target.columns * target.rows
+
+
+def dictionary(name: str) -> cv2.aruco.Dictionary:
+    """The markers' dictionary of this name. Raises BadTable."""
+    number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
+    if number is None:
+        raise BadTable(f"dictionary {name[:40]}", "is not known to OpenCV", "use one such as DICT_5X5_100")
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+@lru_cache(maxsize=16)
+def _marker_detector(name: str) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(dictionary(name), parameters)
+
+
+@lru_cache(maxsize=16)
+def _charuco(target: PrintedTarget, legacy: bool) -> cv2.aruco.CharucoDetector:
+    return cv2.aruco.CharucoDetector(charuco_board(target, legacy))
+
+
+def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board of this target. legacy: in the pattern of OpenCV before 4.6. Raises BadTable."""
+    words = dictionary(target.dictionary)
+    count, available = _marker_count(target), len(words.bytesList)
+    if target.first_id + count > available:
+        said = f"holds {available} markers, {target.first_id + count} are needed"
+        raise BadTable(f"dictionary {target.dictionary}", said, "use a larger one")
+    ids = target.first_id + np.arange(count)
+    board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
+    board.setLegacyPattern(legacy)
+    return board
+
+
+def is_grid(target: PrintedTarget) -> bool:
+    """Whether the target is one of markers side by side."""
+    return target.kind in (ARUCO_GRID, APRIL_GRID)

@@ -1,0 +1,247 @@
+"""A folder of images with a table of joints: what is read, what is left out and why, and whose joints are whose."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadRecording, BadTable, NotEnoughData
+from modcal_core.files import read_yaml
+from modcal_core.geometry.so3 import Array
+from modcal_nodes.vision.detect import detect
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+_MOST_BYTES = 1 << 28  # of one image, before it is read
+_MOST_IMAGES = 5000
+_MOST_TABLE = 1 << 28  # bytes of a table of joints
+_MOSAIC = 0.04  # relative difference between the four phases of a Bayer pattern; those of a grey image differ by noise
+_DEGREES = 4.0 * np.pi  # rad; no joint turns farther, and degrees do
+_NANOSECONDS = 1e14  # stamps beyond it are nanoseconds
+_GAP_S = 0.2  # between joint states around an image, beyond which they do not say where the arm was
+
+
+@dataclass(frozen=True)
+class ImageFolder:
+    """views: of the target, in the order of the images' names. q, velocity: of the joints at each, (N, n). size: of the
+    images [px]. left_out: images by reason, each with its remedy.
+    """
+
+    views: tuple[BoardView, ...]
+    q: Array
+    velocity: Array
+    size: tuple[int, int]
+    left_out: dict[str, str]
+
+
+def read_images(
+    folder: Path,
+    joints: Path,
+    names: Sequence[str],
+    target: PrintedTarget,
+    progress: Callable[[str, float | None], None] = lambda stage, share: None,
+) -> ImageFolder:
+    """The target in every image of a folder, and where the arm's joints were.
+
+    joints: CSV, its first line the columns: ``image`` and one a joint [rad, m], or ``stamp`` [s] and one a joint, where
+    the images are named by their stamps. names: of the robot's joints. Raises ModcalError where nothing can be used.
+    """
+    files = sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=_order)
+    if not files:
+        raise BadRecording(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES[:3])} files")
+    if len(files) > _MOST_IMAGES:
+        raise BadRecording(str(folder), f"holds {len(files)} images, {_MOST_IMAGES} are read", "give fewer")
+    rows = joints_of_text(_text(joints), names, str(joints))
+    left_out: dict[str, str] = {}
+    views: list[BoardView] = []
+    at: list[tuple[Array, Array]] = []
+    sizes: list[tuple[int, int]] = []
+    for i, file in enumerate(files):
+        progress("finding the target", i / len(files))
+        if (place := rows.at(file)) is None:
+            left_out[file.name] = "the table has no joints for it: give it a row"
+            continue
+        grey, why = _read_grey(file)
+        if grey is None:
+            left_out[file.name] = why
+            continue
+        found = detect(grey, target, file.name)
+        if found.view is None:
+            left_out[file.name] = f"{found.reason}: {found.remedy}"
+            continue
+        views.append(found.view)
+        at.append(place)
+        sizes.append((grey.shape[1], grey.shape[0]))
+    if not views:
+        name, why = next(iter(left_out.items()))
+        reason, _, remedy = why.partition(": ")
+        raise NotEnoughData(str(folder), f"none of {len(files)} images can be used; {name} {reason}", remedy)
+    size = Counter(sizes).most_common(1)[0][0]
+    keep = [i for i, s in enumerate(sizes) if s == size]
+    for view, own in zip(views, sizes, strict=True):
+        if own != size:
+            left_out[view.name] = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
+    return ImageFolder(
+        tuple(views[i] for i in keep),
+        np.stack([at[i][0] for i in keep]),
+        np.stack([at[i][1] for i in keep]),
+        size,
+        left_out,
+    )
+
+
+def read_camera_info(path: Path) -> Lens:
+    """The lens in a YAML file as ROS's camera calibrators write it. Raises BadTable."""
+    return lens_from_data(read_yaml(path), str(path))
+
+
+def lens_from_data(data: Any, source: str) -> Lens:
+    """The lens that the data of a camera_info file describes. Raises BadTable, naming the source."""
+    try:
+        K = np.array(data["camera_matrix"]["data"], dtype=float).reshape(3, 3)
+        d = np.array(data.get("distortion_coefficients", {"data": []})["data"], dtype=float).ravel()
+        size = int(data["image_width"]), int(data["image_height"])
+        model = str(data.get("distortion_model", "plumb_bob"))
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        remedy = "give image_width, image_height, camera_matrix and distortion_coefficients as camera_info files do"
+        raise BadTable(source, "is not a camera_info file", remedy) from error
+    usable = bool(np.isfinite(K).all() and np.isfinite(d).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0)
+    if model not in ("plumb_bob", "") or len(d) > 5 or not usable:
+        said = f"has model {model[:40]} with {len(d)} coefficients"
+        raise BadTable(source, said, "give plumb_bob with up to five coefficients, or leave it to the images")
+    return Lens.of(K, d, size)
+
+
+def require_size(lens: Lens, size: tuple[int, int], source: str) -> None:
+    """Raises BadTable unless a lens is of images of this size."""
+    if lens.size != size:
+        said = f"is of images of {lens.size[0]} × {lens.size[1]}, these are {size[0]} × {size[1]}"
+        raise BadTable(source, said, "give the camera_info of this resolution")
+
+
+def _order(file: Path) -> tuple[float, str]:
+    """Numbered files by their number, others by name."""
+    digits = "".join(c for c in file.stem if c.isdigit())
+    return (float(digits) if digits and len(digits) < 300 else 0.0, file.name)
+
+
+def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
+    """(grey image of 8 bits, "") or (None, why not and what to do)."""
+    if file.stat().st_size > _MOST_BYTES:
+        return None, f"has more than {_MOST_BYTES >> 20} MiB: give a smaller image"
+    try:
+        image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # empty, or of more pixels than OpenCV reads
+        image = None
+    if image is None:
+        return None, "cannot be read as an image: save it again"
+    if image.dtype != np.uint8:
+        return None, f"has {8 * image.dtype.itemsize} bits a channel: convert it to 8 bits"
+    if image.ndim == 3:
+        code = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+        return np.asarray(cv2.cvtColor(image, code)) if image.shape[2] >= 3 else image[:, :, 0], ""
+    if is_mosaic(image):
+        return None, "is a raw Bayer mosaic: convert it to grey or colour (debayer) first"
+    return image, ""
+
+
+def is_mosaic(grey: np.ndarray) -> bool:
+    """Whether the four phases of pixels differ, as they do behind a colour filter."""
+    h, w = (s - s % 2 for s in grey.shape)
+    phases = grey[:h, :w].reshape(h // 2, 2, w // 2, 2).mean(axis=(0, 2))
+    return bool(np.ptp(phases) > _MOSAIC * max(float(phases.mean()), 1.0))
+
+
+@dataclass(frozen=True)
+class JointTable:
+    """Rows of a table by image, or a log by stamp."""
+
+    source: str
+    by_name: dict[str, Array]
+    stamps: Array
+    q: Array
+
+    def at(self, file: Path) -> tuple[Array, Array] | None:
+        """(positions, velocities) at an image, None where the table says nothing of it."""
+        if self.by_name:
+            q = self.by_name.get(file.name, self.by_name.get(file.stem))
+            return None if q is None else (q, np.zeros_like(q))
+        stamp = _stamp(file.stem)
+        if stamp is None:
+            return None
+        i = int(np.searchsorted(self.stamps, stamp))
+        if i == 0 or i == len(self.stamps) or self.stamps[i] - self.stamps[i - 1] > _GAP_S:
+            return None
+        span = self.stamps[i] - self.stamps[i - 1]
+        rate = (self.q[i] - self.q[i - 1]) / span
+        return self.q[i - 1] + (stamp - self.stamps[i - 1]) * rate, rate
+
+
+def _stamp(text: str) -> float | None:
+    try:
+        stamp = float(text)
+    except ValueError:
+        return None
+    return (1e-9 * stamp if stamp > _NANOSECONDS else stamp) if np.isfinite(stamp) else None
+
+
+def _text(path: Path) -> str:
+    if path.stat().st_size > _MOST_TABLE:
+        raise BadTable(str(path), f"has more than {_MOST_TABLE >> 20} MiB", "give a table of joints")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadTable(str(path), "is not UTF-8 text", "give a CSV file") from error
+
+
+def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
+    """The table of joints in a text, checked. Raises BadTable, naming the source."""
+    try:
+        delimiter = ";" if text.partition("\n")[0].count(";") > text.partition("\n")[0].count(",") else ","
+        table = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise BadTable(source, f"is not CSV ({error})", "give columns with commas between") from error
+    if len(table) < 2:
+        raise BadTable(source, "holds no row of joints", "give a line of column names, then one row an image")
+    header = [cell.strip() for cell in table[0]]
+    missing = [name for name in names if name not in header]
+    if missing:
+        said = f"has no column for joint {missing[0]} (it has {', '.join(header)[:120]})"
+        raise BadTable(source, said, "name the columns as the URDF names its joints")
+    key = next((k for k in ("image", "stamp") if k in header), None)
+    if key is None:
+        raise BadTable(source, "has neither a column image nor a column stamp", "say which image a row belongs to")
+    columns = [header.index(name) for name in names]
+    keys, values = [], []
+    for number, row in enumerate(table[1:], start=2):
+        try:
+            values.append([float(row[c]) for c in columns])
+            keys.append(row[header.index(key)].strip())
+        except (ValueError, IndexError) as error:
+            raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
+    q = np.array(values)
+    if not np.isfinite(q).all():
+        row = int(np.argmax(~np.isfinite(q).all(axis=1))) + 2
+        raise BadTable(f"{source}: line {row}", "holds a number that is not finite", "correct it")
+    if np.abs(q).max() > _DEGREES:
+        said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
+        raise BadTable(source, said, "give radians and metres")
+    if key == "image":
+        names_of = [Path(k).name for k in keys]
+        if len(set(names_of)) < len(names_of):
+            twice = next(k for k, n in Counter(names_of).items() if n > 1)
+            raise BadTable(source, f"has two rows for image {twice[:80]}", "give one row an image")
+        return JointTable(source, dict(zip(names_of, q, strict=True)), np.empty(0), q)
+    stamps = np.array([_stamp(k) if _stamp(k) is not None else np.nan for k in keys], dtype=float)
+    if not (np.diff(stamps) > 0.0).all():
+        raise BadTable(source, "has stamps that do not increase", "give rows in the order of time, in seconds")
+    return JointTable(source, {}, stamps, q)

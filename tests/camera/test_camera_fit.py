@@ -1,0 +1,256 @@
+"""One fit of arm, camera, target and lens, against arms in MuJoCo seen through OpenCV's projection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from camera.boards import BOARD, LENS, views
+from camera.scenes import CameraScene, scene
+from finite_differences import assert_jacobian
+
+from modcal_core.camera.arm_poses import ArmPoses, arm_poses
+from modcal_core.camera.corners import CornerTable, corner_rows
+from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
+from modcal_core.camera.equations import Sizes
+from modcal_core.camera.fit import CameraFit, CameraState, equations_at, fit_camera
+from modcal_core.camera.flange import flange_arm, flange_joints, flange_poses
+from modcal_core.camera.mounting import find_mounting
+from modcal_core.camera.pnp import board_poses
+from modcal_core.camera.priors import FIXED, common_prior
+from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.target_file import scale_of_rulers
+from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.kinematics import forward
+
+FLAT = np.zeros(5)
+MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers"))
+
+
+@cache
+def images(on_tip: bool) -> CameraScene:
+    return scene(1, on_tip, count=20, board=MEASURED)
+
+
+def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]:
+    table = CornerTable.of(s.views, s.board)
+    found = find_mounting(forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
+    moving = np.full_like(s.q, velocity)
+    return table, arm_poses(s.chain, s.q, moving, found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+
+
+def solved(s: CameraScene, **options: object) -> CameraSolution:
+    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(3), **options)  # type: ignore[arg-type]
+
+
+def true_error(s: CameraScene, fit: CameraFit, q: Array) -> float:
+    """RMS distance of the flange, as the model has it on the tool, from the truth [m]."""
+    tip = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+    model = fit.poses.model_at(fit.state.values).predict(q)
+    return float(np.sqrt(((se3.apply(model, tip) - se3.apply(s.truth(q), tip)) ** 2).sum(1).mean()))
+
+
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_mounting_is_told_without_a_guess(on_tip: bool) -> None:
+    s = images(on_tip)
+    found = find_mounting(forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT))
+    assert found.camera_on_tip == on_tip
+    assert found.rival > 10.0
+    assert found.misfit_m < 0.02  # of an arm whose bodies are 7 mm off
+    assert not found.one_axis
+
+
+def test_images_that_cannot_tell_are_refused() -> None:
+    s = images(True)
+    A, poses = forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT)
+    still = replace(poses, T=np.repeat(poses.T[:1], len(A), axis=0), cost=np.repeat(poses.cost[:1], len(A), axis=0))
+    with pytest.raises(BadRecording, match="move, or stand, together"):
+        find_mounting(A, still)
+    with pytest.raises(NotEnoughData, match="at least 4"):
+        find_mounting(A[:3], poses)
+    with pytest.raises(NotEnoughData, match="far apart"):
+        find_mounting(np.repeat(A[:1], len(A), axis=0), poses)
+    with pytest.raises(BadRecording, match="belong together"):
+        find_mounting(A[np.random.default_rng(0).permutation(len(A))], poses)
+
+
+def test_turning_about_one_axis_is_said() -> None:
+    rng = np.random.default_rng(2)
+    turn = so3.exp(np.c_[np.zeros((12, 2)), rng.uniform(-1.0, 1.0, 12)])
+    A = se3.transform(turn, rng.uniform(-0.3, 0.3, (12, 3)))
+    X, Y = se3.exp([0.1, 0.0, 0.1, 0.3, 0.2, 0.1]), se3.exp([0.5, 0.0, 0.3, 2.0, 0.1, 0.3])
+    poses = board_poses(CornerTable.of(images(True).views[:12], BOARD), LENS, FLAT)
+    B = se3.inverse(Y @ A @ X)
+    found = find_mounting(A, replace(poses, T=np.stack([B, B], axis=1)), stated=True)
+    assert found.one_axis
+
+
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_motion_of_the_target_in_the_images(on_tip: bool) -> None:
+    """Every derivative of the target's pose as the camera sees it, and of the joints' own."""
+    s = images(on_tip)
+    _, arm = start(s, velocity=0.3)
+    arm = arm.select(np.arange(2))
+    x = 0.01 * np.random.default_rng(0).normal(size=len(arm.parameters))
+    T, J = arm.tool_motions(x, 0.1)
+    here = arm.seen(T)
+    J = np.concatenate([J, np.einsum("nij,nj->ni", arm.joint_motions(x, T), arm.velocity)[:, :, None]], axis=2)
+
+    def seen(v: Array) -> Array:
+        there = arm.seen(arm.tool_motions(v[:-1], float(v[-1]))[0])
+        return se3.log(there @ se3.inverse(here)).ravel()
+
+    # joint_motions is at q; tool_motions at q + 0.1 velocity
+    late = replace(arm, q=arm.q + 0.1 * arm.velocity)
+    J[:, :, -1] = np.einsum("nij,nj->ni", late.joint_motions(x, T), arm.velocity)
+    assert_jacobian(seen, arm.as_twists(T, J).reshape(12, -1), np.r_[x, 0.1], tolerance=1e-7)
+
+
+def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
+    """Two images of few corners: −2 log of the density of all residuals, with every covariance written out."""
+    s = images(False)
+    few = [v.select(np.arange(0, len(v), 5)) for v in s.views[:2]]
+    table = CornerTable.of(few, s.board)
+    arm = start(s)[1].select(np.arange(2))
+    prior = common_prior(LENS, s.board.scale)
+    state = CameraState(np.zeros(len(arm.parameters)), 0.0, LENS, FLAT)
+    eq = equations_at(table, arm, prior, state)
+    # base and tool are known to some centimetres here, so that the covariance written out has digits left
+    eq = replace(eq, information=eq.information + 1e3 * np.diag(np.diag(eq.information) < 1.0))
+    rows = corner_rows(table, LENS, FLAT, arm.seen(arm.tool_motions(state.values)[0]))
+    r = rows.residual.ravel()
+    A = np.concatenate([rows.by_pose @ eq.moved[table.view], rows.by_common], axis=2).reshape(len(r), -1)
+    B = (rows.by_pose @ eq.joints[table.view]).reshape(len(r), -1)
+    C = (rows.by_pose @ eq.shifts[table.view]).reshape(len(r), -1)
+    same = np.equal.outer(np.repeat(table.view, 2), np.repeat(table.view, 2))
+    use = np.flatnonzero(eq.free)
+
+    def density(z: Sizes) -> float:
+        prior_cov = np.linalg.inv(eq.prior(z)[np.ix_(use, use)])
+        cov = z.noise**2 * np.eye(len(r)) + same * (z.joint**2 * B @ B.T + z.shift**2 * C @ C.T)
+        cov += A[:, use] @ prior_cov @ A[:, use].T
+        gap = r + A[:, use] @ eq.offset[use]
+        return float(np.linalg.slogdet(cov)[1] + gap @ np.linalg.solve(cov, gap))
+
+    one, two = Sizes(1.0, 1e-3, 1e-3, 0.1), Sizes(1.7, 4e-3, 2e-4, 0.3)
+    gap = eq.solve(one).misfit() - eq.solve(two).misfit()
+    assert gap == pytest.approx(density(one) - density(two), rel=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
+    """Below 1.5 mm at the tool from 20 images, inside the stated interval, and said to be worth applying."""
+    s = images(on_tip)
+    r = solved(s)
+    q, enough = postures_in_view(r.fit, np.random.default_rng(1))
+    assert enough
+    _, low, high = r.in_view.interval
+    error, nominal = true_error(s, r.fit, q), true_error(s, r.nominal, q)
+    assert 0.5 * low < error < high
+    assert error < 1.5e-3
+    assert nominal > 5e-3
+    assert nominal == pytest.approx(r.in_view.nominal_interval[0], rel=0.15)
+    assert r.decision.word == APPLY
+    assert r.fit.sizes.noise == pytest.approx(1.0, abs=0.1)
+    assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
+    assert not r.left_out
+    assert r.moved is None
+    # lens and sheet within what is stated of them
+    std = np.sqrt(np.diag(r.fit.covariance))[-14:-5]
+    assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()
+    assert r.held_out_px[1] < 0.1 * r.held_out_px[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_a_perfect_arm_is_not_made_worse(on_tip: bool) -> None:
+    """Nor is the base held where it was found first: the arm's prior is narrow here, and may not be the base's."""
+    s = scene(3, on_tip, count=15, length_std=0.0, angle_std=0.0, board=MEASURED)
+    r = solved(s)
+    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    assert r.decision.word == DO_NOT_APPLY
+    assert true_error(s, r.fit, q) < r.in_view.interval[2]
+
+
+@pytest.mark.slow
+def test_without_anything_metric_nothing_can_be_told() -> None:
+    s = scene(1, True, count=15, board=BOARD)
+    r = solved(s)
+    assert r.decision.word == CANNOT_TELL
+    assert "rulers" in r.decision.because[0]
+    whole, known = r.shares["print scale"]
+    assert known < 0.5 * whole  # which is what a ruler would tell
+
+
+@pytest.mark.slow
+def test_a_sheet_of_another_size_is_named() -> None:
+    """Printed 5 % too large, and measured by nobody; the arm is known to a millimetre."""
+    s = scene(4, True, count=15, length_std=3e-4, angle_std=5e-4, printed=1.05 * BOARD.points)
+    r = solved(s, arm_m=1e-3)
+    assert r.decision.word == DO_NOT_APPLY
+    assert any("+5.0" in said or "+4.9" in said for said in r.decision.because)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_a_kicked_tripod_is_named(on_tip: bool) -> None:
+    s = scene(5, on_tip, count=20, board=MEASURED)
+    half = len(s.views) // 2
+    kick = se3.exp([2e-3, 0.0, 0.0, 0.0, 2e-3, 0.0])  # of what stands in the world
+    T = kick @ s.T[half:]
+    later = views(np.random.default_rng(0), se3.inverse(T) if on_tip else T, board=s.board)
+    r = solved(replace(s, views=[*s.views[:half], *later]))
+    assert r.decision.word == DO_NOT_APPLY
+    assert r.moved is not None
+    assert r.moved.at == half
+    assert r.moved.in_world
+    what = "target" if on_tip else "camera"
+    assert any(said.startswith(f"The {what} was moved before image") for said in r.decision.because)
+
+
+@pytest.mark.slow
+def test_an_image_of_another_posture_is_left_out() -> None:
+    s = images(True)
+    q = s.q.copy()
+    q[7] += 0.05
+    r = solved(replace(s, q=q))
+    assert list(r.left_out) == [s.views[7].name]
+
+
+@pytest.mark.slow
+def test_images_that_are_late() -> None:
+    """20 ms at 0.3 rad/s are found to a millisecond."""
+    velocity = 0.3 * np.random.default_rng(8).choice([-1.0, 1.0], (20, 7))
+    s = scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=0.02)
+    r = solved(s, velocity=velocity)
+    assert r.fit.state.offset_s == pytest.approx(-0.02, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_stated_intrinsics_stay_where_they_are_fixed() -> None:
+    s = images(True)
+    r = solved(s, lens=s.lens, stated=FIXED)
+    assert (r.fit.state.lens.values == s.lens.values).all()
+
+
+@pytest.mark.slow
+def test_flange_poses_place_camera_and_target() -> None:
+    s = images(False)
+    A = forward(s.chain, s.q)
+    q = flange_joints(A)
+    assert np.abs(flange_poses(q) - A).max() < 1e-12
+    assert np.abs(forward(flange_arm(), q) - A).max() < 1e-12
+    table = CornerTable.of(s.views, s.board)
+    found = find_mounting(A, board_poses(table, s.lens, FLAT))
+    arm = arm_poses(
+        flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
+    )
+    assert not arm.of_arm.any()
+    fit = fit_camera(table, arm, s.lens, common_prior(s.lens, s.board.scale))
+    assert fit.converged

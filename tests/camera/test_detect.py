@@ -1,0 +1,241 @@
+"""Finding the target: rendered boards, what an image is worth, and one clear line where it cannot be used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from camera.boards import BOARD, facing, seen
+from camera.render import render
+
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHESSBOARD, PrintedTarget
+from modcal_core.errors import ModcalError
+from modcal_core.files import to_yaml
+from modcal_core.geometry.so3 import Array
+from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.images import read_camera_info, read_images, require_size
+from modcal_nodes.vision.sheet import draw_sheet, rectangles
+
+SMALL = Lens(np.array([520.0, 522.0, 322.0, 238.0, -0.1, 0.05, 5e-4, -3e-4, 0.0]), (640, 480))
+
+
+def poses(count: int = 1, seed: int = 1) -> Array:
+    return facing(np.random.default_rng(seed), count, tilt=0.5, near=0.33, far=0.4)
+
+
+def image(board: PrintedTarget = BOARD, seed: int = 1, **options: float) -> np.ndarray:
+    return render(poses(seed=seed)[0], SMALL, board, np.random.default_rng(seed), **options)
+
+
+@pytest.mark.parametrize("board", [BOARD, PrintedTarget(CHESSBOARD, 7, 4, 0.03)], ids=["charuco", "chessboard"])
+def test_corners_are_where_the_renderer_has_them(board: PrintedTarget) -> None:
+    """To 0.1 px, and the covariances say so: their standard scores are about 1, image by image within a factor."""
+    scores, gaps = [], []
+    for i, T in enumerate(poses(4)):
+        grey = render(T, SMALL, board, np.random.default_rng(i))
+        view = detect(grey, board, "a.png").view
+        assert view is not None
+        assert len(view) >= 0.6 * len(board.points)
+        gap = view.pixels - seen(T, board.points[view.ids], SMALL)
+        gaps.append(gap)
+        scores.append(np.einsum("mi,mij,mj->m", gap, np.linalg.inv(view.cov), gap))
+    assert np.sqrt((np.concatenate(gaps) ** 2).mean()) < 0.1
+    assert 0.5 < np.concatenate(scores).mean() / 2.0 < 4.0
+
+
+def test_noise_makes_corners_worse_as_stated() -> None:
+    quiet, loud = (detect(image(noise=n), BOARD, "a").view for n in (2.0, 12.0))
+    assert quiet is not None
+    assert loud is not None
+    ratio = np.sqrt(np.trace(loud.cov, axis1=1, axis2=2).mean() / np.trace(quiet.cov, axis1=1, axis2=2).mean())
+    assert 3.0 < ratio < 9.0
+
+
+def test_grids_of_markers() -> None:
+    """A grid's own order is found for OpenCV's markers and for AprilTags that lie another way round."""
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    picture = cv2.aruco.GridBoard((3, 2), 100, 30, words).generateImage((420, 290), marginSize=20)
+    grey = cv2.GaussianBlur(cv2.copyMakeBorder(picture, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), (0, 0), 0.8)
+    opencv = PrintedTarget(ARUCO_GRID, 3, 2, 0.1, 0.03, "DICT_APRILTAG_36h11")
+    found = detect(grey, opencv, "a").view
+    assert found is not None
+    assert len(found) == 24
+    scale = np.linalg.lstsq(np.c_[opencv.points[found.ids, :2], np.ones(24)], found.pixels, rcond=None)[0]
+    assert (
+        np.abs(np.c_[opencv.points[found.ids, :2], np.ones(24)] @ scale - found.pixels).max() < 2.0
+    )  # as OpenCV fits the page
+    # Kalibr numbers from the lower left
+    upwards = cv2.aruco.GridBoard((3, 2), 100, 30, words, np.array([3, 4, 5, 0, 1, 2])).generateImage(
+        (420, 290), marginSize=20
+    )
+    kalibr = replace(opencv, kind=APRIL_GRID)
+    view = detect(cv2.GaussianBlur(upwards, (0, 0), 0.8), kalibr, "a").view
+    assert view is not None
+    assert len(view) == 24
+    flat = np.c_[kalibr.points[view.ids, :2], np.ones(24)]
+    fitted = np.linalg.lstsq(flat, view.pixels, rcond=None)[0]
+    assert np.abs(flat @ fitted - view.pixels).max() < 2.0
+    assert fitted[1, 1] < 0.0 < fitted[0, 0]  # y goes up
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda g: np.full_like(g, 90), "one grey"),
+        (lambda g: np.random.default_rng(0).integers(0, 255, g.shape).astype(np.uint8), "no target"),
+        (lambda g: np.ascontiguousarray(g[:, ::-1]), "mirrored"),
+        (lambda g: cv2.GaussianBlur(g, (0, 0), 3.5), "blurred|no target|markers"),
+    ],
+    ids=["grey", "no board", "mirrored", "blurred"],
+)
+def test_images_that_cannot_be_used(spoil: Callable[[np.ndarray], np.ndarray], said: str) -> None:
+    found = detect(spoil(image()), BOARD, "a.png")
+    assert found.view is None
+    assert re.search(said, found.reason)
+    assert found.remedy
+
+
+def test_another_board() -> None:
+    found = detect(image(), replace(BOARD, dictionary="DICT_4X4_100"), "a")
+    assert found.view is None
+    assert "DICT_5X5" in found.reason
+    small = detect(image(), replace(BOARD, columns=5, rows=7), "a")
+    assert small.view is None or len(small.view) < 24
+
+
+def test_two_boards() -> None:
+    one = image(seed=1)
+    two = cv2.resize(np.concatenate([one, one], axis=1), (1280, 480))
+    found = detect(two, BOARD, "a")
+    assert found.view is None
+    assert "two boards" in found.reason or "flat" in found.reason
+
+
+def folder(tmp_path: Path, pictures: dict[str, np.ndarray], table: str | None = None) -> tuple[Path, Path]:
+    (tmp_path / "images").mkdir()
+    for name, picture in pictures.items():
+        cv2.imwrite(str(tmp_path / "images" / name), picture)
+    rows = "".join(f"{name},0.1,0.2\n" for name in pictures)
+    joints = tmp_path / "joints.csv"
+    joints.write_text(table if table is not None else f"image,a,b\n{rows}")
+    return tmp_path / "images", joints
+
+
+def test_folder_names_what_it_leaves_out(tmp_path: Path) -> None:
+    grey = image()
+    mosaic = grey.copy()
+    mosaic[::2, ::2] = 0.6 * mosaic[::2, ::2]
+    pictures = {
+        "1.png": grey,
+        "2.png": grey.astype(np.uint16) * 200,
+        "3.png": mosaic,
+        "10.png": grey,
+        "11.png": cv2.resize(grey, (1280, 960)),
+    }
+    where, joints = folder(tmp_path, pictures)
+    (where / "12.png").write_bytes(b"not an image")
+    (where / "13.png").write_bytes(b"")
+    joints.write_text(joints.read_text() + "12.png,0,0\n")
+    found = read_images(where, joints, ("a", "b"), BOARD)
+    assert [v.name for v in found.views] == ["1.png", "10.png"]
+    assert found.q == pytest.approx(np.array([[0.1, 0.2]] * 2))
+    said = {
+        "2.png": "16 bits",
+        "3.png": "Bayer",
+        "11.png": "1280 × 960",
+        "12.png": "cannot be read",
+        "13.png": "joints",
+    }
+    assert set(found.left_out) == set(said)
+    for name, words in said.items():
+        assert words in found.left_out[name]
+        assert ": " in found.left_out[name]
+
+
+def test_images_named_by_their_stamps(tmp_path: Path) -> None:
+    table = "stamp,b,a\n" + "".join(f"{t:.2f},{t - 10.0},{20.0 - 2.0 * t}\n" for t in np.arange(10.0, 11.0, 0.05))
+    where, joints = folder(tmp_path, {"10.12.png": image(), "30.0.png": image()}, table)
+    found = read_images(where, joints, ("a", "b"), BOARD)
+    assert found.q[0] == pytest.approx([-0.24, 0.12])
+    assert found.velocity[0] == pytest.approx([-2.0, 1.0])
+    assert "30.0.png" in found.left_out
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("image,a\n1.png,0\n", "no column for joint b"),
+        ("a,b\n0,0\n", "neither a column image"),
+        ("image,a,b\n", "no row"),
+        ("image,a,b\n1.png,x,0\n", "line 2"),
+        ("image,a,b\n1.png,90,0\n", "radians"),
+        ("image,a,b\n1.png,nan,0\n", "not finite"),
+        ("image,a,b\n1.png,0,0\n1.png,0,0\n", "two rows"),
+        ("stamp,a,b\n2,0,0\n1,0,0\n", "do not increase"),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path: Path, table: str, said: str) -> None:
+    where, joints = folder(tmp_path, {"1.png": np.zeros((48, 64), np.uint8)}, table)
+    with pytest.raises(ModcalError, match=said):
+        read_images(where, joints, ("a", "b"), BOARD)
+
+
+def test_folders_without_anything_to_use(tmp_path: Path) -> None:
+    where, joints = folder(tmp_path, {})
+    with pytest.raises(ModcalError, match="holds no row|holds no image"):
+        read_images(where, joints, ("a", "b"), BOARD)
+    cv2.imwrite(str(where / "1.png"), np.full((48, 64), 100, np.uint8))
+    joints.write_text("image,a,b\n1.png,0,0\n")
+    with pytest.raises(ModcalError, match="none of 1 images"):
+        read_images(where, joints, ("a", "b"), BOARD)
+
+
+def test_camera_info(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    data = {"image_width": 640, "image_height": 480, "distortion_model": "plumb_bob"}
+    data |= {"camera_matrix": {"rows": 3, "cols": 3, "data": SMALL.K.ravel().tolist()}}
+    data |= {"distortion_coefficients": {"rows": 1, "cols": 5, "data": [float(x) for x in SMALL.values[4:]]}}
+    path.write_text(to_yaml(data))
+    lens = read_camera_info(path)
+    assert np.abs(lens.values - SMALL.values).max() < 1e-12
+    require_size(lens, (640, 480), "camera.yaml")
+    with pytest.raises(ModcalError, match="this resolution"):
+        require_size(lens, (1280, 720), "camera.yaml")
+    path.write_text(to_yaml(data | {"distortion_model": "equidistant"}))
+    with pytest.raises(ModcalError, match="plumb_bob"):
+        read_camera_info(path)
+    path.write_text("a: 1")
+    with pytest.raises(ModcalError, match="camera_info"):
+        read_camera_info(path)
+
+
+def test_sheet_is_to_scale_and_the_same_every_time() -> None:
+    sheet = draw_sheet(BOARD, "A4")
+    assert sheet.pdf.startswith(b"%PDF")
+    assert sheet.pdf == draw_sheet(BOARD, "A4").pdf
+    assert sheet.rulers_m == pytest.approx((0.21, 0.15))
+    with pytest.raises(ModcalError, match="larger paper"):
+        draw_sheet(replace(BOARD, square=0.06, marker=0.04), "A4")
+
+
+def test_the_printed_board_is_the_one_that_is_found() -> None:
+    """The sheet's rectangles, filled in, are a board to the detector, 30 mm a square."""
+    for board in (
+        BOARD,
+        PrintedTarget(CHESSBOARD, 7, 4, 0.03),
+        PrintedTarget(ARUCO_GRID, 3, 2, 0.04, 0.01, "DICT_4X4_50"),
+    ):
+        page = np.full((900, 1100), 255, np.uint8)
+        for x, y, w, h in rectangles(board):
+            a, b = (np.rint(4.0 * np.array([[x, y], [x + w, y + h]])) + 100).astype(int)
+            page[a[1] : b[1], a[0] : b[0]] = 0
+        view = detect(cv2.GaussianBlur(page, (0, 0), 1.0), board, "page").view
+        assert view is not None
+        assert len(view) == len(board.points)
+        assert view.pixels == pytest.approx(99.5 + 4000.0 * board.points[view.ids, :2], abs=0.6)

@@ -1,0 +1,124 @@
+"""Lens, homographies, poses and intrinsics: against OpenCV, and derivatives against differences."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from camera.boards import BOARD, LENS, SIZE, facing, views
+from finite_differences import assert_jacobian
+
+from modcal_core.camera.corners import CornerTable, corner_rows, residuals
+from modcal_core.camera.homography import homography
+from modcal_core.camera.intrinsics import first_lens, fit_lens
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.pnp import board_poses
+from modcal_core.camera.target import CHARUCO, PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+
+FLAT = np.zeros(5)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(25)
+
+
+def test_projection_is_opencv_s(rng: np.random.Generator) -> None:
+    X = np.c_[rng.uniform(-0.2, 0.2, (50, 2)), rng.uniform(0.3, 0.6, 50)]
+    expected = cv2.projectPoints(X, np.zeros(3), np.zeros(3), LENS.K, LENS.values[4:])[0].reshape(-1, 2)
+    assert np.abs(LENS.project(X) - expected).max() < 1e-9
+
+
+def test_rays_undo_the_projection(rng: np.random.Generator) -> None:
+    xy = rng.uniform(-0.6, 0.6, (50, 2))
+    assert np.abs(LENS.rays(LENS.project(np.c_[xy, np.ones(50)])) - xy).max() < 1e-10
+
+
+def test_lens_derivatives(rng: np.random.Generator) -> None:
+    X = np.c_[rng.uniform(-0.2, 0.2, (5, 2)), rng.uniform(0.3, 0.6, 5)]
+    _, by_point, by_values = LENS.linearise(X)
+    for i in range(5):
+        assert_jacobian(lambda x: LENS.project(x), by_point[i], X[i])
+        assert_jacobian(lambda v, i=i: Lens(v, SIZE).project(X[i]), by_values[i], np.array(LENS.values))
+
+
+def test_corner_derivatives(rng: np.random.Generator) -> None:
+    T = facing(rng, 2)
+    table = CornerTable.of(views(rng, T), BOARD)
+    shape = np.array([0.01, -0.02, 2e-3, -1e-3, 3e-3])
+    rows = corner_rows(table, LENS, shape, T)
+
+    def predicted(x: Array) -> Array:
+        moved = se3.exp(np.stack([x[:6], x[6:12]])) @ T
+        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:], moved)
+        return -at.residual.ravel()
+
+    J = np.zeros((2 * len(table), 26))
+    first = 2 * table.of_view(0).stop
+    pose = rows.by_pose.reshape(-1, 6)
+    J[:first, :6], J[first:, 6:12] = pose[:first], pose[first:]
+    J[:, 12:] = rows.by_common.reshape(-1, 14)
+    assert_jacobian(predicted, J, np.zeros(26), tolerance=1e-7)
+    assert np.abs(residuals(table, LENS, shape, T) - rows.pixels).max() < 1e-12
+
+
+def test_homography_takes_points_to_pixels(rng: np.random.Generator) -> None:
+    H = np.array([[1.1, 0.1, 30.0], [-0.2, 0.9, 10.0], [1e-3, -2e-3, 1.0]])
+    p = rng.uniform(0.0, 100.0, (20, 2))
+    q = np.c_[p, np.ones(20)] @ H.T
+    found = homography(p, q[:, :2] / q[:, 2:])
+    assert np.abs(found / found[2, 2] - H).max() < 1e-8
+
+
+def test_pose_of_the_board_and_its_twin(rng: np.random.Generator) -> None:
+    T = facing(rng, 8)
+    found = board_poses(CornerTable.of(views(rng, T, noise=1e-3), BOARD), LENS, FLAT)
+    assert np.abs(se3.log(se3.inverse(found.T[:, 0]) @ T)).max() < 1e-4
+    assert (found.rms < 2e-3).all()
+
+
+def test_a_board_far_away_has_a_twin(rng: np.random.Generator) -> None:
+    """Another minimum, tilted to the other side of the line of sight, which noise makes about as good."""
+    T = facing(rng, 20, near=3.0, far=4.0)
+    T = T[np.arccos(T[:, 2, 2]) > 0.15]
+    found = board_poses(CornerTable.of(views(rng, T, noise=0.02), BOARD), LENS, FLAT)
+    apart = np.linalg.norm(so3.log(np.swapaxes(found.T[:, 0, :3, :3], 1, 2) @ found.T[:, 1, :3, :3]), axis=1)
+    assert (apart > 0.1).mean() > 0.7
+    assert (found.cost[:, 1] >= found.cost[:, 0]).all()
+    off = np.linalg.norm(so3.log(np.swapaxes(found.T[:, :, :3, :3], 2, 3) @ T[:, None, :3, :3]), axis=2)
+    assert (off.min(axis=1) < 0.05).all()
+
+
+def test_intrinsics_meet_opencv_s_minimum(rng: np.random.Generator) -> None:
+    sheet = PrintedTarget(CHARUCO, 7, 5, 0.03125, 0.022)  # a square that single precision holds exactly
+    found = views(rng, facing(rng, 12), board=sheet)
+    single = [v.pixels.astype(np.float32).astype(float) for v in found]  # which is what OpenCV computes with
+    white = [
+        BoardView(v.name, v.ids, p, np.tile(np.eye(2), (len(v), 1, 1))) for v, p in zip(found, single, strict=True)
+    ]
+    table = CornerTable.of(white, sheet)
+    fit = fit_lens(table, first_lens(table, SIZE))
+    assert fit.converged
+    flags, end = 0, (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-15)
+    points = [sheet.points[v.ids].astype(np.float32) for v in white]
+    pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in white]
+    rms = cv2.calibrateCamera(points, pixels, SIZE, None, None, flags=flags, criteria=end)[0]
+    assert fit.cost == pytest.approx(rms**2 * len(table), rel=1e-6)
+    assert fit.rms == pytest.approx(rms, rel=1e-6)
+
+
+def test_intrinsics_are_within_what_they_state(rng: np.random.Generator) -> None:
+    table = CornerTable.of(views(rng, facing(rng, 20)), BOARD)
+    fit = fit_lens(table, first_lens(table, SIZE))
+    assert (np.abs(fit.lens.values - LENS.values) < 4.0 * np.sqrt(np.diag(fit.cov))).all()
+
+
+def test_square_on_views_do_not_show_the_focal_length(rng: np.random.Generator) -> None:
+    T = se3.transform(np.eye(3), np.c_[rng.uniform(-0.1, 0.0, (5, 2)), rng.uniform(0.3, 0.5, 5)])
+    straight = Lens(np.r_[LENS.values[:4], np.zeros(5)], SIZE)
+    with pytest.raises(NotEnoughData, match="focal length"):
+        first_lens(CornerTable.of(views(rng, T, noise=0.0, lens=straight), BOARD), SIZE)

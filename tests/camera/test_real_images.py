@@ -1,0 +1,84 @@
+"""Sixteen real images of a ChArUco board on an arm's flange, seen by a fixed camera; no joints, only flange poses."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modcal_core.camera.arm_poses import arm_poses
+from modcal_core.camera.clean import corner_weights
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.flange import flange_arm, flange_joints
+from modcal_core.camera.intrinsics import first_lens, fit_lens
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.mounting import find_mounting
+from modcal_core.camera.pnp import board_poses
+from modcal_core.camera.priors import FIXED, common_prior
+from modcal_core.camera.target import CHARUCO, PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.files import read_yaml
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "industrial_calibration" / "charuco"
+BOARD = PrintedTarget(CHARUCO, 5, 7, 0.036195, 0.018256, "DICT_6X6_250")
+SIZE = (1600, 1200)
+KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is missing")]
+
+
+@cache
+def read() -> tuple[list[BoardView], Array]:
+    """The board in all sixteen, and the flange poses (16, 4, 4)."""
+    import cv2
+
+    from modcal_nodes.vision.detect import detect
+
+    views, poses = [], []
+    for i in range(16):
+        grey = cv2.imread(str(DATA / "images" / f"{i}.png"), cv2.IMREAD_GRAYSCALE)
+        found = detect(grey, BOARD, f"{i}.png")
+        assert found.view is not None, (i, found.reason)
+        views.append(found.view)
+        pose = read_yaml(DATA / "poses" / f"{i}.yaml")
+        poses.append([pose[k] for k in KEYS])
+    return views, se3.from_pose(np.array(poses))
+
+
+def test_the_board_is_found_in_all_of_them() -> None:
+    views, _ = read()
+    counts = [len(v) for v in views]
+    assert min(counts) == counts[2]  # which shows a corner of it
+    assert sorted(counts)[len(counts) // 2] >= 20  # of 24
+
+
+def placed(lens: Lens | None) -> CameraFit:
+    """Camera and board placed by these images, with this lens or with one found from them; no guess is given."""
+    views, A = read()
+    table = CornerTable.of(views, BOARD)
+    prior = common_prior(lens or first_lens(table, SIZE), BOARD.scale, None if lens is None else FIXED)
+    fit = fit_lens(table, Lens(prior.mean[:9], SIZE), prior.free[:9], prior.information[:9, :9])
+    table = table.with_weight(corner_weights(table, fit.lens, np.zeros(5), fit.T_camera_target))
+    found = find_mounting(A, board_poses(table, fit.lens, np.zeros(5)))
+    assert not found.camera_on_tip
+    assert found.rival > 3.0
+    q = flange_joints(A)
+    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False, (), True)
+    return fit_camera(table, arm, fit.lens, prior)
+
+
+def test_placed_without_a_guess_as_well_as_somebody_calibrated_it() -> None:
+    """Distances of each image's board from the arm's, as the given intrinsics and as the images' own have them."""
+    given = placed(Lens.of([[1352.02747, 0, 789.67065], [0, 1356.14287, 627.2995], [0, 0, 1]], [], SIZE))
+    own = placed(None)
+    assert own.converged
+    assert own.rms_px < given.rms_px
+    # where somebody put the camera: given as a guess in cal_data.yaml, and used for nothing but this
+    guess = read_yaml(DATA / "cal_data.yaml")["camera_mount_to_camera_guess"]
+    camera = np.linalg.inv(own.poses.model_at(own.state.values).T_frame_base[0])[:3, 3]
+    assert np.linalg.norm(camera - [guess[k] for k in "xyz"]) < 0.05
