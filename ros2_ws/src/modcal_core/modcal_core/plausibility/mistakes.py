@@ -121,9 +121,9 @@ def of_several_joints(names: tuple[str, ...]) -> Iterator[Mistake]:
             yield _reordered(f"{said}, and {names[r]} reversed", order, sign)
     yield _reordered("joints look written in reverse order", list(range(n))[::-1])
     for i, j in permutations(range(n), 2):
-        for sign, how in ((-1.0, "the sum of both"), (1.0, "its difference to the other")):
+        for factor, how in ((-1.0, "the sum of both"), (1.0, "its difference to the other")):
             to = np.eye(n)
-            to[i, j] = sign
+            to[i, j] = factor
             yield Mistake(
                 f"joint {names[i]} looks counted together with {names[j]} ({how}, as coupled drives are)",
                 f"write the angle between its two links as the position of {names[i]}",

@@ -200,8 +200,8 @@ def _judged_errors(first: Side, second: Side) -> tuple[Result, str]:
     assert one is not None
     assert two is not None
     said = f"The error is {one['rms']:.3f} mm RMS in {first.name} and {two['rms']:.3f} mm in {second.name}"
-    ends = [e.get("rms_ci95") for e in (one, two)]
-    if None in ends:
+    ends = [e["rms_ci95"] for e in (one, two) if e.get("rms_ci95") is not None]
+    if len(ends) < 2:
         return "cannot tell", f"{said}; one of them has no interval."
     apart = ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0]
     how = "do not overlap" if apart else "overlap"

@@ -109,7 +109,7 @@ def _fit(table: Mapping[str, Any], q: Array, T: Array) -> dict[str, Any]:
     for _ in range(_ITERATIONS):
         steps = _STEP * np.eye(len(places) + 12)
         J = np.stack([(_off(_moved(best, places, s), q, T) - off).ravel() for s in steps], axis=1) / _STEP
-        step: Array = np.linalg.lstsq(J, -off.ravel(), rcond=_WEAKEST)[0]
+        step: Array = np.asarray(np.linalg.lstsq(J, -off.ravel(), rcond=_WEAKEST)[0], float)
         tried = _moved(best, places, step)
         now = _off(tried, q, T)
         if not np.sum(now**2) < np.sum(off**2):

@@ -78,7 +78,8 @@ def one_joint(case: Case) -> OneJoint | None:
     variance = _variances(products.sum(axis=0), seen.sum(axis=0))[: chain.n]
     share = variance * np.sum(motions**2, axis=(1, 2)) / whole
     first, second = (int(j) for j in np.argsort(-share)[:2])
-    rng, drawn = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    drawn: list[Array] = []
     for loose in ([first], [first, second]):
         alike = [k for k in range(chain.n) if k not in loose and chain.revolute[k] == chain.revolute[first]]
         if share[loose].sum() < _MOSTLY or len(alike) < _LEAST_JOINTS:

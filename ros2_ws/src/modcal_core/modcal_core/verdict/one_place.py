@@ -136,14 +136,14 @@ def _likelihood(residual: Array, known: list[Array], body: Array | None) -> tupl
     best, kept = -np.inf, covariance
     for _ in range(_ROUNDS):
         S = np.tensordot(variance, products, axes=1) + 1e-9 * np.eye(6)
-        if body is not None:
+        if body is not None and covariance is not None:
             S = S + body @ covariance @ np.swapaxes(body, 1, 2)
         inverse = np.linalg.inv(S)
         u = (inverse @ residual[..., None])[..., 0]
         value = -0.5 * float(np.sum(np.linalg.slogdet(S)[1]) + np.einsum("ni,ni->", u, residual))
         if value > best:
             best, kept = value, covariance
-        if body is not None:
+        if body is not None and covariance is not None:
             b = (np.swapaxes(body, 1, 2) @ u[..., None])[..., 0] @ covariance
             inner = np.swapaxes(body, 1, 2) @ inverse @ body
             covariance = covariance + b.T @ b / len(b) - covariance @ inner.mean(axis=0) @ covariance

@@ -141,6 +141,7 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.pass_context
 def calibrate_command(
     ctx: click.Context,
+    /,
     bag: Path | None,
     more: tuple[Path, ...],
     certificate: bool,

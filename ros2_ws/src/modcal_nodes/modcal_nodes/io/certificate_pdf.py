@@ -27,7 +27,7 @@ def to_pdf(one: Certificate) -> bytes:
                 return bytes(made.output())
         finally:
             for font in made.fonts.values():
-                font.close()  # type: ignore[union-attr]  # both are files, which FPDF leaves open
+                font.close()  # both are files, which FPDF leaves open
     raise AssertionError("the smallest size is always taken")
 
 

@@ -77,9 +77,10 @@ def _by_effort(
     squared = np.where(held & (left > 0.0), np.abs(moving) / np.maximum(left, 1e-9), 0.0)
     needed = np.sqrt(squared.max(axis=1).reshape(len(way), -1).max(axis=1))
     worst = (np.abs(weight) / drives.torque).max(axis=0)
+    fits: list[bool] = np.all(held, axis=0).tolist()
     overloads = tuple(
         f"{name}: gravity takes {share:.0%} of its effort of {most:g} on the way, which no motion can help."
-        for name, share, most, fine in zip(chain.names, worst, drives.torque, held.all(axis=0), strict=True)
+        for name, share, most, fine in zip(chain.names, worst, drives.torque, fits, strict=True)
         if not fine
     )
     return needed, overloads

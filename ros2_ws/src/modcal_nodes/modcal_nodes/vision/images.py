@@ -230,8 +230,8 @@ def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
             raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
     q = np.array(values)
     if not np.isfinite(q).all():
-        row = int(np.argmax(~np.isfinite(q).all(axis=1))) + 2
-        raise BadTable(f"{source}: line {row}", "holds a number that is not finite", "correct it")
+        line = int(np.argmax(~np.isfinite(q).all(axis=1))) + 2
+        raise BadTable(f"{source}: line {line}", "holds a number that is not finite", "correct it")
     if np.abs(q).max() > _DEGREES:
         said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
         raise BadTable(source, said, "give radians and metres")
