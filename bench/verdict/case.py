@@ -54,7 +54,11 @@ class Case:
 
 Maker = Callable[[Works, np.random.Generator], Case]
 KINDS: dict[str, dict[str, Maker]] = {
-    name: {} for name in ("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "real", "good")
+    name: {}
+    for name in (
+        *("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "fresh_fifth", "real"),
+        *("good", "good_fifth"),
+    )
 }
 
 
