@@ -1,7 +1,8 @@
 """Whether a joint predicts travel that it was not fitted to: the far third of its path, from either side.
 
 A long hinge and a drawer that bows fit the same samples equally well. What the one says of the part that it has not
-seen differs, and so does what a line and a circle through the first centimetres of a door say.
+seen differs, and so does what a line and a circle through the first centimetres of a door say. And where a plainer
+joint leaves no more than handles and cameras usually do, no curve is proved.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.articulation.fit import JointFit, fit
-from modcal_core.articulation.misfit import Misfit
+from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
+from modcal_core.articulation.misfit import MUCH, Misfit, misfit
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
@@ -30,7 +32,8 @@ _COUNTED = 0.9  # of the samples, those that are predicted best
 class Predicted:
     """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
 
-    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m].
+    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
+    a joint type with fewer parameters that is as good as furniture is, empty where there is none.
     """
 
     kind: Kind
@@ -38,6 +41,7 @@ class Predicted:
     left: float
     path: float
     noise: float
+    plainer: Kind = ""
 
     @property
     def doubt(self) -> str:
@@ -53,6 +57,8 @@ class Predicted:
         for kind, other in self.errors.items():
             if kind != self.kind and all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
                 return f"{kind} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
+        if self.plainer and min(self.errors[self.plainer], default=0.0) <= MUCH * np.exp(PLAY[0]):
+            return f"{self.plainer} leaves no more than handles and cameras usually do"
         return ""
 
 
@@ -85,4 +91,14 @@ def predicted(
             sizes = np.sort(np.linalg.norm(e[:, :3], axis=1))[: int(np.ceil(_COUNTED * len(e)))]
             off.append(float(np.sqrt(np.mean(sizes**2))))
         errors[one] = tuple(off)
-    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.noise)
+    fewer = [one for one in rivals if fits[one].motion.size < motion.size]
+    plainer = next((one for one in fewer if _usual(misfit(fits[one], track, left.white))), "")
+    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer)
+
+
+def _usual(left: Misfit) -> bool:
+    """Whether that is no more than the usual play and the usual distortion of what measures together."""
+    shift, turn = (float(np.hypot(np.exp(play[0]), d)) for play, d in zip((PLAY, SWAY), DISTORTION, strict=True))
+    return left.position <= np.hypot(shift, _NOISE * left.white[0]) and not left.rotation > np.hypot(
+        turn, _NOISE * left.white[1]
+    )

@@ -30,7 +30,7 @@ class Misfit:
     """What a joint leaves. position [m], rotation [rad, nan without]: RMS of the best nine tenths of samples.
 
     much: what would be too much of each, (m, rad). off: share of samples beyond. between: from where to where along the
-    path it fails [m], None where it does nowhere. noise: white, of one sample on an axis [m].
+    path it fails [m], None where it does nowhere. white: noise of one sample on an axis, (m, rad).
     """
 
     position: float
@@ -38,7 +38,7 @@ class Misfit:
     much: tuple[float, float]
     off: float
     between: tuple[float, float] | None
-    noise: float
+    white: tuple[float, float]
 
     @property
     def fails(self) -> bool:
@@ -78,7 +78,7 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
         (much[0], much[1]),
         float(beyond.mean()),
         (float(way.min()), float(way.max())) if len(way) else None,
-        noise[0],
+        noise,
     )
 
 

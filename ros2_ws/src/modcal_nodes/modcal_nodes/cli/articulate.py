@@ -82,7 +82,7 @@ def articulate_command(
     out: Path | None,
     output: Output,
 ) -> None:
-    """Identify how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
+    """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
     Models of installed packages are compared too; they have no URDF.
 
@@ -106,7 +106,11 @@ def articulate_command(
     out = out or Path(f"{bag.resolve().stem}_articulation")
     files = {"articulation.json": to_json(data), "report.html": to_html(found)}
     said = [data["verdict"]]
-    if isinstance(model := choice.fit.model, JointModel):
+    if choice.misfit.fails:
+        said.append(
+            f"No {_URDF}: a URDF has no joint that moves so; articulation.json has the best one and its phases."
+        )
+    elif isinstance(model := choice.fit.model, JointModel):
         reach = data["configuration"]
         limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
         files[_URDF] = describe(model, read.frame or "world", "object_handle", limits)
