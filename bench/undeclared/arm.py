@@ -2,7 +2,7 @@
 
 Nothing here comes from modcal. Each moving joint has four coordinates, in this order from the parent outwards: growth
 of the parent link along its length, two tilts across the axis, and the turn itself. The first three are zero in a good
-arm.
+arm. A prismatic joint's turn is its travel [m].
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 Array = np.ndarray
 ROBOTS = {"ur10": "tool0", "panda": "panda_hand_tcp", "xarm7": "link_eef"}
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "robots"
+DESCRIBED: dict[str, tuple[str, str]] = {}  # arms that other benches add: URDF and tip, by name
 GROW, TILT_X, TILT_Y, TURN = range(4)
 SHIFT, TWIST = 5e-4, 1e-3  # displacement of every body, per axis [m, rad]
 PAYLOAD = "payload"
@@ -56,8 +57,11 @@ class Arm:
     """One arm: its joints by name, tip poses, gravity torques and what elastic parts do under them."""
 
     def __init__(self, robot: str, rng: np.random.Generator | None = None) -> None:
-        self.urdf = (FOLDER / f"{robot}.urdf").read_text(encoding="utf-8")
-        tree, self.tip = ET.fromstring(self.urdf), ROBOTS[robot]
+        if robot in DESCRIBED:
+            self.urdf, self.tip = DESCRIBED[robot]
+        else:
+            self.urdf, self.tip = (FOLDER / f"{robot}.urdf").read_text(encoding="utf-8"), ROBOTS[robot]
+        tree = ET.fromstring(self.urdf)
         links = {e.get("name", ""): e for e in tree.findall("link")}
         above = {e.find("child").get("link"): e for e in tree.findall("joint")}  # type: ignore[union-attr]
         path, link = [], self.tip
@@ -65,7 +69,7 @@ class Arm:
             path.append(above[link])
             link = above[link].find("parent").get("link")  # type: ignore[union-attr]
         self.root, path = link, path[::-1]
-        moving = [e for e in path if e.get("type") in ("revolute", "continuous")]
+        moving = [e for e in path if e.get("type") in ("revolute", "continuous", "prismatic")]
         self.names = tuple(e.get("name", "") for e in moving)
         self.links = tuple(e.find("child").get("link", "") for e in moving)  # type: ignore[union-attr]
         self.parents = tuple(e.find("parent").get("link", "") for e in moving)  # type: ignore[union-attr]
@@ -114,7 +118,8 @@ class Arm:
                 along = nominal[0] if np.linalg.norm(nominal[0]) else np.array([0.0, 0.0, 1.0])
                 growth = nominal[1].inv().apply(along / np.linalg.norm(along))
                 kinds = (("/grow", "slide", growth), ("/tilt_x", "hinge", x / np.linalg.norm(x)))
-                kinds += (("/tilt_y", "hinge", np.cross(axis, x / np.linalg.norm(x))), ("", "hinge", axis))  # type: ignore[assignment]
+                kinds += (("/tilt_y", "hinge", np.cross(axis, x / np.linalg.norm(x))),)  # type: ignore[assignment]
+                kinds += (("", "slide" if joint.get("type") == "prismatic" else "hinge", axis),)  # type: ignore[assignment]
                 for suffix, kind, direction in kinds:
                     ET.SubElement(body, "joint", name=name + suffix, type=kind, axis=_text(direction), limited="false")
         for name, body in bodies.items():

@@ -55,7 +55,10 @@ class Case:
 Maker = Callable[[Works, np.random.Generator], Case]
 KINDS: dict[str, dict[str, Maker]] = {
     name: {}
-    for name in ("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "nearby", "real", "good")
+    for name in (
+        *("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "nearby", "fresh_fifth", "real"),
+        *("good", "good_fifth"),
+    )
 }
 
 

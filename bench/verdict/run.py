@@ -2,10 +2,11 @@
 
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
-Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``
-and ``fresh_fourth``, each written after the last change to the code of its day and run once; ``real``, made out of
-recordings of real arms beside the checkout; ``good``. A fault counts as named when what makes the verdict open, or what
-was modelled, holds the joint, the place or the topic that is at fault.
+Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``,
+``fresh_fourth`` and ``fresh_fifth``, each written after the last change to the code of its day and run once; ``real``,
+made out of recordings of real arms beside the checkout; ``good``; ``good_fifth``, healthy cells of other builds. A
+fault counts as named when what makes the verdict open, or what was modelled, holds the joint, the place or the topic
+that is at fault.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from typing import Any  # noqa: E402
 import conventions  # noqa: E402, F401 (registers its kinds)
 import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
+import fresh_fifth  # noqa: E402, F401
 import fresh_fourth  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
@@ -40,6 +42,7 @@ import numpy as np  # noqa: E402
 import physics  # noqa: E402, F401
 import real  # noqa: E402, F401
 import regimes  # noqa: E402, F401
+import unusual  # noqa: E402, F401
 import use  # noqa: E402, F401
 from case import KINDS, Case  # noqa: E402
 from judge import (  # noqa: E402
@@ -66,6 +69,7 @@ ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
 SEEDS = dict.fromkeys(KINDS, 1) | {"main": 2, "later": 2, "good": 4}
+GOOD = ("good", "good_fifth")
 
 
 @dataclass(frozen=True)
@@ -108,8 +112,8 @@ def tasks_of(groups: list[str], only: list[str], seeds: int | None) -> list[Task
         for name in KINDS[group]:
             if only and not any(part in name for part in only):
                 continue
-            for seed in range(SEEDS[group] if seeds is None else seeds):
-                if group == "good":
+            for seed in range(SEEDS.get(group, 1) if seeds is None else seeds):
+                if group in GOOD:
                     out.append(Task(group, name, seed, "stated" if seed % 3 == 2 else "returns"))
                     out.append(Task(group, name, seed, "unknown"))
                 else:
@@ -126,8 +130,9 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("fresh", "Kinds once written after the last change"),
         ("fresh_again", "Kinds once written after the last change, again"),
         ("fresh_third", "Kinds once written after the last change, third group"),
-        ("fresh_fourth", "Kinds written after the last change"),
+        ("fresh_fourth", "Kinds once written after the last change, fourth group"),
         ("nearby", "Kinds near those that were missed"),
+        ("fresh_fifth", "Kinds written after the last change"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:
@@ -150,7 +155,7 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
             f"{counts[NAMED]} open and named, {counts[FOUND]} modelled down to the floor and named: "
             f"{100 * named / max(shown, 1):.0f} %\n"
         )
-    rows = [r for r in results if r["group"] == "good"]
+    rows = [r for r in results if r["group"] in GOOD]
     if not rows:
         return
     table = Table(title="Good recordings")
@@ -181,7 +186,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--groups", default=",".join(KINDS), help="comma-separated; default: all")
     parser.add_argument("--only", default="", help="comma-separated parts of kinds' names")
-    parser.add_argument("--seeds", type=int, default=None, help="of each kind; default: 2, of good ones 4")
+    parser.add_argument(
+        "--seeds", type=int, default=None, help="of each kind; default: main and later 2, good 4, others 1"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON a recording")
     given = parser.parse_args()

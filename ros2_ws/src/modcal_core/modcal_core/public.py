@@ -120,6 +120,9 @@ def evaluate(
 def articulate(track: Track, seed: int = 0) -> Choice:
     """How a handle moves: rigid, sliding, turning, or like a screw, with the probability of each and the best fit.
 
+    ``kind`` is "none" where the best of them leaves more than furniture and tracking do; a pull of two motions is then
+    cut into ``phases``. ``enough`` says whether to rely on the kind: it is probable, good enough, and predicts.
+
     track: positions or poses of the handle. seed: of the samples that first guesses are made from.
     """
     return sealed(choose(track, np.random.default_rng(seed)))

@@ -1,25 +1,35 @@
-"""Which kind of joint it is: probabilities, the fit of the most probable kind, and whether enough was seen."""
+"""Which kind of joint it is, or none of these: probabilities, the fit of the most probable kind, whether to rely on it.
+
+The probabilities compare joint types with each other. Whether the best is good enough is asked besides: what it leaves
+(``misfit``), and whether it predicts travel that it was not fitted to (``held_out``). A pull that is none of these is
+cut where two motions meet (``phases``).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
 from modcal_core.articulation.fit import JointFit, fit
+from modcal_core.articulation.held_out import predicted
+from modcal_core.articulation.misfit import Misfit, misfit, scales
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.phases import best_cut
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
+from modcal_core.articulation.telling import telling, travelled
 from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
 _GROSS = 4.0  # times noise, or the usual play of furniture: Gaussian noise across a line does so once in 3000
 SURE = 0.95  # probability from which a kind is said
+NONE: Kind = "none"  # of what moves as no joint type does
 
 
 @dataclass(frozen=True)
@@ -28,6 +38,8 @@ class Choice:
 
     why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
     when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
+    misfit: what the best kind leaves; where that is too much, ``kind`` is "none". phases: two motions one after the
+    other, where a pull that is none of these is cut into them.
     """
 
     probabilities: dict[Kind, float]
@@ -37,27 +49,81 @@ class Choice:
     fits: dict[Kind, JointFit]
     follows: bool
     play: float
+    misfit: Misfit
+    phases: tuple[Phase, ...] = ()
 
     @property
     def kind(self) -> Kind:
-        """The most probable kind."""
+        """The most probable kind; "none" where that leaves too much."""
+        return NONE if self.misfit.fails else self.best
+
+    @property
+    def best(self) -> Kind:
+        """The most probable kind, however much it leaves."""
         return self.fit.model.kind
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One of two motions. begin, end: its path [m], of the whole. choice: of its own samples."""
+
+    begin: float
+    end: float
+    choice: Choice
 
 
 def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
     """The choice between all joint types, the built-in ones and those that packages add, for one track.
 
-    rng: picks samples for first guesses. Raises BadTable where a package's model is none.
+    Lone outliers, and most samples of a rest, have no say. rng: picks samples for first guesses. Raises BadTable where
+    a package's model is none.
     """
     rng = np.random.default_rng(0) if rng is None else rng
+    rows = telling(track)
+    whole = len(rows) == len(track)
+    told = track if whole else track.part(rows)
+    choice = _chosen(told, rng, nodes)
+    if choice.misfit.fails:
+        choice = _cut(told, choice, rng, nodes)
+    if whole:
+        return choice
+    found = _refitted(choice, track, rng)
+    return replace(choice, fit=found, fits={**choice.fits, choice.best: found})
+
+
+def _refitted(choice: Choice, track: Track, rng: np.random.Generator) -> JointFit:
+    """The chosen kind with a configuration for every sample of the whole track."""
+    model = next(model for model in all_models() if model.name == choice.best)
+    return fit(track if choice.follows else track.points(), model, rng, start=choice.fit.motion)
+
+
+def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> Choice:
+    """The same choice with two phases, where each of them is a joint; else as it is."""
+    cut = best_cut(track)
+    if cut is None:
+        return choice
+    way = travelled(track)
+    parts = [_chosen(track.part(rows), rng, nodes) for rows in (np.arange(cut), np.arange(cut, len(track)))]
+    if any(part.misfit.fails for part in parts) or sum(p.misfit.position for p in parts) > choice.misfit.position:
+        return choice
+    ends = (0.0, float(way[cut]), float(way[-1]))
+    phases = tuple(Phase(a, b, part) for a, b, part in zip(ends[:-1], ends[1:], parts, strict=True))
+    words = [f"{part.best}, it {_seen(part.fit, track)}" for part in parts]
+    told = f"two motions: 0–{1e2 * ends[1]:.0f} cm {words[0]}; then {words[1]}"
+    return replace(choice, why=f"{choice.why}; {told}", phases=phases)
+
+
+def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
+    """The choice for a track of which every sample has a say."""
     models = all_models()
     fits = {model.name: fit(track, model, rng) for model in models}
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
     kept = track.part(good) if good.sum() >= FEWEST else track
-    scenes = _scenes(kept, richest, nodes)
+    noise = white_noise(richest.motion.residuals(kept, richest.motion.configurations(kept, scales(richest))))
+    scenes = _scenes(kept, noise, nodes)
     if not scenes:
-        return _still(kept, fits, models)
+        return _still(track, kept, noise, fits, models)
     shares = log_shares(models)
     rows = {kind: _rows(scenes, fits[kind].motion) for kind in shares}
     priors = (LOG_DISTORTIONS[:, None] + LOG_PLAYS).ravel()
@@ -65,12 +131,19 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
     if probabilities[STILL.name] > probabilities[kind]:
         kind = STILL.name
     follows = kind == STILL.name or not (track.oriented and bool(LOOSE[j]))
+    used = track if follows else track.points()
+    by_name = {model.name: model for model in models}
     if not follows:
-        model = next(model for model in models if model.name == kind)
-        fits = {**fits, kind: fit(track.points(), model, rng)}
-    enough = probabilities[kind] >= SURE
-    return Choice(probabilities, fits[kind], enough, _why(probabilities, fits[kind], enough, track), fits, follows,
-                  float(PLAYS[i % len(PLAYS)]))  # fmt: skip
+        fits = {**fits, kind: fit(used, by_name[kind], rng)}
+    left = misfit(fits[kind], used, noise)
+    doubt = ""
+    if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
+        rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
+        own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
+        doubt = predicted(used, kind, rivals, own, by_name, left).doubt
+    enough = probabilities[kind] >= SURE and not left.fails and not doubt
+    why = _why(probabilities, fits[kind], left, doubt, track)
+    return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
 
 
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
@@ -89,7 +162,7 @@ def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
 
 def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
     """Which samples (n,) are off by more than four times what noise, or the usual play of furniture, does."""
-    sigma = _scales(found)
+    sigma = scales(found)
     e = found.motion.residuals(track, found.motion.configurations(track, sigma))
     off = np.linalg.norm(e[:, :3], axis=1) > _GROSS * max(sigma[0], float(PLAYS[2]))
     if e.shape[1] == 6:
@@ -97,21 +170,16 @@ def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
-def _scenes(track: Track, richest: JointFit, most: int) -> list[NodeScene]:
-    """The nodes of a track with each size of distortion; none where nothing moved."""
+def _scenes(track: Track, sigma: tuple[float, float], most: int) -> list[NodeScene]:
+    """The nodes of a track with each size of distortion; none where nothing moved. sigma: noise of a sample."""
     nodes = Nodes(track.oriented, most)
     for i in range(len(track)):
         nodes.add(track.positions[i], None if track.rotations is None else track.rotations[i])
     pooled = nodes.track()
     if pooled is None:
         return []
-    sigma = white_noise(richest.motion.residuals(track, richest.motion.configurations(track, _scales(richest))))
     apart, counts = nodes.apart(), nodes.counts[: nodes.k]
     return [NodeScene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
-
-
-def _scales(found: JointFit) -> tuple[float, float]:
-    return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
 
 
 def white_noise(e: Array) -> tuple[float, float]:
@@ -123,22 +191,37 @@ def white_noise(e: Array) -> tuple[float, float]:
     return position, rotation
 
 
-def _still(track: Track, fits: dict[Kind, JointFit], models: Sequence[ArticulationModel]) -> Choice:
-    """All samples lie within a few nodes: nothing moved, or too little to tell how."""
-    rigid = still(2.0 * track.extent())
+def _still(
+    track: Track,
+    kept: Track,
+    noise: tuple[float, float],
+    fits: dict[Kind, JointFit],
+    models: Sequence[ArticulationModel],
+) -> Choice:
+    """All samples but gross ones lie within a few nodes: nothing moved, or too little to tell how."""
+    rigid = still(2.0 * kept.extent())
     probabilities: dict[Kind, float] = {STILL.name: rigid}
     for kind, log_share in log_shares(models).items():
         probabilities[kind] = (1.0 - rigid) * float(np.exp(log_share))
     best = max(probabilities, key=lambda kind: probabilities[kind])
-    enough = probabilities[best] >= SURE
-    why = _why(probabilities, fits[best], enough, track)
-    return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]))
+    left = misfit(fits[best], track, noise)
+    why = _why(probabilities, fits[best], left, "", track)
+    enough = probabilities[best] >= SURE and not left.fails
+    return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]), left)
 
 
-def _why(probabilities: dict[Kind, float], chosen: JointFit, enough: bool, track: Track) -> str:
-    seen = chosen.model.sentence(chosen.configurations[chosen.weights > 0.2], track.extent(), chosen.std)
-    percent = {kind: f"{100.0 * p:.0f} %" for kind, p in probabilities.items()}
-    if enough:
-        return f"{chosen.model.kind} ({percent[chosen.model.kind]}): it {seen}"
-    ranked = sorted(percent, key=lambda kind: -probabilities[kind])[:2]
+def _seen(chosen: JointFit, track: Track) -> str:
+    return chosen.model.sentence(chosen.configurations[chosen.weights > 0.2], track.extent(), chosen.std)
+
+
+def _why(probabilities: dict[Kind, float], chosen: JointFit, left: Misfit, doubt: str, track: Track) -> str:
+    kind, seen = chosen.model.kind, _seen(chosen, track)
+    percent = {one: f"{100.0 * p:.0f} %" for one, p in probabilities.items()}
+    if left.fails:
+        return f"none of these: the best, {kind}, {left.said}"
+    if doubt:
+        return f"not sure yet: {kind} ({percent[kind]}), but {doubt}; it {seen}"
+    if probabilities[kind] >= SURE:
+        return f"{kind} ({percent[kind]}): it {seen}"
+    ranked = sorted(percent, key=lambda one: -probabilities[one])[:2]
     return f"not enough motion yet: {percent[ranked[0]]} {ranked[0]}, {percent[ranked[1]]} {ranked[1]}; it {seen}"

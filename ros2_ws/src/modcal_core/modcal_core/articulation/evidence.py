@@ -31,10 +31,12 @@ from modcal_core.articulation import furniture
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.scene import FIRST_HELD, LOG_SWAYS, SWAYS, NodeScene
+from modcal_core.articulation.scene import FIRST_OF_HELD, LOG_SWAYS, SWAYS, NodeScene
 from modcal_core.articulation.terms import Terms, UniformTerms, believed
 from modcal_core.articulation.varying_terms import VaryingTerms
 from modcal_core.geometry.so3 import Array
+
+_LOG_FOLLOWS = np.log(SWAYS[FIRST_OF_HELD:])  # the same sizes for the handle and for a hand
 
 
 @dataclass(frozen=True)
@@ -89,16 +91,19 @@ def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> Evi
     """The same row a little later, when nodes have changed a little: one step, and evidence at the best sway and one
     more.
 
-    turn: chooses the other sway, so that all of them get their turn, neighbours more often; below 0: a hand that keeps
-    its orientation.
+    turn: chooses the other sway: what the rotations that are left look like, as the handle's or the hand's, or a
+    neighbour, or any. Below 0: of a new guess, whose sway nobody knows, both of the first.
     """
     terms = terms_of(scene, before.motion, play)
     columns = {0}
     logs = before.evidence.copy()
     if scene.track.oriented:
         # all others move along with the best, until they are looked at again
-        near = (before.column - 1, before.column + 1, turn // 3)[turn % 3] % len(SWAYS)
-        columns = {before.column, near if turn >= 0 else FIRST_HELD}
+        if turn < 0:
+            columns = {before.column, *_looks(scene, terms)}
+        else:
+            near = (*_looks(scene, terms), before.column + (-1 if turn % 8 < 4 else 1), turn // 4)
+            columns = {before.column, near[turn % 4] % len(SWAYS)}
     step = np.zeros(before.motion.size)
     shift, most = 0.0, -math.inf
     for c in columns:
@@ -112,6 +117,19 @@ def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> Evi
         logs += [0.0 if c in columns else shift for c in range(len(SWAYS))]
     best = int((logs + LOG_SWAYS).argmax()) if scene.track.oriented else 0
     return EvidenceRow(before.motion.moved(believed(step) * step), logs, best)
+
+
+def _looks(scene: NodeScene, terms: Terms) -> tuple[int, int]:
+    """Which sway the rotations look like: those that are left as the handle's, all of them as a hand's that keeps
+    its own.
+    """
+    assert terms.turn is not None
+    left = terms.turn[:, :, 0]
+    sizes = (float(left.ravel() @ left.ravel()) / left.size, float((scene.turned**2).mean()))
+    return tuple(  # type: ignore[return-value]
+        first + int(np.abs(_LOG_FOLLOWS - 0.5 * math.log(max(size, 1e-12))).argmin())
+        for first, size in zip((0, FIRST_OF_HELD), sizes, strict=True)
+    )
 
 
 def still(moved: float) -> float:

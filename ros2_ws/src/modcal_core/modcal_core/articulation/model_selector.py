@@ -30,7 +30,8 @@ _MODELS = {kind: model for kind, model in AXES.items() if model.slots}
 _GUESSED: dict[int, Kind] = {slot: kind for kind, model in _MODELS.items() for slot in model.slots}
 _USUAL = {kind for kind, model in _MODELS.items() if model.usual}
 _LOG_SHARES = log_shares(_MODELS.values())
-_Stage = Literal["again", "fresh", "judge"]
+_Stage = Literal["again", "fresh", "climb", "judge"]
+_CLIMBS = 2  # steps of a new guess before it is compared with one that has had many
 _LEAST_JITTER = 12  # changes of a residual, of which a median tells the noise
 _MOVES = 0.02  # probability that the handle moves at all, before it has
 EVEN: dict[Kind, float] = {STILL.name: 1.0 - _MOVES, **{kind: _MOVES * m.share for kind, m in _MODELS.items()}}
@@ -103,10 +104,12 @@ class ModelSelector:
         self._scene = self._now(nodes)
         self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
-        # one new guess a round, and before all else, so that what takes its place is weighed with the rest
+        # One new guess a round, early, so that what takes its place is weighed with the rest; but after what it may
+        # replace was weighed on the nodes of now: evidence grows with nodes, and what is older always looks worse.
         kind, i = _GUESSED[self.rounds % len(_GUESSED)], FEW[self.rounds % len(FEW)]
-        slots: list[tuple[Kind, int, _Stage]] = [(kind, i, "fresh")]
-        slots += [(kind, k, "again") for kind in _MODELS for k in FEW]
+        slots: list[tuple[Kind, int, _Stage]] = [(kind, i, "again")] if (kind, i) in self._rows else []
+        slots.append((kind, i, "fresh"))
+        slots += [(other, k, "again") for other in _MODELS for k in FEW if (other, k) != (kind, i)]
         self._left = slots[::-1]
 
     def _slot(self, kind: Kind, i: int, stage: _Stage, scene: NodeScene) -> None:
@@ -117,6 +120,8 @@ class ModelSelector:
             if known is None or found.evidence.max() > known.evidence.max() + 1.0:
                 for j in FEW if known is not None else (i,):
                     self._rows[kind, j] = found
+        elif stage == "climb" and self._fresh is not None:
+            self._fresh = glance(scene, self._fresh, play, self.rounds)
         elif stage == "again" and known is not None:
             self._rows[kind, i] = glance(scene, known, play, self.rounds)
         else:
@@ -125,7 +130,7 @@ class ModelSelector:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
             self._fresh = glance(scene, EvidenceRow(guess, level, FIRST if scene.track.oriented else 0), play, -1)
-            self._left.append((kind, i, "judge"))
+            self._left += [(kind, i, "judge"), *[(kind, i, "climb")] * _CLIMBS]
 
     def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
         known = {other: row.motion for (other, j), row in self._rows.items() if j == i}

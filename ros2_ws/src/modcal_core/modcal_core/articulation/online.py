@@ -2,7 +2,7 @@
 
 Poses are pooled into a bounded number of nodes, and thought over a little at each (``model_selector``). Trust is earned
 by predicting (``prediction_check``), and lost by a prediction far off or a handle that leaves the path. Then learning
-goes on; when the model cannot be corrected in three rounds of refinement, what is held is not what it was, and all
+goes on; when the model cannot be corrected in two rounds of refinement, what is held is not what it was, and all
 begins anew.
 """
 
@@ -74,9 +74,10 @@ _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier
 _AT_ONE_PATH = 0.05  # m; residuals farther off are no noise of one path
 _WIDE = (2.0, 6.0)  # times the tolerance, and deviations of noise, beyond which a pose lies beside the path
 _TURN_OF_TWO = 0.1  # rad; by so much more may the second of two poses after a leap be turned
+_ON_THE_WAY = 0.7  # of two leaps, at most so much has either; two outliers seldom lie so
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
-_MENDING = 3  # rounds of thought that a model gets to follow a handle that has left its path
+_MENDING = 2  # rounds of thought that a model gets to follow a handle that has left its path
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -123,8 +124,12 @@ class Tracker:
         self._recent.append((p, R))
         if self._first is None or self._nodes is None:
             self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
-        off, twisted, event = self._compare(p, R)
-        for q, S in self._accepted(p, R, off, twisted):
+        motion = self._selector.motion
+        a, off, twisted, event = self._compare(p, R)
+        accepted = self._accepted(p, R, off, twisted)
+        if accepted and motion is not None and motion is self._selector.motion:
+            self._check.look(motion, a, p)  # not with a gross outlier: no model predicts where that lies
+        for q, S in accepted:
             self._moved = max(self._moved, math.dist(q, self._first))
             pooled_again = self._nodes.add(q, S)  # enough for one pose
             if not pooled_again and self._selector.think(self._nodes):
@@ -154,17 +159,16 @@ class Tracker:
 
     # what the model that is believed says of this pose
 
-    def _compare(self, p: Array, R: Array | None) -> tuple[float, float, Event | None]:
-        """Distance from the believed path [m], rotation against it [rad], and whether that path has been left."""
+    def _compare(self, p: Array, R: Array | None) -> tuple[float, float, float, Event | None]:
+        """Configuration, distance from the believed path [m], rotation against it [rad], and whether that was left."""
         motion, follows = self._selector.motion, self._selector.follows
         if motion is None:
-            return 0.0, 0.0, None
+            return 0.0, 0.0, 0.0, None
         a, e = motion.placed(p, R, (1e-2, 0.05 if follows else 1e9))
         off, twisted = math.sqrt(e[:3] @ e[:3]), math.sqrt(e[3:] @ e[3:]) if follows else 0.0
         if self._residual is not None and self._residual[0] is motion and off < _AT_ONE_PATH:
             self._selector.jitter(e - self._residual[1])
         self._residual = motion, e
-        self._check.look(motion, a, p)
         self._credit = _HELD if self._check.trusted else self._credit - 1
         wide = max(_WIDE[0] * self.settings.tolerance_m, _WIDE[1] * self._selector.scale[0])
         self._beside = self._beside + 1 if off > wide else max(self._beside - 2, 0)
@@ -175,8 +179,8 @@ class Tracker:
             self._credit, self._doubt = 0, self._selector.rounds
         elif self._beside >= _BESIDE and self._doubt is not None and self._selector.rounds >= self._doubt + _MENDING:
             self._forget()
-            return off, twisted, "changed"
-        return off, twisted, None
+            return a, off, twisted, "changed"
+        return a, off, twisted, None
 
     def _accepted(self, p: Array, R: Array | None, off: float, twisted: float) -> list[tuple[Array, Array | None]]:
         """What is to be learned from: this pose; nothing, if it jumps; or it and the one before, if both jumped alike.
@@ -192,11 +196,7 @@ class Tracker:
             far, turn = _between(*self._known, p, R)
             if far > _JUMP[0] or turn > _JUMP[1]:
                 waiting, self._waiting = self._waiting, here
-                if (
-                    waiting is None
-                    or _between(*waiting, p, R)[0] > far
-                    or _between(*waiting, p, R)[1] > turn + _TURN_OF_TWO
-                ):
+                if waiting is None or not _went_on(self._known, waiting, here):
                     return []
                 self._known, self._waiting = here, None
                 return [waiting, here]
@@ -248,6 +248,17 @@ class Tracker:
         a = float(model.configuration(seen))
         return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
                      selector.follows)  # fmt: skip
+
+
+def _went_on(
+    known: tuple[Array, Array | None], waiting: tuple[Array, Array | None], here: tuple[Array, Array | None]
+) -> bool:
+    """Whether a handle leapt from the first to the second and is there still, or is on its way to the third."""
+    far, turn = _between(*known, *here)
+    step, turned = _between(*waiting, *here)
+    if turned > turn + _TURN_OF_TWO:
+        return False
+    return step <= _JUMP[0] or max(step, _between(*known, *waiting)[0]) <= _ON_THE_WAY * far
 
 
 def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:

@@ -37,7 +37,8 @@ LOG_SWAYS = np.concatenate([
 ])  # fmt: skip
 LOOSE = np.arange(len(SWAYS)) >= len(_STEPS)  # rotations say nothing of the object ...
 HELD = np.arange(len(SWAYS)) >= len(_STEPS) + len(_LOOSE_STEPS)  # ... since the hand keeps them as they are
-FIRST, FIRST_HELD = 2, len(SWAYS) - 3  # where to begin when nothing is known
+FIRST = 2  # where to begin when nothing is known
+FIRST_OF_HELD = len(SWAYS) - len(_STEPS)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,8 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         "measurement": "pose" if track.oriented else "point",
         "samples": len(track),
         "rejected": int((~good).sum()),
-        "kind": model.kind,
+        "kind": choice.kind,
+        "best": model.kind,
         "enough": bool(choice.enough),
         "probabilities": {kind: float(p) for kind, p in choice.probabilities.items()},
         "verdict": choice.why[:1].upper() + choice.why[1:] + ".",
@@ -77,6 +78,17 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         "residual_deg": None
         if rotation is None
         else {"rms": float(np.degrees(np.sqrt(np.mean((rotation[good] ** 2).sum(axis=1)))))},
+        "fails_between_m": None if choice.misfit.between is None else list(choice.misfit.between),
+        "phases": [
+            {
+                "from_m": phase.begin,
+                "to_m": phase.end,
+                "kind": phase.choice.kind,
+                "enough": bool(phase.choice.enough),
+                "joint": _joint_data(phase.choice.fit),
+            }
+            for phase in choice.phases
+        ],
     }
 
 
@@ -114,7 +126,7 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     def numbers(values: list[float]) -> str:
         return " ".join(f"{v:.4f}" for v in values)
 
-    rows = [("kind", data["kind"])]
+    rows = [("kind", data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}")]
     if joint["axis"] is not None:
         rows.append(("axis", numbers(joint["axis"]) + spread("axis", 180.0 / np.pi, "deg")))
     if joint["point"] is not None:
@@ -152,7 +164,7 @@ def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
         along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=LIGHT[colour], label="xyz"[k])
     label(along, f"configuration, {unit}" if unit else "configuration", "residual, mm")
     along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
-    alt = f"The path of a {data['kind']} joint and its residual: {data['residual_mm']['rms']:.2f} mm RMS."
+    alt = f"The path of a {data['best']} joint and its residual: {data['residual_mm']['rms']:.2f} mm RMS."
     words = "Left: the measured path, in the plane of the path, and the joint's own path. Right: the residual along it."
     return chart(figure, "path", alt, words)
 

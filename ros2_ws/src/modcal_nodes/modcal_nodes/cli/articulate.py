@@ -80,7 +80,7 @@ def articulate_command(
     out: Path | None,
     output: Output,
 ) -> None:
-    """Identify how the handle in BAG moves: fixed, sliding, turning or like a screw; and write it as a URDF.
+    """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
     Models of installed packages are compared too; they have no URDF.
 

@@ -19,7 +19,11 @@ def write_articulation(found: Articulation, out: Path) -> tuple[dict[str, Any], 
     choice = found.choice
     files = {"articulation.json": to_json(data), "report.html": to_html(found)}
     said = [data["verdict"]]
-    if isinstance(model := choice.fit.model, JointModel):
+    if choice.misfit.fails:
+        said.append(
+            f"No {_URDF}: a URDF has no joint that moves so; articulation.json has the best one and its phases."
+        )
+    elif isinstance(model := choice.fit.model, JointModel):
         reach = data["configuration"]
         limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
         files[_URDF] = describe(model, found.frame or "world", "object_handle", limits)

@@ -1,0 +1,189 @@
+"""Tracks of things that are no one joint: plain trigonometry, no code of what is tested.
+
+``DESIGN`` were looked at while thresholds were chosen, ``KEPT`` were not before all was done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handle
+DEGREE = np.pi / 180.0
+DESIGN: dict[str, Callable[[np.random.Generator, int], Path]] = {}
+KEPT: dict[str, Callable[[np.random.Generator, int], Path]] = {}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """positions (n, 3) [m]; rotations (n, 3, 3), or None where points alone were seen."""
+
+    positions: Array
+    rotations: Array | None
+
+
+def seen(kind: str, seed: int) -> Seen:
+    """What a camera notes of a kind: even seeds see poses, odd ones points."""
+    rng = np.random.default_rng([seed, *kind.encode()])
+    n = int(rng.integers(120, 300))
+    p, R = {**DESIGN, **KEPT}[kind](rng, n)
+    world, hold = Rotation.random(rng=rng), Rotation.random(rng=rng)
+    p = world.apply(p) + rng.uniform(-1.0, 1.0, 3) + rng.normal(0.0, np.exp(rng.uniform(-8.1, -6.2)), (n, 3))
+    R = world * R * hold * Rotation.from_rotvec(rng.normal(0.0, DEGREE * rng.uniform(0.1, 0.8), (n, 3)))
+    return Seen(p, R.as_matrix() if seed % 2 == 0 else None)
+
+
+def _about_z(angle: Array) -> Rotation:
+    return Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0]))
+
+
+def _arc(angle: Array, radius: float) -> Array:
+    """From the origin along y, bending towards −x."""
+    return radius * np.stack([np.cos(angle) - 1.0, np.sin(angle), np.zeros_like(angle)], axis=1)
+
+
+def _then(first: Path, second: Path) -> Path:
+    """The second after the first, from where that ends, in the frame in which the handle stands there."""
+    (p, R), (q, S) = first, second
+    return np.concatenate([p, p[-1] + R[-1].apply(q)]), Rotation.concatenate([R, R[-1] * S])
+
+
+def _still(n: int) -> Rotation:
+    return Rotation.from_rotvec(np.zeros((n, 3)))
+
+
+def design(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+    DESIGN[maker.__name__] = maker
+    return maker
+
+
+def kept(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+    KEPT[maker.__name__] = maker
+    return maker
+
+
+@design
+def lever_then_door(rng: np.random.Generator, n: int) -> Path:
+    """A lever of 11 cm is pressed by 40°, then the door turns about an upright axis."""
+    k = n // 3
+    a = np.linspace(0.0, rng.uniform(35.0, 50.0) * DEGREE, k)
+    press = Rotation.from_rotvec(np.outer(a, [1.0, 0.0, 0.0]))
+    lever = 0.11 * np.stack([np.zeros(k), np.cos(a) - 1.0, np.sin(a)], axis=1)
+    b = np.linspace(0.0, rng.uniform(40.0, 80.0) * DEGREE, n - k)
+    radius = rng.uniform(0.6, 0.8)
+    turned = _about_z(b)
+    return _then((lever, press), (press[-1].inv().apply(_arc(b, radius)), press[-1].inv() * turned * press[-1]))
+
+
+@design
+def slide_then_turn(rng: np.random.Generator, n: int) -> Path:
+    """A front slides out by some 12 cm and then tips down."""
+    k = n // 3
+    out = np.outer(np.linspace(0.0, rng.uniform(0.08, 0.16), k), [1.0, 0.0, 0.0])
+    b = np.linspace(0.0, rng.uniform(40.0, 80.0) * DEGREE, n - k)
+    return _then((out, _still(k)), (_arc(b, rng.uniform(0.2, 0.4)), _about_z(b)))
+
+
+@design
+def folding_door(rng: np.random.Generator, n: int) -> Path:
+    """Two leaves, the second one's end runs in a rail along x; the handle sits within the second leaf."""
+    leaf, at = rng.uniform(0.3, 0.45), rng.uniform(0.4, 0.7)
+    a = np.linspace(3.0 * DEGREE, rng.uniform(50.0, 75.0) * DEGREE, n)
+    p = leaf * np.stack([np.cos(a) + at * np.cos(a), np.sin(a) - at * np.sin(a), np.zeros(n)], axis=1)
+    return p, _about_z(-a)
+
+
+@design
+def waved_about(rng: np.random.Generator, n: int) -> Path:
+    """A hand that holds nothing: a smooth way through seven random places and orientations."""
+    knots = np.linspace(0.0, 1.0, 7)
+    p = CubicSpline(knots, rng.normal(0.0, 0.15, (7, 3)))(np.linspace(0.0, 1.0, n))
+    v = CubicSpline(knots, rng.normal(0.0, 0.4, (7, 3)))(np.linspace(0.0, 1.0, n))
+    return p, Rotation.from_rotvec(v)
+
+
+@design
+def four_bar_lid(rng: np.random.Generator, n: int) -> Path:
+    """A lid on two arms of different length: its handle follows a coupler curve."""
+    crank, rocker, ground, coupler = 0.15, rng.uniform(0.25, 0.32), 0.3, 0.3
+    a = np.linspace(20.0 * DEGREE, rng.uniform(95.0, 120.0) * DEGREE, n)
+    A = crank * np.stack([np.cos(a), np.sin(a)], axis=1)
+    d = np.array([ground, 0.0]) - A
+    far = np.linalg.norm(d, axis=1)
+    beta = np.arccos(np.clip((coupler**2 + far**2 - rocker**2) / (2.0 * coupler * far), -1.0, 1.0))
+    turn = np.arctan2(d[:, 1], d[:, 0]) + beta
+    at = rng.uniform(0.25, 0.5), rng.uniform(0.1, 0.25)
+    c, s = np.cos(turn), np.sin(turn)
+    p = np.stack([A[:, 0] + at[0] * c - at[1] * s, A[:, 1] + at[0] * s + at[1] * c, np.zeros(n)], axis=1)
+    return p, _about_z(turn)
+
+
+@kept
+def bolt_then_gate(rng: np.random.Generator, n: int) -> Path:
+    """A bolt is drawn sideways by some centimetres, then the gate turns."""
+    k = n // 4
+    out = np.outer(np.linspace(0.0, rng.uniform(0.05, 0.09), k), [1.0, 0.0, 0.0])
+    b = np.linspace(0.0, rng.uniform(40.0, 80.0) * DEGREE, n - k)
+    return _then((out, _still(k)), (_arc(b, rng.uniform(0.5, 0.9)), _about_z(b)))
+
+
+@kept
+def window_on_a_stay(rng: np.random.Generator, n: int) -> Path:
+    """A window that turns while its hinge slides in a slot."""
+    a = np.linspace(0.0, rng.uniform(50.0, 75.0) * DEGREE, n)
+    slot = np.outer(rng.uniform(0.25, 0.4) * np.sin(a), [1.0, 0.0, 0.0])
+    return _arc(a, rng.uniform(0.35, 0.6)) + slot, _about_z(a)
+
+
+@kept
+def two_hinges_at_once(rng: np.random.Generator, n: int) -> Path:
+    """A lamp's arm: two hinges that turn each as it likes."""
+    knots, fine = np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, n)
+    a = CubicSpline(knots, rng.normal(0.0, 0.7, 4))(fine)
+    b = CubicSpline(knots, rng.normal(0.0, 0.9, 4))(fine) + 1.2
+    p = 0.4 * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1)
+    return p + 0.3 * np.stack([np.cos(a + b), np.sin(a + b), 0.0 * a], axis=1), _about_z(a + b)
+
+
+@kept
+def sectional_garage_door(rng: np.random.Generator, n: int) -> Path:
+    """Up a rail, round a bend of 30 cm, and on along the ceiling."""
+    up, bend = rng.uniform(0.25, 0.5), 0.3
+    s = np.linspace(0.0, up + 0.5 * np.pi * bend + rng.uniform(0.2, 0.5), n)
+    a = np.clip((s - up) / bend, 0.0, 0.5 * np.pi)
+    x = bend * (1.0 - np.cos(a)) + np.maximum(s - up - 0.5 * np.pi * bend, 0.0)
+    z = np.minimum(s, up) + bend * np.sin(a)
+    return np.stack([x, np.zeros(n), z], axis=1), Rotation.from_rotvec(np.outer(a, [0.0, 1.0, 0.0]))
+
+
+@kept
+def pushed_over_the_table(rng: np.random.Generator, n: int) -> Path:
+    """A box that is pushed about and turns as it likes."""
+    knots, fine = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, n)
+    xy = CubicSpline(knots, rng.normal(0.0, 0.2, (5, 2)))(fine)
+    a = CubicSpline(knots, rng.normal(0.0, 0.6, 5))(fine)
+    return np.column_stack([xy, np.zeros(n)]), _about_z(a)
+
+
+@kept
+def joystick(rng: np.random.Generator, n: int) -> Path:
+    """A ball joint, moved about both ways."""
+    knots, fine = np.linspace(0.0, 1.0, 6), np.linspace(0.0, 1.0, n)
+    v = np.column_stack([CubicSpline(knots, rng.normal(0.0, 0.45, (6, 2)))(fine), np.zeros(n)])
+    R = Rotation.from_rotvec(v)
+    return R.apply([0.0, 0.0, rng.uniform(0.25, 0.45)]), R
+
+
+@kept
+def door_with_a_new_grasp(rng: np.random.Generator, n: int) -> Path:
+    """Half way the hand lets go and takes the door 8 to 15 cm farther in."""
+    a = np.linspace(0.0, rng.uniform(60.0, 90.0) * DEGREE, n)
+    radius = np.where(np.arange(n) < n // 2, 0.75, 0.75 - rng.uniform(0.08, 0.15))
+    p = radius[:, None] * np.stack([np.cos(a), np.sin(a), np.zeros(n)], axis=1)
+    return p, _about_z(a)

@@ -1,0 +1,98 @@
+"""Whether the best joint type is good enough: what it leaves, against noise and what furniture and tracking leave.
+
+Probabilities compare joint types with each other and say nothing of what none of them describes. So what the best one
+leaves is compared with an absolute size: four times the usual play and sway of ``furniture``, beside the track's own
+noise. Nine tenths of the samples count, for markers are lost at the end of a swing; where more than a quarter lies
+grossly off, these are no outliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.articulation.fit import JointFit
+from modcal_core.articulation.furniture import PLAY, SWAY
+from modcal_core.articulation.telling import travelled
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+MUCH = 4.0  # times the usual play or sway
+_NOISE = 3.0  # deviations of white noise beside it
+_COUNTED = 0.9  # of the samples, those that fit best
+_GROSS = 0.25  # share of samples beyond the limits that outliers may have
+_SMOOTH = 5  # samples of a median along the path
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What a joint leaves. position [m], rotation [rad, nan without]: RMS of the best nine tenths of samples.
+
+    much: what would be too much of each, (m, rad). off: share of samples beyond. between: from where to where along the
+    path it fails [m], None where it does nowhere. white: noise of one sample on an axis, (m, rad).
+    """
+
+    position: float
+    rotation: float
+    much: tuple[float, float]
+    off: float
+    between: tuple[float, float] | None
+    white: tuple[float, float]
+
+    @property
+    def fails(self) -> bool:
+        """Whether this is no such joint."""
+        return self.position > self.much[0] or self.rotation > self.much[1] or self.off > _GROSS
+
+    @property
+    def said(self) -> str:
+        """For a person: what is left, what would be much, and where."""
+        left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * self.much[0]:.0f} mm"
+        if self.rotation > self.much[1]:
+            left += f" and {np.degrees(self.rotation):.0f}°"
+            much += f" and {np.degrees(self.much[1]):.0f}°"
+        where = ""
+        if self.between is not None:
+            where = f", most between {1e2 * self.between[0]:.0f} and {1e2 * self.between[1]:.0f} cm of the path"
+        if self.position <= self.much[0] and not self.rotation > self.much[1]:
+            return f"leaves {100.0 * self.off:.0f} % of the samples far off{where}"
+        return f"leaves {left} where {much} would be much{where}"
+
+
+def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
+    """What a fit leaves of a track that has no outliers and no rests. noise: white, of one sample [m, rad]."""
+    e = found.motion.residuals(track, found.motion.configurations(track, scales(found)))
+    shift = np.linalg.norm(e[:, :3], axis=1)
+    turn = np.linalg.norm(e[:, 3:], axis=1) if e.shape[1] == 6 else None
+    usual = float(np.exp(PLAY[0])), float(np.exp(SWAY[0]))
+    much = tuple(float(np.hypot(MUCH * u, _NOISE * n)) for u, n in zip(usual, noise, strict=True))
+    beyond = shift > much[0] if turn is None else (shift > much[0]) | (turn > much[1])
+    smooth = _median(shift) > much[0]
+    if turn is not None:
+        smooth |= _median(turn) > much[1]
+    way = travelled(track)[smooth]
+    return Misfit(
+        _rms(shift),
+        np.nan if turn is None else _rms(turn),
+        (much[0], much[1]),
+        float(beyond.mean()),
+        (float(way.min()), float(way.max())) if len(way) else None,
+        noise,
+    )
+
+
+def scales(found: JointFit) -> tuple[float, float]:
+    """Scatter of one sample [m, rad], 1 rad where no rotations were seen."""
+    return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
+
+
+def _rms(sizes: Array) -> float:
+    best = np.sort(sizes)[: max(1, int(np.ceil(_COUNTED * len(sizes))))]
+    return float(np.sqrt(np.mean(best**2)))
+
+
+def _median(sizes: Array) -> Array:
+    """Along the track, over some neighbours."""
+    half = _SMOOTH // 2
+    return np.array([np.median(sizes[max(0, i - half) : i + half + 1]) for i in range(len(sizes))])

@@ -1,0 +1,48 @@
+"""Where a pull of two motions is cut: a handle that is pressed and then a door, a latch that slides and then a gate.
+
+Each side of a cut is a line or a circle, fitted in closed form; the best cut is where both together leave least.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.articulation.telling import travelled
+from modcal_core.articulation.track import Track
+from modcal_core.geometry.so3 import Array
+
+_LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
+LEAST = 10  # samples of it
+_TRIED = 24  # places for the cut
+_CAP = 0.03  # m: a sample farther off costs no more
+
+
+def best_cut(track: Track) -> int | None:
+    """The first row of the second motion; None where the track is too short for two."""
+    way = travelled(track)
+    inside = np.flatnonzero((way > _LEAST_PATH) & (way < way[-1] - _LEAST_PATH))
+    inside = inside[(inside >= LEAST) & (inside <= len(track) - LEAST)]
+    if not len(inside):
+        return None
+    coarse = np.unique(inside[np.linspace(0, len(inside) - 1, _TRIED).round().astype(int)])
+    best = min(coarse, key=lambda k: _cost(track.positions, int(k)))
+    step = max(1, len(inside) // _TRIED)
+    fine = [int(k) for k in inside if abs(int(k) - int(best)) <= step]
+    return min(fine[:: max(1, len(fine) // _TRIED)], key=lambda k: _cost(track.positions, k))
+
+
+def _cost(p: Array, k: int) -> float:
+    return _left(p[:k]) + _left(p[k:])
+
+
+def _left(p: Array) -> float:
+    """Squares that the better of a line and a circle leaves [m²], capped sample by sample."""
+    x = p - p.mean(axis=0)
+    axes = np.linalg.svd(x, full_matrices=False)[2]
+    y = x @ axes.T
+    line = np.hypot(y[:, 1], y[:, 2])
+    A = np.column_stack([2.0 * y[:, :2], np.ones(len(y))])
+    c = np.linalg.lstsq(A, (y[:, :2] ** 2).sum(axis=1), rcond=None)[0]
+    radius = np.sqrt(max(float(c[2] + c[0] ** 2 + c[1] ** 2), 1e-12))
+    circle = np.hypot(np.hypot(y[:, 0] - c[0], y[:, 1] - c[1]) - radius, y[:, 2])
+    return min(float((np.minimum(off, _CAP) ** 2).sum()) for off in (line, circle))
