@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", DOCS / "tutorial.md", *sorted((DOCS / "howto").glob("*.md"))]
 FORKED = Path(__file__).with_name("forked.py")
-RUNS, MUST_EXIST, SHOWN = "bash", "console", ("yaml", "python", "bibtex")
+RUNS, MUST_EXIST, SHOWN = "bash", "console", ("yaml", "python", "bibtex", "csv")
 NODES = ROOT / "ros2_ws" / "src" / "modcal_nodes"
 ADDS = "add_an_effect"  # the page that puts a file into modcal_core
 

@@ -211,7 +211,7 @@ WRONG: dict[str, tuple[Callable[[Any], Chain], Any]] = {
     "its convention is 'mdh': read it as mdh": (from_dh, {"convention": "mdh", **GOOD}),
     "base: xyz: needs 3 finite numbers": (from_cpc, {"base": {"xyz": [1, 2]}, **GOOD}),
     "tool: is not a pose": (from_cpc, {"tool": [0, 0, 1], **GOOD}),
-    "convention 'dhh' is unknown: choose dh, mdh, cpc": (from_table, {"convention": "dhh", **GOOD}),
+    "convention 'dhh' is unknown: write convention: dh, mdh, cpc": (from_table, {"convention": "dhh", **GOOD}),
     "b: has length 1.41421, not 1": (from_cpc, {"joints": [{"name": "a", "b": [1, 0, 1]}]}),
     "b: is longer than 1": (from_cpc, {"joints": [{"name": "a", "b": [1, 1]}]}),
     "b: points straight back": (from_cpc, {"joints": [{"name": "a", "b": [0, 0, -1]}]}),
