@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared verdict camera constants closed-loop \
+.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera constants closed-loop \
 	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
@@ -73,6 +73,9 @@ bench: setup-test build  ## times beside others doing the same; BENCH_ARGS="--on
 
 undeclared: setup-test build  ## planted faults on three arms: are they named? BENCH_ARGS="--seeds 3 --clean-runs 30" narrows
 	@$(PY) bench/undeclared/run.py $(BENCH_ARGS)
+
+imports: setup-test build  ## exports of trackers and motion capture: is the right mapping proposed? BENCH_ARGS="--first 7 --count 1"
+	@$(PY) bench/imports/run.py $(BENCH_ARGS)
 
 verdict: setup-test build  ## faults nobody planned for, and good arms: is the verdict right? BENCH_ARGS="--only tool --jobs 2"
 	@$(PY) bench/verdict/run.py $(BENCH_ARGS)

@@ -292,11 +292,10 @@ MESSAGES = _all(
     ("messages._require_joints", "a name may stand twice", "or len(set(names)) != len(names):", "or False:"),
     ("topics.preferred", "namespaced topics join in", """return {f"/{role}"} if f"/{role}" in topics else topics""",
      "return topics"),
-    ("tables._joints", "unit of the joints ignored", "position = scale * np.stack(", "position = np.stack("),
-    ("tables._reading", "inverse poses taken as they are",
-     """se3.inverse(T) if reading.get("inverse") else T""", "T"),
-    ("tables._stamps", "equal stamps stay equal", "rising + _ORDER_STEP * (", "rising + 0.0 * ("),
-    ("tables.import_tables", "tables overlap in time", "clock = float(stamps.max()) + 1.0", "clock = 0.0"),
+    ("joints._scaled", "unit of the joints ignored", "return scale * table.numbers(", "return table.numbers("),
+    ("readings._pose", "inverse poses taken as they are", """se3.inverse(T) if one.get("inverse") else T""", "T"),
+    ("stamps.stamps_of", "equal stamps stay equal", "rising + _ORDER_STEP * (", "rising + 0.0 * ("),
+    ("convert.read_tables", "tables overlap in time", "clock = float(np.nanmax(stamps)) + 1.0", "clock = 0.0"),
 )
 
 NODES = _all(

@@ -25,7 +25,7 @@ from modcal_core.plausibility.turning import Turning, turnings
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
-LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
 LEAST_ROWS = 12  # six unknown turns, and as much again to tell
 ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
 ARM_ANGLE = 0.035  # rad; the same of orientations
