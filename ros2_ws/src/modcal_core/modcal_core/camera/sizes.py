@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -41,7 +42,7 @@ def likeliest(equations: Equations, start: Sizes, arm: float | None = None) -> S
         return equations.solve(sizes).misfit() + usual(sizes) + outside
 
     simplex = np.vstack([begin.logs[:keep], begin.logs[:keep] + np.eye(keep)])
-    options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
+    options: Any = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
     found = minimize(misfit, begin.logs[:keep], method="Nelder-Mead", options=options).x
     full = np.clip(np.r_[found, begin.logs[keep:]], _LEAST, _MOST)
     if fixed_arm:
