@@ -66,6 +66,8 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     assert report["modcal_report"] == 1
     assert report["camera"]["decision"] == "apply"
     assert report["camera"]["mounting"] == "tip"
+    # other verbs read them
+    assert run(["compare", str(where / "unmeasured"), str(where / "out"), "--out", str(where / "compared")]) == 0
     # the files say what the report does: the camera is where the truth has it, to what is stated
     calibration = Calibration.load(where / "out")
     chain = read_chain((where / "out" / "calibrated.urdf").read_text(), tip="panda_link8")

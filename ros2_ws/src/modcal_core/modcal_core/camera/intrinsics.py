@@ -20,6 +20,7 @@ from modcal_core.geometry.so3 import Array
 _STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
+_MANY, _LEAST = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,10 @@ class LensFit:
 
 def first_lens(table: CornerTable, size: tuple[int, int]) -> Lens:
     """A lens to begin with, from the homographies of all images. Raises NotEnoughData."""
+    counts = np.bincount(table.view, minlength=table.views)
+    many = np.flatnonzero(counts >= _MANY)
     found = []
-    for i in range(table.views):
+    for i in many if len(many) >= _LEAST else range(table.views):
         rows = table.of_view(i)
         found.append(homography(table.points[rows, :2], table.pixels[rows]))
     return lens_of_homographies(found, size)

@@ -20,6 +20,7 @@ from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.files import to_json, to_yaml
 from modcal_core.report.as_json import FORMAT
+from modcal_core.report.report import STAGES
 from modcal_core.report.trace import Trace
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import joint_origins
@@ -101,8 +102,8 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
             "duration_s": None,
         },
         "split": None,
-        "error_mm": None,
-        "error_deg": None,
+        "error_mm": dict.fromkeys(STAGES),
+        "error_deg": dict.fromkeys(STAGES),
         "noise_floor_mm": None,
         "effects": [],
         "unexplained": None,

@@ -21,14 +21,14 @@ _LINE = 0.15  # mm
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintedSheet:
     """pdf: its bytes. rulers_m: lengths of the rulers along x and y, as drawn [m]."""
 
     pdf: bytes
     rulers_m: tuple[float, float]
 
 
-def draw_sheet(target: PrintedTarget, paper: str) -> Sheet:
+def draw_sheet(target: PrintedTarget, paper: str) -> PrintedSheet:
     """The target on this paper, the right way round for it. Raises BadTable where it does not fit."""
     width, height = (1e3 * side for side in target.size)
     across, down = PAPERS[paper]
@@ -53,7 +53,7 @@ def draw_sheet(target: PrintedTarget, paper: str) -> Sheet:
     _ruler(page, left, top + height + 4.0, lengths[0], along_x=True)
     _ruler(page, left + width + 4.0, top, lengths[1], along_x=False)
     page.text(left, top + height + _RULER + 1.5, f"{target.label} {target.dictionary}. Print at 100 %; measure rulers.")
-    return Sheet(bytes(page.output()), (1e-3 * lengths[0], 1e-3 * lengths[1]))
+    return PrintedSheet(bytes(page.output()), (1e-3 * lengths[0], 1e-3 * lengths[1]))
 
 
 def _ruler(page: FPDF, x: float, y: float, length: float, along_x: bool) -> None:
