@@ -465,7 +465,7 @@ def tool_axes_today(w: Works, rng: np.random.Generator) -> Case:
 
 
 @near
-def two_joints_swapped_today(w: Works, rng: np.random.Generator) -> Case:
+def two_joints_swapped_today_near(w: Works, rng: np.random.Generator) -> Case:
     """A frozen calibration; today two joints stand under each other's names; the base is found again."""
     second, i = w.clean(80, begin=86_400.0), w.any_joint(0, w.arm.n - 1)
     q = second.q.copy()
