@@ -44,7 +44,7 @@ def first_lens(table: CornerTable, size: tuple[int, int]) -> Lens:
     many = np.flatnonzero(counts >= _MANY)
     found = []
     for i in many if len(many) >= _LEAST else range(table.views):
-        rows = table.of_view(i)
+        rows = table.of_view(int(i))
         found.append(homography(table.points[rows, :2], table.pixels[rows]))
     return lens_of_homographies(found, size)
 

@@ -7,8 +7,10 @@ the time each message was received, which is how a clock that is off shows itsel
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modcal_core.geometry.so3 import Array
 
@@ -56,7 +58,7 @@ class ReadingTrack:
     stated: Array | None = None
     by_type: bool = False
 
-    def rows(self, keep: Array) -> ReadingTrack:
+    def rows(self, keep: NDArray[Any]) -> ReadingTrack:
         """The track with these readings only."""
         stated = None if self.stated is None else self.stated[keep]
         columns = {name: getattr(self, name)[keep] for name in ("stamps", "values", "received")}

@@ -20,7 +20,7 @@ from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.files import to_json, to_yaml
 from modcal_core.report.as_json import FORMAT
-from modcal_core.report.report import STAGES
+from modcal_core.report.contents import STAGES
 from modcal_core.report.trace import Trace
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import joint_origins

@@ -177,16 +177,16 @@ def joints(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
     out = _by_name(numbers, names)
     families: dict[str, dict[int, int]] = {}
     for k, label in numbers.labels.items():
-        if (found := _NUMBER.search(label.text)) is not None:
-            stem = f"{label.text[: found.start()]}#{label.text[found.end() :]}"
-            families.setdefault(stem, {}).setdefault(int(found[0]), k)
+        if (number := _NUMBER.search(label.text)) is not None:
+            stem = f"{label.text[: number.start()]}#{label.text[number.end() :]}"
+            families.setdefault(stem, {}).setdefault(int(number[0]), k)
     known = {choice.columns for choice in out}
     for stem, found in families.items():
         for first in (1, 0):
             columns = tuple(found[n] for n in range(first, first + len(names)) if n in found)
             if len(columns) == len(names) and columns not in known:
-                label = stem.replace("#", f"{first}…{first + len(names) - 1}")
-                out.append(JointColumns(columns, f"numbered labels {label}", Label.of(stem).role))
+                shown = stem.replace("#", f"{first}…{first + len(names) - 1}")
+                out.append(JointColumns(columns, f"numbered labels {shown}", Label.of(stem).role))
                 break
     return sorted(out, key=lambda choice: choice.role != MEASURED)
 

@@ -168,7 +168,8 @@ def _covers(known: Body, body: Body) -> bool:
 def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
     used = [*body.position, *(body.turned or ()), *(k for j in joint_columns for k in j.columns)]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
-    rows = rows[~(numbers.values[np.ix_(rows, list(body.turned or body.position))] == 0.0).all(axis=1)]
+    held = np.array(body.turned or body.position)
+    rows = rows[~(numbers.values[np.ix_(rows, held)] == 0.0).all(axis=1)]
     if len(rows) < LEAST_ROWS:
         return None
     values = numbers.values[rows]
@@ -203,7 +204,7 @@ def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[
     taken = set(time)
     if places and places[0].named:
         taken |= turn_labels(numbers.labels)
-        taken |= {k for body in places for k in (*body.position, *(body.turned if _sure(body) else ()))}
+        taken |= {k for body in places for k in (*body.position, *((body.turned or ()) if _sure(body) else ()))}
     columns = pool(numbers, taken)
     used = sorted({*columns, *(k for triple in triples for k in triple)})
     whole = np.isfinite(numbers.values[:, used]).all(axis=1)
@@ -271,9 +272,9 @@ def _decided(
             "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
             "rotvec or matrix, or leave the orientation out"
         )
-    for other in rivals(chosen.found):
-        pairs = "; ".join(f"{one} from {two}" for one, two in differences(numbers, chosen, best, other))
-        questions.append(f"cannot tell {pairs} ({worse(best, other)})")
+    for rival in rivals(chosen.found):
+        pairs = "; ".join(f"{one} from {two}" for one, two in differences(numbers, chosen, best, rival))
+        questions.append(f"cannot tell {pairs} ({worse(best, rival)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
     if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
         named = ", ".join(numbers.shown(k) for k in by_labels[0].columns)
