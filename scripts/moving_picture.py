@@ -64,7 +64,8 @@ def shots(report: Report) -> Shots:
     above = [i for i, path in enumerate(_paths(report, q)) if path[:, 2].min() > ABOVE]
     order = _route(q, above)[:STATIONS]
     round_trip = [*order, order[0]]
-    steps, when, stays, now = [q[order[0]]], [0.0], [], 0.0
+    stays: list[tuple[float, float]] = []
+    steps, when, now = [q[order[0]]], [0.0], 0.0
     whole = STATIONS * (MOVE + STAY)
     for here, there in pairwise(round_trip):
         stays.append((now / whole, (now + STAY) / whole))

@@ -185,11 +185,11 @@ a bag may hold is in [recordings.md](../recordings.md)."""
 
 def page() -> str:
     """Text of the page. Raises ValueError where meanings, topics and types do not go together."""
-    parts, used = [INTRODUCTION], set()
+    parts, used = [INTRODUCTION], set[str]()
     for node in executables():
         parts.append(f"## {node}")
         for kind, title in (("subscribes to", "hears"), ("publishes", "says")):
-            rows = []
+            rows: list[tuple[str, ...]] = []
             for name, type_name in sorted({(o.name, o.type) for o in opened(node) if o.kind == kind}):
                 key = next((k for k in (f"{node} {name}", name) if k in MEANINGS), None)
                 if key is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -33,7 +35,7 @@ def end(values: dict[str, list[float]]) -> Array:
     return T
 
 
-def by_hand(table: dict, q: Array) -> Array:
+def by_hand(table: dict[str, Any], q: Array) -> Array:
     """The tip's pose by a table, multiplied out as textbooks do, without our chain."""
     T = end(table["base"])
     for row, angle in zip(table["joints"], q, strict=True):
@@ -97,7 +99,7 @@ def test_it_is_nearest() -> None:
     q = np.random.default_rng(4).uniform(-np.pi, np.pi, (150, 6))
     true = forward(chain, q)
 
-    def missed(table: dict) -> float:
+    def missed(table: dict[str, Any]) -> float:
         """RMS of the tip's distance and of what its turn moves at 0.2 m, the length of a tool."""
         off = np.array([by_hand(table, row) for row in q]) - true
         return float(

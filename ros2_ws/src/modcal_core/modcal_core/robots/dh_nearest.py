@@ -80,7 +80,7 @@ def nearest_dh(chain: Chain, convention: str = "dh", largest_offset: float = 10.
 
 def _made_parallel(chain: Chain) -> tuple[Array, list[int]]:
     """The constants with joint axes along z, nearly parallel neighbours made parallel, and which: (n + 1, 4, 4)."""
-    constants, pairs = np.array(chain.along_z), []
+    constants, pairs = np.array(chain.along_z), list[int]()
     for k in range(1, chain.n):
         z = constants[k][:3, 2]
         sine = float(np.hypot(z[0], z[1]))

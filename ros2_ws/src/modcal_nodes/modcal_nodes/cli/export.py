@@ -174,8 +174,8 @@ def _written_origins(
     left_out: tuple[str, ...] = ()
     if source.is_dir():
         calibration = read_calibration(source)
-        chain = calibration.calibrated.chain
-        base, tip = base or chain.base, tip or chain.tip
+        whole = calibration.calibrated.chain
+        base, tip = base or whole.base, tip or whole.tip
         left_out = _of_calibration(calibration, "calibrated", False).left_out[:-1]
         urdf = source / "calibrated.urdf"
     else:
