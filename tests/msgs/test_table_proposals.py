@@ -17,7 +17,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.robots.mechanism import forward
 from modcal_msgs_py.tables import import_tables
-from modcal_msgs_py.tables.labels import Label, angle_triples, matrices, quaternions
+from modcal_msgs_py.tables.labels import Label, angle_triples, homogeneous, matrices, quaternions
 from modcal_msgs_py.tables.proposal import Proposal, proposal
 from modcal_msgs_py.tables.propose import find
 from modcal_msgs_py.tables.sniff import sniff
@@ -88,6 +88,14 @@ def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Ge
         **named("x y z", T[:, :3, 3]), **named("q0 q1 q2 q3", quaternion),
     }  # fmt: skip
     same(proposal(find([write(tmp_path, columns)], CHAIN), None), tmp_path, q, T)
+
+
+def test_a_homogeneous_matrix_without_labels(tmp_path: Path, rng: np.random.Generator) -> None:
+    q, T = poses(rng)
+    cells = T[:, :3].reshape(-1, 12) * np.array([1.0, 1.0, 1.0, 1e3] * 3)
+    path = tmp_path / "cell.csv"
+    path.write_text("\n".join(";".join(f"{v:.7f}" for v in row) for row in np.c_[q, cells]))
+    same(proposal(find([path], CHAIN), None), tmp_path, q, T)
 
 
 def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -195,6 +203,8 @@ def test_labels_of_orientations() -> None:
     assert angle_triples(labelled("Yaw", "Pitch", "Roll")) == [(2, 1, 0)]
     assert matrices(labelled(*(f"r{i}{j}" for i in "123" for j in "123"))) == [tuple(range(9))]
     assert matrices(labelled(*(f"Rot[{k}]" for k in range(9)))) == [tuple(range(9))]
+    whole = labelled(*(f"T{i}{j}" for i in "123" for j in "1234"))
+    assert homogeneous(whole) == [((3, 7, 11), (0, 1, 2, 4, 5, 6, 8, 9, 10))]
 
 
 @pytest.mark.parametrize(

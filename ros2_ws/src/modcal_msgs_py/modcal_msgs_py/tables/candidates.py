@@ -110,6 +110,7 @@ def bodies(numbers: Numbers, joints: set[int], time: set[int]) -> list[Body]:
             own = [t for t in beside if set(t) <= set(free) - set(joints) and _is_turned(numbers, t)]
         out += [Body(p, t, True, computed) for t in own[:4]]
         out.append(Body(p, None, True, computed))
+    out += [Body(p, t, True) for p, t in words.homogeneous(labelled) if _is_turned(numbers, t)]
     out.sort(key=lambda body: (body.computed, body.turned is None))
     return out + _unnamed(numbers, [k for k in free if k not in joints], turns, {b.position for b in out})
 
@@ -135,7 +136,8 @@ def _unnamed(
                 if p[2] < numbers.values.shape[1] and _is_turned(numbers, turned):
                     out.append(Body((p[0], p[1], p[2]), turned, False))
     runs = [(a, b, c) for a, b, c in zip(free, free[1:], free[2:], strict=False) if c == a + 2]
-    runs = [p for p in runs if p not in known]
+    elements = {k for t in turns if len(t) > 3 for k in t}  # these are linear in the arm's turns, too, and no place
+    runs = [p for p in runs if p not in known and not elements & set(p)]
     for p in runs:
         beside = [t for t in turns if min(t) == max(p) + 1 or max(t) == min(p) - 1]
         after = (p[2] + 1, p[2] + 2, p[2] + 3)

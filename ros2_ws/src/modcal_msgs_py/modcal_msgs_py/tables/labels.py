@@ -146,22 +146,37 @@ def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
 
 def matrices(labels: dict[int, Label]) -> list[tuple[int, ...]]:
     """Columns whose labels are those of the nine elements of a matrix, row by row or as they are numbered."""
+    out = []
+    for found in _elements(labels):
+        for base in (1, 0):
+            names = [f"{r}{c}" for r in range(base, base + 3) for c in range(base, base + 3)]
+            numbered = [str(k) for k in range(base, base + 9)]
+            out += [tuple(found[name] for name in wanted) for wanted in (names, numbered) if set(wanted) <= set(found)]
+    return out
+
+
+def homogeneous(labels: dict[int, Label]) -> list[tuple[tuple[int, int, int], tuple[int, ...]]]:
+    """Columns whose labels are those of a matrix with the place as its fourth column: place, and nine elements."""
+    out = []
+    for found in _elements(labels):
+        for base in (1, 0):
+            rows = range(base, base + 3)
+            turn, place = [f"{r}{c}" for r in rows for c in rows], [f"{r}{base + 3}" for r in rows]
+            if {*turn, *place} <= set(found):
+                x, y, z = (found[name] for name in place)
+                out.append(((x, y, z), tuple(found[name] for name in turn)))
+    return out
+
+
+def _elements(labels: dict[int, Label]) -> list[dict[str, int]]:
+    """Columns that are called the same but for numbers, by these."""
     cells: dict[str, dict[str, int]] = {}
     for i, label in labels.items():
         numbers = [w for w in label.words if w.isdigit()]
         rest = " ".join(w for w in label.words if not w.isdigit())
-        if not numbers or not rest:
-            continue
-        cells.setdefault(rest, {})["".join(numbers)] = i
-    out = []
-    for found in cells.values():
-        for base in (1, 0):
-            names = [f"{r}{c}" for r in range(base, base + 3) for c in range(base, base + 3)]
-            numbered = [str(k) for k in range(base, base + 9)]
-            for wanted in (names, numbered):
-                if set(wanted) <= set(found):
-                    out.append(tuple(found[name] for name in wanted))
-    return out
+        if numbers and rest:
+            cells.setdefault(rest, {})["".join(numbers)] = i
+    return list(cells.values())
 
 
 def _turn_word(label: Label) -> tuple[str, str]:
