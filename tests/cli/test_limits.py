@@ -49,7 +49,7 @@ def test_a_workspace_and_its_files(tmp_path: Path, capfd: pytest.CaptureFixture[
     shown = capfd.readouterr().out
     assert "60 postures" in shown
     assert "wrist_3_joint" in shown
-    assert {p.name for p in out.iterdir()} == {"limits.json", "joint_limits.yaml"}
+    assert {p.name for p in out.iterdir()} == {"limits.json", "joint_limits.yaml", "report.html"}
     data = json.loads((out / "limits.json").read_text())
     planner = yaml.safe_load((out / "joint_limits.yaml").read_text())["joint_limits"]
     for joint in data["joints"]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _LEFT, _WIDTH, _BOTTOM = 16.0, 178.0, 284.0  # mm, of the text on A4
 _SIZES = (9.6, 9.0, 8.4, 7.8, 7.2, 6.6, 6.0)  # pt; the first at which everything stands on one sheet is taken
+_Line = tuple[str, tuple[float, ...], int]  # of a table: name, values, digits behind the point
 _NAME = 42.0  # mm, of the names of facts
 
 
@@ -165,10 +166,13 @@ def _facts(pdf: FPDF, one: Certificate, size: float, line: float) -> None:
 def _errors(pdf: FPDF, one: Certificate, size: float, line: float) -> None:
     """Before and after, lengths and angles in tables of their own."""
     _title(pdf, "Error on scored stations", size)
-    tables = [(("position, mm", "mean", "RMS", "95 %", "largest"), [(r.name, r.mm, 3) for r in one.errors])]
-    turned = [(row.name, row.deg, 4) for row in one.errors if row.deg is not None]
+    positions: list[_Line] = [(row.name, row.mm, 3) for row in one.errors]
+    turned: list[_Line] = [(row.name, row.deg, 4) for row in one.errors if row.deg is not None]
+    tables: list[tuple[tuple[str, ...], list[_Line]]] = [
+        (("position, mm", "mean", "RMS", "95 %", "largest"), positions)
+    ]
     if turned:
-        tables.append((("orientation, °", "RMS", "95 %"), turned))  # type: ignore[arg-type]
+        tables.append((("orientation, °", "RMS", "95 %"), turned))
     for header, rows in tables:
         pdf.set_font("text", "", size)
         _ink(pdf, "soft")
