@@ -70,7 +70,7 @@ def _improved(search: _Search, found: list[Order], pool: Sequence[int]) -> list[
     known = {order.columns: order for order in found}
     while True:
         top = sorted(known.values(), key=lambda order: order.left)[:_SWAPPED]
-        if top[0].explains:
+        if not top or top[0].explains:  # none: every choice would take the readings' own columns
             return list(known.values())
         new = dict.fromkeys(o for order in top for o in _neighbours(order.columns, pool) if o not in known)
         known |= {order.columns: order for order in search.all(list(new))}
