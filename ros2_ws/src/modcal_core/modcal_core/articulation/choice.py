@@ -122,6 +122,8 @@ def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
     kept = track.part(good) if good.sum() >= FEWEST else track
     noise = white_noise(richest.motion.residuals(kept, richest.motion.configurations(kept, scales(richest))))
     scenes = _scenes(kept, noise, nodes)
+    if not scenes and kept is not track:  # what moved was taken for outliers of what rests
+        kept, scenes = track, _scenes(track, noise, nodes)
     if not scenes:
         return _still(track, kept, noise, fits, models)
     shares = log_shares(models)
