@@ -121,6 +121,22 @@ def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
     good = np.logical_not(gross(richest, track))
     kept = track.part(good) if good.sum() >= FEWEST else track
     noise = white_noise(richest.motion.residuals(kept, richest.motion.configurations(kept, scales(richest))))
+    choice = _weighed(track, kept, noise, nodes, fits, models, rng)
+    if choice.best == STILL.name and choice.misfit.fails and kept is not track:
+        return _weighed(track, track, noise, nodes, fits, models, rng)  # what moved was taken for outliers
+    return choice
+
+
+def _weighed(
+    track: Track,
+    kept: Track,
+    noise: tuple[float, float],
+    nodes: int,
+    fits: dict[Kind, JointFit],
+    models: Sequence[ArticulationModel],
+    rng: np.random.Generator,
+) -> Choice:
+    """The choice by the samples that are kept, judged on all of the track."""
     scenes = _scenes(kept, noise, nodes)
     if not scenes:
         return _still(track, kept, noise, fits, models)

@@ -24,9 +24,10 @@ _PLACE = 3e-3  # m: samples within it, or within three deviations of noise, are 
 _CROWD = 2.0  # times as many samples in one place as is usual on this track are enough
 _FEW = 5  # samples of a place that are kept in any case
 _MARK = 0.01  # m of path between marks
+_Rows = NDArray[np.intp]
 
 
-def telling(track: Track) -> NDArray[np.intp]:
+def telling(track: Track) -> _Rows:
     """Rows of the samples that tell of the path, in their order; all of them where too few would be left."""
     rows = np.flatnonzero(~lone(track))
     if len(rows) < FEWEST:
@@ -44,7 +45,7 @@ def lone(track: Track) -> NDArray[np.bool_]:
     return out
 
 
-def _apart(n: int, distance: Callable[[Array, Array], Array], slack: float) -> NDArray[np.bool_]:
+def _apart(n: int, distance: Callable[[_Rows, _Rows], Array], slack: float) -> NDArray[np.bool_]:
     i = np.arange(n)
     to = np.full((len(_NEAR), n), np.inf)
     for row, k in zip(to, _NEAR, strict=True):
@@ -67,7 +68,7 @@ def _noise(positions: Array) -> float:
     return float(np.sqrt(np.median((bend**2).sum(axis=1)) / 2.366 / 6.0)) if len(bend) else 0.0
 
 
-def _without_rests(track: Track) -> NDArray[np.intp]:
+def _without_rests(track: Track) -> _Rows:
     """Rows of a track, of every place where it stays long only so many as is usual elsewhere."""
     p, R = track.positions, track.rotations
     reach = max(_PLACE, 3.0 * _noise(p))
