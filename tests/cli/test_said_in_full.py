@@ -50,7 +50,9 @@ def test_a_table_of_a_verb_is_followed_by_its_headings(tmp_path: Path, capfd: py
     said = capfd.readouterr().out
     for heading in ("inertia", "taken", "equivalent", "coupled", "constant"):
         assert re.search(rf"^  {heading}: ", said, re.MULTILINE)
-    assert said.endswith(f"Limits: {tmp_path}/out/limits.json\nAlso in {tmp_path}/out: joint_limits.yaml\n")
+    assert said.endswith(
+        f"Limits: {tmp_path}/out/limits.json\nAlso in {tmp_path}/out: joint_limits.yaml, report.html\n"
+    )
 
 
 def test_stages_effects_and_shares_of_a_report_are_explained() -> None:

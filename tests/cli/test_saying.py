@@ -137,7 +137,12 @@ def test_the_other_verbs_speak_to_programs_too(
         "tables: [{files: t.csv, time: {seconds: t}, joints: {unit: rad, columns: {one: q}}, "
         "point: {frame: laser, unit: m, position: [x, y, z]}}]"
     )
-    assert said_by(capfd, "import", "m.yaml", "--out", "rows") == {"bag": "rows", "stations": 3, "frames": ["laser"]}
+    assert said_by(capfd, "import", "m.yaml", "--out", "rows") == {
+        "bag": "rows",
+        "stations": 3,
+        "frames": ["laser"],
+        "left_out": [],
+    }
     whole = said_by(capfd, "repair", bag)
     assert whole["repaired"] is None
     (tmp_path / "cut.mcap").write_bytes((bag / f"{bag.name}_0.mcap").read_bytes()[:-2000])

@@ -144,4 +144,4 @@ def test_frames_that_nothing_was_read_in_are_refused(tmp_path: Path, capsys: pyt
     (tmp_path / "cell.yaml").write_text("own_target: [hook]")
     write_recording(recording(CELLS["one wire"][0], 40), tmp_path / "bag")
     assert run(["calibrate", str(tmp_path / "bag"), "--cell", str(tmp_path / "cell.yaml")]) == 2
-    assert "cell file: no reading has the frame 'hook': name frames of the recording: wire_0" in capsys.readouterr().err
+    assert "cell.yaml: no reading has the frame 'hook': name frames of the recording: wire_0" in capsys.readouterr().err

@@ -214,7 +214,7 @@ def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
     thinner = to_html(heavy)
     assert len(thinner.encode()) < MAX_BYTES
     assert "Charts are thinned" in thinner
-    assert "Charts are thinned" not in page("warm")
+    assert "Charts are thinned" not in page("points")
     assert f"{to_json_data(heavy)['error_mm']['final']['rms']:.3f}" in thinner
 
 

@@ -16,6 +16,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.counted import counted
+from modcal_core.report.particulars import Particulars
 from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import PoseTest, pose_test
 
@@ -28,30 +29,6 @@ OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
     "it on another one."
 )
-MAX_TEXT = 90  # characters of a text that a person gives, so that the page stays one
-
-
-@dataclass(frozen=True)
-class Particulars:
-    """What a person states for the certificate; empty texts are left open on the page.
-
-    robot: name of the arm. serial: its serial number. instrument: make, model and serial number of the instrument, with
-    its own certificate. conditions: payload, temperature, mounting. measured_by, approved_by: names. Raises BadTable
-    for a text of more than 90 characters.
-    """
-
-    robot: str = ""
-    serial: str = ""
-    instrument: str = ""
-    conditions: str = ""
-    measured_by: str = ""
-    approved_by: str = ""
-
-    def __post_init__(self) -> None:
-        for name, text in vars(self).items():
-            if len(text) > MAX_TEXT:
-                said = f"has {len(text)} characters, {MAX_TEXT} is the limit"
-                raise BadTable(f"certificate: {name}", said, "shorten it")
 
 
 @dataclass(frozen=True)

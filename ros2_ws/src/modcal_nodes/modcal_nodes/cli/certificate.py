@@ -10,7 +10,8 @@ import click
 
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
-from modcal_core.report.certificate import Hashes, Particulars, certificate
+from modcal_core.report.certificate import Hashes, certificate
+from modcal_core.report.particulars import Particulars
 from modcal_core.report.report import Report
 from modcal_nodes.io.inputs import read_particulars
 

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 from modcal_core.calibration.moves import WHATS
 from modcal_core.measurements.schema import Schema
-from modcal_core.report.certificate import Particulars
+from modcal_core.report.particulars import Particulars
 
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}

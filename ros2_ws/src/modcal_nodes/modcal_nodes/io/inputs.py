@@ -21,7 +21,7 @@ from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.schema import require, shown, told
-from modcal_core.report.certificate import Particulars
+from modcal_core.report.particulars import Particulars
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data
 from modcal_msgs_py.choosing import Topics

@@ -32,7 +32,9 @@ class Point(Kind):
         position = track.values[:, :3]
         spread = float(_norm(position - np.median(position, axis=0)).mean())
         far = float(np.linalg.norm(np.median(position, axis=0)))
-        if spread > _SPREAD * reach or far > farthest(reach):
+        if spread <= _SPREAD * reach and far > farthest(reach):
+            return _far_off(position, far, spread)
+        if spread > _SPREAD * reach:
             said = f"positions spread over {spread:.0f} m and the arm reaches {reach:.2f} m: "
             size = dict(zip("xyz", np.ptp(position, axis=0), strict=True))
             wide = [axis for axis in size if size[axis] > _SPREAD * reach]
@@ -66,6 +68,15 @@ class Pose(Point):
             length = f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s"
             return f"{length}, 1 ± {_UNIT:g} is allowed", "publish unit quaternions x y z w"
         return said
+
+
+def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
+    """What is said of positions that spread as an arm's do, but too far from their origin, as those of a site."""
+    said = f"positions spread over {spread:.2g} m as an arm's do, and are {far:.0f} m from the origin: a site's coordinates"
+    if np.array_equal(position, position.astype(np.float32)):
+        step = 1e3 * float(np.spacing(np.float32(far)))
+        said += f", in single precision, whose resolution is {step:.2g} mm there"
+    return said, "subtract a place near the arm from all positions, in double precision"
 
 
 def _norm(vectors: Array) -> Array:
