@@ -40,7 +40,7 @@ def readings_of(table: Table, entry: Mapping[str, Any], stamps: Array, source: s
             kind, values, there = _READ[key](table, one, where)
             deviations = _deviations(table, one)
             track = ReadingTrack(kind, frame, stamps, values, stamps, topic, deviations)
-            yield track.rows(np.flatnonzero(there & np.isfinite(stamps)))
+            yield track.rows(there & np.isfinite(stamps))
 
 
 def merged(tracks: list[ReadingTrack]) -> tuple[ReadingTrack, ...]:
