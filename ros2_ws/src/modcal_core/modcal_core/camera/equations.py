@@ -85,12 +85,13 @@ class Equations:
         common = E.shape[1] - POSE - 1
         H = np.empty((K + common, K + common))
         b = np.empty(K + common)
-        At = np.swapaxes(self.moved, 1, 2)
-        H[:K, :K] = (At @ E[:, :POSE, :POSE] @ self.moved).sum(0)
-        H[:K, K:] = (At @ E[:, :POSE, POSE:-1]).sum(0)
+        # one product over all images rather than a sum of many
+        A = self.moved.reshape(-1, K)
+        H[:K, :K] = A.T @ (E[:, :POSE, :POSE] @ self.moved).reshape(-1, K)
+        H[:K, K:] = A.T @ E[:, :POSE, POSE:-1].reshape(-1, common)
         H[K:, :K] = H[:K, K:].T
         H[K:, K:] = E[:, POSE:-1, POSE:-1].sum(0)
-        b[:K] = (At @ E[:, :POSE, -1:])[:, :, 0].sum(0)
+        b[:K] = A.T @ E[:, :POSE, -1].reshape(-1)
         b[K:] = E[:, POSE:-1, -1].sum(0)
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
