@@ -15,8 +15,8 @@ INTRODUCTION = """# The command line
 `modcal --help` lists the verbs, and `modcal VERB --help` prints the same as this page. Every verb ends with exit code 0
 on success; 2 when the input cannot be used, with one line on stderr that says what offends, the limit and the
 remedy, and nothing written (`modcal fleet` excepted, which writes what could be done); 130 when it was interrupted; 1
-when modcal itself is at fault, with a traceback; 3 when it is done, and a tolerance that was asked for is not met or cannot
-be told.
+when modcal itself is at fault, with a traceback; 3 when it is done, and a tolerance that was asked for is not met or
+cannot be told.
 
 * `--json` prints the result as JSON in place of tables, `-v` says on stderr what takes how long.
 * The first line names the arm that was taken, `arm: base_link → tool0, 6 joints`, and, where another arm has as many

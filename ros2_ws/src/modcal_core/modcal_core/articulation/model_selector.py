@@ -130,7 +130,8 @@ class ModelSelector:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
             self._fresh = glance(scene, EvidenceRow(guess, level, FIRST if scene.track.oriented else 0), play, -1)
-            self._left += [(kind, i, "judge"), *[(kind, i, "climb")] * _CLIMBS]
+            climbs: list[tuple[Kind, int, _Stage]] = [(kind, i, "climb")] * _CLIMBS
+            self._left += [(kind, i, "judge"), *climbs]
 
     def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
         known = {other: row.motion for (other, j), row in self._rows.items() if j == i}

@@ -72,7 +72,7 @@ class Pose(Point):
 
 def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
     """What is said of positions that spread as an arm's do, but too far from their origin, as those of a site."""
-    said = f"positions spread over {spread:.2g} m as an arm's do, and are {far:.0f} m from the origin: a site's coordinates"
+    said = f"positions spread over {spread:.2g} m as an arm's do, {far:.0f} m from the origin: coordinates of a site"
     if np.array_equal(position, position.astype(np.float32)):
         step = 1e3 * float(np.spacing(np.float32(far)))
         said += f", in single precision, whose resolution is {step:.2g} mm there"
