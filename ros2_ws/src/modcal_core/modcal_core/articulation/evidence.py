@@ -32,7 +32,7 @@ from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.scene import FIRST_OF_HELD, LOG_SWAYS, SWAYS, NodeScene
-from modcal_core.articulation.terms import Terms, UniformTerms, believed
+from modcal_core.articulation.terms import UniformTerms, believed
 from modcal_core.articulation.varying_terms import VaryingTerms
 from modcal_core.geometry.so3 import Array
 
@@ -48,7 +48,7 @@ class EvidenceRow:
     column: int
 
 
-def terms_of(scene: NodeScene, motion: Motion, play: float) -> Terms:
+def terms_of(scene: NodeScene, motion: Motion, play: float) -> UniformTerms | VaryingTerms:
     """How a motion explains the nodes of a scene, where the play is that [m]."""
     return (UniformTerms if motion.uniform else VaryingTerms).of(scene, motion, play)
 
@@ -119,7 +119,7 @@ def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> Evi
     return EvidenceRow(before.motion.moved(believed(step) * step), logs, best)
 
 
-def _looks(scene: NodeScene, terms: Terms) -> tuple[int, int]:
+def _looks(scene: NodeScene, terms: UniformTerms | VaryingTerms) -> tuple[int, int]:
     """Which sway the rotations look like: those that are left as the handle's, all of them as a hand's that keeps
     its own.
     """

@@ -27,7 +27,6 @@ class Terms(ABC):
 
     motion: Motion
     oriented: bool
-    turn: Array | None  # rotations that positions do not tell of
 
     @classmethod
     @abstractmethod
