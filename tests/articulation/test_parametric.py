@@ -29,10 +29,11 @@ pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending" / "cell_extras" / "folding_door.py"
 DEGREE = np.pi / 180.0
-# As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood.
+# As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood. The second
+# is so slow for its noise that 9 of its 60 samples count as a rest, which has no say in the probabilities any more.
 BEFORE = [
     ("revolute", 0.12, False, (0.10654815034, 0.79040926828, 0.10098745243, 0.00205512895), 664.270784706),
-    ("revolute", 0.05, True, (0.74678978779, 0.12407300398, 0.12407300398, 0.00506420424), 1340.16741064),
+    ("revolute", 0.05, True, (0.73616135325, 0.12928093691, 0.12928093691, 0.00527677293), 1340.16741064),
     ("screw", 0.5, False, (1.8665430e-05, 6.4595726e-10, 0.97904365844, 0.02093767548), 662.841055199),
     ("prismatic", 0.1, False, (0.00105478062, 0.97496033299, 0.02350583573, 0.00047905066), 660.228676667),
 ]
