@@ -106,7 +106,9 @@ def test_what_is_wrong_with_all_of_them_is_named() -> None:
     with pytest.raises(BadRecording, match="looks like millimetres"):
         prepare(with_reading(whole, values=metres), ur10())
     site = (values + np.r_[4321.0, 8765.0, 12.0, np.zeros(4)]).astype(np.float32).astype(float)
-    with pytest.raises(BadRecording, match=r"9773 m from the origin: coordinates of a site, in single precision, .* 0\.98 mm"):
+    with pytest.raises(
+        BadRecording, match=r"9773 m from the origin: coordinates of a site, in single precision, .* 0\.98 mm"
+    ):
         prepare(with_reading(whole, values=np.c_[site[:, :3], values[:, 3:]]), ur10())
     with pytest.raises(BadRecording, match="looks like degrees"):
         prepare(with_joints(whole, position=np.degrees(whole.joints[0].position)), ur10())

@@ -14,7 +14,8 @@ def table(columns: Columns, words: int = 1) -> Table:
     """An empty table with these headings. words: how many columns, from the left, hold words; the others numbers."""
     made = Table(box=None, header_style="bold", pad_edge=False)
     for i, heading in enumerate(columns):
-        made.add_column(heading, justify="left" if i < words else "right", overflow="fold" if i < words else "ellipsis")
+        # a name stays whole, and no digit is left out, however narrow the terminal
+        made.add_column(heading, justify="left" if i < words else "right", overflow="fold", no_wrap=i == 0)
     return made
 
 

@@ -141,20 +141,20 @@ def _fault() -> int:
 
 # What a verb may need beyond what is always installed: the extra of the distribution that brings it
 _EXTRAS = {
-    "cv2": "camera",
-    "fpdf": "camera",
     "mujoco": "simulate",
     "pyarrow": "fleet",
     "distributed": "dask",
     "dask": "dask",
 }
+# Beside ROS from apt, which has none of them, or an older one
+_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2"}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
 
 
 def _source_of(module: str) -> str | None:
     """Where a module comes from that not every installation has; None for any other."""
-    if module == "fpdf":
-        return "pip install fpdf2"
+    if module in _PACKAGES:
+        return f"pip install {_PACKAGES[module]}"
     if module in _EXTRAS:
         return f"pip install 'modcal[{_EXTRAS[module]}]'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
