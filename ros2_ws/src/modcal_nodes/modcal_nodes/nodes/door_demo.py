@@ -123,7 +123,8 @@ class DoorDemo(GuardedNode):
             raise NodeEnds(BadCommand(self._chosen["kind"], said, "check the nodes' output, or allow more patience_s"))
         if any(child.poll() is not None for child in self._children):
             raise NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "check its output"))
-        if not self._pulls and now - self._asked > _AGAIN and self._pull.service_is_ready():
+        ready = self._record.begun and self._pull.service_is_ready()
+        if ready and not self._pulls and now - self._asked > _AGAIN:
             self._asked = now
             self._pull.call_async(Trigger.Request())  # refused until everything has been heard
 

@@ -35,6 +35,11 @@ class PullRecord:
         """Take the arm from its description. Raises BadRobot."""
         self._chain = read_chain(urdf_xml)
 
+    @property
+    def begun(self) -> bool:
+        """Whether the arm and a posture of it are known; of a pull that begins earlier the start would be missing."""
+        return bool(self._postures)
+
     def take(self, names: list[str], positions: list[float], stamp: float) -> None:
         """One joint state [rad, m]. Other joints are left out, and what is too near the last one, in time or in way."""
         if self._chain is None or len(self._stamps) >= _MOST or not set(self._chain.names) <= set(names):
