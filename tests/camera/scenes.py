@@ -28,7 +28,7 @@ CAMERA_IN_WORLD = se3.transform(np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.
 
 @dataclass(frozen=True)
 class CameraScene:
-    """chain: as drawn. world: as built. q: as reported, (N, n). T: true T_frame_tool, (N, 4, 4). views: of the board."""
+    """chain: nominal. world: as built. q: as reported, (N, n). T: true T_frame_tool, (N, 4, 4). views: of the board."""
 
     chain: Chain
     world: World

@@ -43,7 +43,7 @@ READINGS: dict[str, Reading] = {
 
 
 def exact(kind: str, count: int = 40, seed: int = 3) -> Samples:
-    """Exact readings of the arm as drawn."""
+    """Exact readings of the nominal arm."""
     rng = np.random.default_rng(seed)
     w = worlds.world(seed, length_std=0.0, angle_std=0.0)
     facing = (RAY_FROM, RAY_ALONG, NORMAL, OFFSET)

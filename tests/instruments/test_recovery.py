@@ -127,7 +127,7 @@ def in_flange(w: World) -> Array:
 
 
 def test_a_wire_finds_its_anchor_its_zero_and_its_hook() -> None:
-    """The arm as drawn, so that flange and base mean what they say."""
+    """The nominal arm, so that flange and base mean what they say."""
     name = "tracker, wire of its own hook, theodolite"
     rng = np.random.default_rng(5)
     w = worlds.world(5, length_std=0.0, angle_std=0.0)
@@ -158,7 +158,7 @@ def test_bearings_alone_leave_the_scale_open_and_say_so() -> None:
 
 
 def test_the_ray_is_found_where_the_plane_is_known() -> None:
-    """A plane measured by the tracker; the arm as drawn, so that ray and tool mean what they say."""
+    """A plane measured by the tracker; the nominal arm, so that ray and tool mean what they say."""
     rng = np.random.default_rng(3)
     w = worlds.world(3, length_std=0.0, angle_std=0.0)
     q = worlds.facing(w, RAY_FROM, RAY_ALONG, NORMAL, OFFSET, 80, rng)

@@ -77,7 +77,7 @@ _TURN_OF_TWO = 0.1  # rad; by so much more may the second of two poses after a l
 _ON_THE_WAY = 0.7  # of two leaps, at most so much has either; two outliers seldom lie so
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
-_MENDING = 2  # rounds of thought that a model gets to follow a handle that has left its path
+_RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -177,7 +177,11 @@ class Tracker:
         elif self._beside >= _BESIDE and self._doubt is None and self._credit > 0:
             self._check.doubt(motion, a)
             self._credit, self._doubt = 0, self._selector.rounds
-        elif self._beside >= _BESIDE and self._doubt is not None and self._selector.rounds >= self._doubt + _MENDING:
+        elif (
+            self._beside >= _BESIDE
+            and self._doubt is not None
+            and self._selector.rounds >= self._doubt + _RECOVERY
+        ):
             self._forget()
             return a, off, twisted, "changed"
         return a, off, twisted, None

@@ -1,4 +1,4 @@
-"""A stated error of the arm as drawn, as a size of its parameters' prior."""
+"""A stated error of the nominal arm, as a size of its parameters' prior."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from modcal_core.geometry.so3 import Array
 
 
 def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
-    """The factor of the prior at which the arm as drawn is off by this RMS [m] at the tool, over postures q (M, n).
+    """The factor of the prior at which the nominal arm is off by this RMS [m] at the tool, over postures q (M, n).
 
     What base and tool can take of it is left out: camera and target are placed by the same images.
     """

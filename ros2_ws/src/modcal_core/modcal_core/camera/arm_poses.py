@@ -108,7 +108,7 @@ def arm_poses(
     fixed: Sequence[str] = (),
     hand_eye_only: bool = False,
 ) -> ArmPoses:
-    """The arm as drawn, base and tool where they were found first, with the parameters that a fit may change.
+    """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
 
     fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone.
     """

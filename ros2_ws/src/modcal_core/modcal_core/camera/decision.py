@@ -29,7 +29,7 @@ def decide(error: ToolError, metric: bool, problems: tuple[str, ...], stated_m: 
     """The decision over the postures that were asked for.
 
     metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
-    RMS error of the arm as drawn, as the user states it [m].
+    RMS error of the nominal arm, as the user states it [m].
     """
     worse = float((error.ratio >= 1.0).mean())
     middle, _, high = error.interval

@@ -89,7 +89,7 @@ def fit_camera(
     arm: float | None = None,
     fixed_sizes: bool = False,
 ) -> CameraFit:
-    """The fit from this lens and from base and tool of the poses' model, arm as drawn.
+    """The fit from this lens and from base and tool of the poses' model, nominal arm.
 
     sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
     sizes as they are.

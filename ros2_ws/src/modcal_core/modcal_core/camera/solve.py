@@ -1,7 +1,7 @@
 """The main path from corners and joints to a calibrated arm, and what it is worth in millimetres.
 
 Lens by homographies, the target's pose in each image, mounting and places in closed form, then one fit of everything;
-the same with the arm as drawn, to compare with; what was moved, what fits nothing, what the images leave open.
+the same with the nominal arm, to compare with; what was moved, what fits nothing, what the images leave open.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may diff
 
 @dataclass(frozen=True)
 class CameraSolution:
-    """fit: of everything. nominal: the same images, the arm as drawn. mounting: found first. lens_fit: from the images
+    """fit: of everything. nominal: the same images, the nominal arm. mounting: found first. lens_fit: from the images
     alone. left_out: images by reason. corners_out: share of corners left out. in_view, anywhere: error at the tool over
     the joint ranges of the images where the target is in view, and over all joint limits. decision: of the former.
     moved: what was moved between images. weak: sentences. shares: see weakness. held_out_px: (nominal, calibrated) RMS
@@ -74,7 +74,7 @@ class CameraSolution:
 
     @property
     def nominal_model(self) -> Model:
-        """The arm as drawn with camera and target placed by the same images."""
+        """The nominal arm with camera and target placed by the same images."""
         return self.nominal.poses.model_at(self.nominal.state.values)
 
 
@@ -97,7 +97,7 @@ def solve_camera(
     """The calibration of an arm from views of a target at joint positions q (N, n).
 
     size: of the images [px]. velocity: of the joints at the images, (N, n); None: it stood. lens: as stated, with what
-    becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the arm as drawn
+    becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the nominal arm
     [m], as stated. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat. fixed:
     parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
     """

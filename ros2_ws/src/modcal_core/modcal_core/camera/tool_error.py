@@ -2,7 +2,7 @@
 
 What counts is where the model has a point of the tool in the frame of the other half: the flange in the target's frame
 where the camera is carried, in the camera's where the target is. Errors over M postures are drawn from the fit's
-covariance; each draw has one RMS, and the interval is that of the draws. Of the arm as drawn, camera and target placed
+covariance; each draw has one RMS, and the interval is that of the draws. Of the nominal arm, camera and target placed
 by the same images, the same draws say what it is off by, so that the two can be compared draw by draw.
 """
 
@@ -41,7 +41,7 @@ class ToolError:
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
-        """The same of the arm as drawn."""
+        """The same of the nominal arm."""
         low, middle, high = np.quantile(self.nominal, [0.025, 0.5, 0.975])
         return float(middle), float(low), float(high)
 
@@ -52,7 +52,7 @@ class ToolError:
 
 
 def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Generator) -> ToolError:
-    """The errors over postures q (M, n). nominal: of the same images, the arm held as drawn."""
+    """The errors over postures q (M, n). nominal: of the same images, the arm held nominal."""
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
     point = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]  # the tip, in the tool

@@ -19,6 +19,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.consistency import Disagreement, limits, placed_by_most
+from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
@@ -38,13 +39,9 @@ def mispaired(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    if not is_serial_arm(chain) or not len(samples):
+    part = most_seen(samples, chain, _LEAST, _MOST)
+    if part is None or not is_serial_arm(chain):
         return None
-    f = int(np.argmax(np.bincount(samples.frame)))
-    rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
-    if len(rows) < _LEAST or samples.frames[f] in samples.sockets:
-        return None
-    part = samples.select(rows[np.argsort(samples.stamps[rows], kind="stable")][:_MOST])
     try:
         for said, order in _orders(part, chain):
             found = _in_order(part, chain, said, order)
