@@ -177,11 +177,7 @@ class Tracker:
         elif self._beside >= _BESIDE and self._doubt is None and self._credit > 0:
             self._check.doubt(motion, a)
             self._credit, self._doubt = 0, self._selector.rounds
-        elif (
-            self._beside >= _BESIDE
-            and self._doubt is not None
-            and self._selector.rounds >= self._doubt + _RECOVERY
-        ):
+        elif self._beside >= _BESIDE and self._doubt is not None and self._selector.rounds >= self._doubt + _RECOVERY:
             self._forget()
             return a, off, twisted, "changed"
         return a, off, twisted, None
