@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.calibration.model import Model
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.gauge import gauge, twists, without
+from modcal_core.report.base_and_tool import base_and_tool_motions, twists, without
 from modcal_core.robots.mechanism import is_serial_arm
 
 _MOST = 200  # postures; offsets are constant, and more say the same
@@ -45,7 +45,7 @@ def joint_offsets(model: Model, samples: Samples) -> JointOffsets | None:
     bare = replace(model, effects=(), T_frame_base=np.eye(4)[None])
     nominal = bare.with_chain(model.arm.chain)
     T = nominal.predict(q)
-    taken = gauge(T, turns)
+    taken = base_and_tool_motions(T, turns)
     apart = without(twists(T, bare.predict(q))[:, part], taken)
     moved = np.stack([twists(T, nominal.predict(q + _STEP * row))[:, part] / _STEP for row in np.eye(q.shape[1])])
     own = without(moved, taken)

@@ -21,8 +21,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.gauge import gauge as taken_by
-from modcal_core.report.gauge import twists, without
+from modcal_core.report.base_and_tool import base_and_tool_motions as taken_by
+from modcal_core.report.base_and_tool import twists, without
 
 _MOST = 300  # postures; the differences are smooth, and more say the same
 _DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it

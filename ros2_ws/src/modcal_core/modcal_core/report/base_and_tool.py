@@ -16,7 +16,7 @@ def twists(T: Array, to: Array) -> Array:
     return np.c_[to[:, :3, 3] - T[:, :3, 3], turn]
 
 
-def gauge(T: Array, turns: bool) -> Array:
+def base_and_tool_motions(T: Array, turns: bool) -> Array:
     """What small motions of base and tool do at poses T, (N, 6, 12); of positions alone (N, 3, 12)."""
     out = np.zeros((len(T), 6, 12))
     out[:, :3, :3] = out[:, 3:, 3:6] = np.eye(3)
