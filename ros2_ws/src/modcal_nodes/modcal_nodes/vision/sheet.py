@@ -22,7 +22,7 @@ _LINE = 0.15  # mm
 
 @dataclass(frozen=True)
 class PrintedSheet:
-    """pdf: its bytes. rulers_m: lengths of the rulers along x and y, as drawn [m]."""
+    """pdf: its bytes. rulers_m: lengths of the rulers along x and y, as the sheet has them [m]."""
 
     pdf: bytes
     rulers_m: tuple[float, float]
