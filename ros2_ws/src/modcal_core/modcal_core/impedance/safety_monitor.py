@@ -1,6 +1,6 @@
 """The guard: the last thing that every setpoint passes, and that nothing passes which an arm must not do.
 
-It corrects nothing. What is within all limits goes through as it is, the rest does not go at all; shaping a course so that
+It changes nothing. What is within all limits goes through, the rest does not; shaping a course so that
 it stays within them is done before (shaping.py, following.py). After a refusal that only means waiting (an input is
 late) the next good setpoint may follow from where the last one was; after any other the guard stays shut until it is
 opened anew.
