@@ -121,11 +121,38 @@ def test_what_is_wrong_with_all_of_them_is_named() -> None:
         prepare(changed("joints", "position", 1e9, slice(0, 30))(whole), ur10())
 
 
-def test_up_to_half_of_the_readings_are_left_out() -> None:
+def test_up_to_half_of_the_readings_are_left_out_and_more_than_single_ones_doubted() -> None:
     whole = stations(40)
+    assert prepare(changed("readings", "values", 1e16, slice(0, 2))(whole), ur10()).doubts == ()
+    few = prepare(changed("readings", "values", 1e16, slice(0, 3))(whole), ur10())
+    assert len(few.samples) == 37
+    (said,) = few.doubts
+    assert "too far away, or not of unit length, in 3 of 40 messages" in said
     assert len(prepare(changed("readings", "values", 1e16, slice(0, 20))(whole), ur10()).samples) == 20
     with pytest.raises(BadRecording, match="millimetres"):
         prepare(changed("readings", "values", 1e16, slice(0, 21))(whole), ur10())
+
+
+def test_what_is_left_out_too_often_makes_the_verdict_open() -> None:
+    from modcal_core.loop import calibrate
+
+    prepared = prepare(changed("readings", "values", 1e16, slice(0, 8))(stations(60)), ur10())
+    samples = replace(prepared.samples, origin=replace(prepared.samples.origin, doubts=prepared.doubts))
+    judged = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False).report.judged
+    assert judged.status == "open"
+    assert any("in 8 of 60 messages" in reason and "left out" in reason for reason in judged.open_because)
+
+
+@pytest.mark.parametrize("rows", [slice(0, 12), slice(20, 39)])
+def test_a_part_of_the_cells_in_millimetres_is_named(rows: slice) -> None:
+    """Where a few large numbers are left out, small ones in the same unit would be taken for metres."""
+    whole = stations(40)
+    values = whole.readings[0].values.copy()
+    values[:, 0] += 3.0  # of a tracker that stands some way off
+    values[rows, 0] *= 1e3
+    said = rf"units are mixed: {rows.stop - rows.start} of 40 readings hold numbers in x that look like millimetres"
+    with pytest.raises(BadRecording, match=said):
+        prepare(with_reading(whole, values=values), ur10())
 
 
 def test_recordings_of_several_days_are_kept() -> None:

@@ -69,7 +69,10 @@ def evaluate(
     grounds = Grounds(
         converged=converged,
         not_applied=applied.not_applied,
-        contradictions=doubtful(residuals, scored, samples, calibration.nominal.chain),
+        contradictions=(
+            *doubtful(residuals, scored, samples, calibration.nominal.chain),
+            *samples.origin.doubts,
+        ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),

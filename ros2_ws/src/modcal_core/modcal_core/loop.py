@@ -132,6 +132,7 @@ def calibrate(
             *contradictions_of_distances(distances),
             *contradicted_together(final, train, cell.distances),
             *doubtful(left, scored, samples, chain),
+            *samples.origin.doubts,
             *absurd,
             *long_tool(final.model),
         ),

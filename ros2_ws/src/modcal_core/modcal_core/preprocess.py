@@ -40,13 +40,14 @@ LONGEST_LATENCY = 0.025
 class Prepared:
     """Samples of a recording, what a person should know of how they came about, and how many readings are in none.
 
-    stated: what instruments say of their own error, as far as the data bear it out.
+    stated: what instruments say of their own error, as far as the data bear it out. doubts: what makes a verdict open.
     """
 
     samples: Samples
     notes: tuple[str, ...]
     dropped: Dropped = ()
     stated: Stated = field(default_factory=Stated)
+    doubts: tuple[str, ...] = ()
 
 
 def prepare(
@@ -76,7 +77,7 @@ def prepare(
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     lost = together([clean.lost, dropped(aligned, samples, rules, since, until)])
     own = own_statement(aligned, chain.names, rules)
-    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated)
+    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated, clean.doubts)
 
 
 def prepare_pieces(
@@ -92,6 +93,7 @@ def prepare_pieces(
     """
     samples, refused = before, None
     notes: dict[str, None] = {}
+    doubts: dict[str, None] = {}
     lost: list[Dropped] = []
     stated: list[Stated] = []
     for piece in pieces:
@@ -103,13 +105,14 @@ def prepare_pieces(
             lost.append(((UNUSABLE, sum(len(track.stamps) for track in piece.recording.readings)),))
             continue
         notes.update(dict.fromkeys(prepared.notes))
+        doubts.update(dict.fromkeys(prepared.doubts))
         lost.append(prepared.dropped)
         stated.append(prepared.stated)
         own = prepared.samples.between(piece.since, piece.until)
         samples = own if samples is None else samples.followed_by(own) if len(own) else samples
     if samples is None:
         raise refused or BadRecording("recording", "no message was received", "start the robot and the tracker")
-    return Prepared(samples, tuple(notes), together(lost), together_stated(stated))
+    return Prepared(samples, tuple(notes), together(lost), together_stated(stated), tuple(doubts))
 
 
 def _settle_delays(

@@ -50,7 +50,7 @@ class SampleMemory:
         """
         pieces = (Stretch(recording) for recording in self.recordings)
         prepared = prepare_pieces(pieces, chain, clock_limit=clock_limit, before=self.samples)
-        samples = prepared.samples
+        samples = replace(prepared.samples, origin=replace(prepared.samples.origin, doubts=prepared.doubts))
         lost = together([self.dropped, prepared.dropped])
         return (samples if most is None else thinned(samples, most)), prepared.notes, lost
 

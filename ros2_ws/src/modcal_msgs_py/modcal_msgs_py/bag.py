@@ -62,6 +62,7 @@ class Bag:
             title=Path(first.source).name,
             notes=prepared.notes,
             dropped=prepared.dropped,
+            doubts=prepared.doubts,
             began=began(first),
             sha256=digest(self.path),
             instrument=instruments(first, set(prepared.samples.frames)),

@@ -1,7 +1,8 @@
 """Messages of a recording that say nothing: numbers that are not finite or cannot be, lost targets, lost clocks.
 
-They are left out, counted and said. A recording is refused when nothing is left, or too little for what is asked of it;
-and, by what is wrong with it, where most of its messages are wrong, as those of a tracker that publishes millimetres.
+They are left out, counted and said. Where they are more than single wrong readings, the verdict is open for it. A
+recording is refused when nothing is left, or too little for what is asked of it; and, by what is wrong with it, where
+most of its messages are wrong, as those of a tracker that publishes millimetres, or a part of them in another unit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import joint_limits
+from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_core.robots.mechanism import Mechanism
@@ -25,8 +27,10 @@ IMPLAUSIBLE = "readings that cannot be (too far away, or not of unit length)"
 ELSEWHEN = "stamped at another time than all others"
 _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
-_MOST = 0.5  # share of implausible readings beyond which they are no glitches but what the instrument says
-_GLITCHES = 0.05  # the same of joint positions and stamps, and of efforts, which are steadier than a tracker
+_MOST = 0.5  # share of implausible readings beyond which the plausible ones are the exception
+_GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
+_MILLI = 1e-3  # what coordinates in millimetres are to be multiplied by
+_WITHIN = 0.8  # share of the implausible readings that are plausible as millimetres, from which they are
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
 DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
@@ -34,11 +38,15 @@ DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stam
 
 @dataclass(frozen=True)
 class Cleaned:
-    """A recording of what says something, a sentence for each topic, and what was left out, by reason."""
+    """A recording of what says something, a sentence for each topic, and what was left out, by reason.
+
+    doubts: the same sentences of topics that are wrong too often for single wrong messages; they make a verdict open.
+    """
 
     recording: Recording
     notes: tuple[str, ...] = ()
     lost: tuple[tuple[str, int], ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | None = None) -> Cleaned:
@@ -48,16 +56,17 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
     BadRecording where nothing is left of a track that is needed.
     """
     notes: list[str] = []
+    doubts: list[str] = []
     lost = dict(recording.lost)
-    joints = tuple(_joints(track, names, chain, notes, lost) for track in recording.joints)
+    joints = tuple(_joints(track, names, chain, notes, lost, doubts) for track in recording.joints)
     reach = 0.0 if chain is None else chain.reach()
-    readings = tuple(_readings(track, reach, notes, lost) for track in recording.readings)
+    readings = tuple(_readings(track, reach, notes, lost, doubts) for track in recording.readings)
     signals = tuple(_signals(track) for track in recording.signals)
     before, after = (recording.joints, recording.readings, recording.signals), (joints, readings, signals)
     if all(a is b for old, new in zip(before, after, strict=True) for a, b in zip(old, new, strict=True)):
         return Cleaned(recording, (), tuple(lost.items()))
     clean = replace(recording, joints=joints, readings=readings, signals=signals)
-    return Cleaned(clean, tuple(notes), tuple(lost.items()))
+    return Cleaned(clean, tuple(notes), tuple(lost.items()), tuple(doubts))
 
 
 def elsewhen(stamps: Array) -> np.ndarray:
@@ -73,7 +82,12 @@ def elsewhen(stamps: Array) -> np.ndarray:
 
 
 def _joints(
-    track: JointTrack, names: tuple[str, ...], chain: Mechanism | None, notes: list[str], lost: dict[str, int]
+    track: JointTrack,
+    names: tuple[str, ...],
+    chain: Mechanism | None,
+    notes: list[str],
+    lost: dict[str, int],
+    doubts: list[str],
 ) -> JointTrack:
     """The rows of a track that say where the named joints are that it carries."""
     mine = [j for j, name in enumerate(track.names) if name in names]
@@ -96,6 +110,8 @@ def _joints(
             _count(lost, reason, int(those.sum()))
             of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
             notes.append(_sentence(track.topic, those, track.stamps, what + of))
+            if reason == BEYOND and those.mean() > _GLITCHES:
+                doubts.append(_too_often(notes[-1]))
     keep = ~(rows | other | far)
     if not keep.all():
         track = replace(
@@ -151,7 +167,9 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
     return replace(track, velocity=changed.get("velocity", track.velocity), effort=changed.get("effort", track.effort))
 
 
-def _readings(track: ReadingTrack, reach: float, notes: list[str], lost: dict[str, int]) -> ReadingTrack:
+def _readings(
+    track: ReadingTrack, reach: float, notes: list[str], lost: dict[str, int], doubts: list[str]
+) -> ReadingTrack:
     """The readings of a track that are finite and plausible, and that have an orientation where there is one."""
     if track.kind not in kinds() or not len(track.stamps):
         return track
@@ -172,6 +190,8 @@ def _readings(track: ReadingTrack, reach: float, notes: list[str], lost: dict[st
     odd &= ~other
     if odd.sum() > _MOST * (~rows).sum():
         odd[:] = False  # what is wrong with them is said when they are checked
+    elif odd.sum() > _GLITCHES * (~rows).sum():
+        _require_one_unit(track, ~rows, odd, reach)
     for reason, those, what in (
         (READINGS, broken, "not finite"),
         (TARGETS, gone, "without a target"),
@@ -181,8 +201,43 @@ def _readings(track: ReadingTrack, reach: float, notes: list[str], lost: dict[st
         if those.any():
             _count(lost, reason, int(those.sum()))
             notes.append(_sentence(name, those, track.stamps, what))
+            if reason == IMPLAUSIBLE and those.sum() > _GLITCHES * (~(broken | gone)).sum():
+                doubts.append(_too_often(notes[-1]))
     rows = rows | other | odd
     return track.rows(~rows) if rows.any() else track
+
+
+def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:
+    """Raises BadRecording where the implausible ones of whole readings are plausible with millimetres in some cells.
+
+    So they are where a part was recorded in another unit, or an export writes short lengths in millimetres: then what
+    is left may hold such numbers as well, which are only small enough to be metres.
+    """
+    if not kinds()[track.kind].direct:
+        return
+    values, kind = track.values[odd].copy(), kinds()[track.kind]
+    most = farthest(reach)
+    large = np.abs(values[:, :3]) > most
+    values[:, :3] = np.where(large, _MILLI * values[:, :3], values[:, :3])
+    good = track.values[whole & ~odd, :3]
+    near = np.abs(values[:, :3] - np.median(good, axis=0)) < reach + np.ptp(good, axis=0)
+    fits = ~kind.implausible(values, reach) & near.all(axis=1) & large.any(axis=1)
+    if fits.mean() < _WITHIN:
+        return
+    n, of, first = int(odd.sum()), int(whole.sum()), float(track.stamps[int(np.argmax(odd))])
+    columns = " and ".join(axis for axis, some in zip("xyz", large.any(axis=0), strict=True) if some)
+    which = "" if large.all(axis=1).mean() > _WITHIN else f" in {columns}"
+    raise BadRecording(
+        f"{track.topic} ({track.frame})",
+        f"units are mixed: {n} of {of} readings hold numbers{which} that look like millimetres, beside others in "
+        f"metres, first at {first:.3f} s",
+        "write all positions in metres, and record or export again",
+    )
+
+
+def _too_often(note: str) -> str:
+    """What a verdict says of a note."""
+    return f"{note.removesuffix(': left out.')}: left out, and too often for single wrong messages."
 
 
 def _signals(track: SignalTrack) -> SignalTrack:

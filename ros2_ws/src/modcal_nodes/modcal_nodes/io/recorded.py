@@ -89,6 +89,7 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
         one,
         notes=notes,
         dropped=together([one.dropped, two.dropped]),
+        doubts=(*one.doubts, *two.doubts),
         instrument_mm=stated.instrument_mm,
         instrument_deg=stated.instrument_deg,
     )
