@@ -2,8 +2,8 @@
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
 times is named. When none does, one channel of the recording may not go along with the rest
-(:mod:`channels`), or only a part of the stations, or one joint (:mod:`consistency`); else the robot or the pairing as a
-whole is wrong.
+(:mod:`channels`), or follow another link (:mod:`links`), or only a part of the stations, or one joint
+(:mod:`consistency`), or joints are mixed (:mod:`joint_map`); else the robot or the pairing as a whole is wrong.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.joint_map import mixed_joints
+from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
@@ -68,7 +70,13 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     whole = samples if whole is None else whole
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
-        alone = disagreeing_channel(whole, chain) or written_otherwise(whole, chain) or mispaired(whole, chain)
+        alone = (
+            disagreeing_channel(whole, chain)
+            or written_otherwise(whole, chain)
+            or mispaired(whole, chain)
+            or other_link(whole, chain)
+            or (mixed_joints(whole, chain) if best[1] else None)  # which explains it wholly, where the lists do not
+        )
         if alone is not None:
             raise BadRecording(alone.what, said, alone.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():
@@ -83,7 +91,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     found = disagreement(few, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
-    described = wrong_description(whole, chain)
+    described = wrong_description(whole, chain) or mixed_joints(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
     if (wander := _wander(samples)) > _WANDER * missed:

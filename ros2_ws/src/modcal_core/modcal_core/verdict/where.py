@@ -11,6 +11,8 @@ from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
 from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.joint_map import mixed_joints
+from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.screening import wrong_joints
 from modcal_core.verdict.case import Case, derivatives, weights
@@ -82,7 +84,7 @@ def _apart(case: Case) -> Iterator[str]:
         return
     other, chain = None, case.model.chain
     if case.wrong.mean() > 0.5 or not case.fitted:  # something is wrong throughout; a base found again hides how much
-        looks = (disagreeing_channel, written_otherwise, wrong_joints)
+        looks = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
         other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
     if other is not None:

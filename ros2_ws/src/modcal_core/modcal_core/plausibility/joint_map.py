@@ -1,0 +1,238 @@
+"""Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for.
+
+Drivers report motors where joints are meant: sums and differences of a differential wrist, counts of another gear,
+zeros of another table. With positions q of the joints as M times the reported ones and c, base, tool, M and c are found
+together by least squares, from the columns as they are and from such mixtures of two columns as fit best in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.consistency import Disagreement, limits
+from modcal_core.plausibility.mistakes import Mistake
+from modcal_core.plausibility.most_seen import most_seen
+from modcal_core.plausibility.screening import most_likely
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import frames, spatial_jacobian
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+
+_LEAST = 40  # stations; some seventy numbers are fitted to three or six of each
+_MOST = 100  # the same at most
+_STARTS = 6  # likeliest mixtures that are refined beside the columns as they are
+_ROUNDS = 40  # iterations
+_TURNED = 4.0  # times the limit of angles that a joint must be off by at the usual station to be named
+_SETTLED = 1e-3  # relative change of the cost at which a fit has settled
+_WHOLE = 0.02  # by which a coefficient may miss a simple fraction that is said in its place
+
+
+def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """Joints whose reported positions are a linear mixture of what they should be, None where that explains nothing.
+
+    samples: all of them; in a frame of several, that with most readings is looked at.
+    """
+    part = most_seen(samples, chain, _LEAST, 10 * _MOST)
+    if part is None or not is_serial_arm(chain):
+        return None
+    part = part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
+    moved = part.q.std(axis=0) > 0.0
+    starts = [np.eye(chain.n), *(m for m in _likely(part, chain))]
+    try:
+        for M in starts:
+            fit = _fitted(part, chain, M, moved)
+            if fit is not None:
+                return _said(fit, part, chain)
+    except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
+        return None
+    return None
+
+
+@dataclass(frozen=True)
+class _Map:
+    """Positions of the joints are ``q M.T + c`` of the reported ones."""
+
+    M: Array
+    c: Array
+
+
+def _likely(samples: Samples, chain: Chain) -> list[Array]:
+    """The mixtures of two columns that are worth a fit."""
+    matrices = list(_mixtures(chain.n))
+    mistakes = [
+        Mistake("", str(k), lambda s, M=M: replace(s, q=s.q @ M.T), "joints")  # type: ignore[misc]
+        for k, M in enumerate(matrices)
+    ]
+    try:
+        return [matrices[int(m.remedy)] for m in most_likely(samples, chain, mistakes, _STARTS)]
+    except np.linalg.LinAlgError:
+        return []
+
+
+def _mixtures(n: int) -> Iterator[Array]:
+    """What undoes sums, differences and means of two columns, and one in another's place with its sign."""
+    for i, j in combinations(range(n), 2):
+        for values in product((-1.0, 0.0, 1.0), repeat=4):
+            B = np.array(values).reshape(2, 2)
+            det = float(B[0, 0] * B[1, 1] - B[0, 1] * B[1, 0])
+            if det == 0.0:
+                continue
+            for scale in (1.0, 2.0) if abs(det) == 2.0 else (1.0,):
+                M = np.eye(n)
+                M[np.ix_((i, j), (i, j))] = scale * np.linalg.inv(B)
+                yield M
+
+
+def _fitted(samples: Samples, chain: Chain, M: Array, moved: np.ndarray) -> _Map | None:
+    """The map from this start, where a nominal arm misses by no more than its own errors with it; None otherwise."""
+    angle, distance = limits(chain)
+    n, poses = chain.n, bool(samples.is_pose.all())
+    c = np.zeros(n)
+    A = frames(chain, samples.q @ M.T).transform(-1)
+    Y, X = _turns(A, samples, poses)
+    _, x, t = tool_and_place(Y, A, samples.reading)
+    scale = np.array([angle, distance])
+    damping, cost = 1e-3, np.inf
+    state = (M, c, Y, X, x, t)
+    for _ in range(_ROUNDS):
+        r, G = _rows(samples, chain, state, moved, poses, scale)
+        square = np.sum(r**2, axis=1)
+        now = float(np.sum(np.log1p(square)))
+        if now > cost and damping < 1e4:
+            damping *= 8.0
+            state = before
+            r, G, square = kept
+        else:
+            settled = cost - now < _SETTLED * abs(now)
+            cost, damping = now, max(damping / 4.0, 1e-6)
+            if settled:
+                break
+        before, kept = state, (r, G, square)
+        weight = 1.0 / (1.0 + square)  # Cauchy
+        flat = G.reshape(-1, G.shape[2])
+        H = (flat.T * np.repeat(weight, r.shape[1])) @ flat
+        g = flat.T @ (np.repeat(weight, r.shape[1]) * r.ravel())
+        D = np.diag(H)
+        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), g)
+        state = _stepped(state, step, moved)
+    turned, gap = _left(samples, chain, state, poses)
+    if float(np.median(gap)) > distance or float(np.median(turned)) > angle:
+        return None
+    return _Map(state[0], state[1])
+
+
+_State = tuple[Array, Array, Array, Array, Array, Array]
+
+
+def _turns(A: Array, samples: Samples, poses: bool) -> tuple[Array, Array]:
+    if poses:
+        Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
+        return np.asarray(Y), np.asarray(X)
+    return base_by_positions(A[None], samples.reading[None])[0], np.eye(3)
+
+
+def _rows(
+    samples: Samples, chain: Chain, state: _State, moved: np.ndarray, poses: bool, scale: Array
+) -> tuple[Array, Array]:
+    """Residuals (N, k) in units of what a nominal arm misses by, and how a step reduces them, (N, k, parameters)."""
+    M, c, Y, X, x, t = state
+    q = samples.q @ M.T + c
+    f = frames(chain, q)
+    A, J = f.transform(-1), spatial_jacobian(chain, q, f)
+    a, N = A[:, :3, :3], len(q)
+    point = se3.apply(A, x)
+    gap = samples.reading - (point @ Y.T + t)
+    by_joint = Y @ (J[:, :3] + np.cross(J[:, 3:], point[:, :, None], axis=1))  # (N, 3, n)
+    reported = samples.q[:, moved]
+    # columns: M by rows, c, turn of the base, place of the base, tool point, turn of the tool
+    mixed = (by_joint[..., None] * reported[:, None, None, :]).reshape(N, 3, -1)
+    eye = np.broadcast_to(np.eye(3), (N, 3, 3))
+    G = np.concatenate([mixed, by_joint, -Y @ so3.hat(point), eye, Y @ a, np.zeros((N, 3, 3))], axis=2) / scale[1]
+    r = gap / scale[1]
+    if poses:
+        turn = turns_left(Y, a, X, samples.R)
+        to_tool = np.swapaxes(a @ X, 1, 2)
+        by = to_tool @ J[:, 3:]
+        mixed = (by[..., None] * reported[:, None, None, :]).reshape(N, 3, -1)
+        none = np.zeros((N, 3, 6))
+        turning = np.concatenate([mixed, by, to_tool, none, eye], axis=2) / scale[0]
+        r, G = np.concatenate([r, turn / scale[0]], axis=1), np.concatenate([G, turning], axis=1)
+    return r, G
+
+
+def _stepped(state: _State, step: Array, moved: np.ndarray) -> _State:
+    M, c, Y, X, x, t = state
+    n, k = len(c), int(moved.sum())
+    dM = np.zeros((n, n))
+    dM[:, moved] = step[: n * k].reshape(n, k)
+    rest = step[n * k :]
+    turn, tool = (v * min(1.0, 1.0 / max(float(np.linalg.norm(v)), 1e-12)) for v in (rest[n : n + 3], rest[-3:]))
+    return M + dM, c + rest[:n], Y @ so3.exp(turn), X @ so3.exp(tool), x + rest[n + 6 : n + 9], t + rest[n + 3 : n + 6]
+
+
+def _left(samples: Samples, chain: Chain, state: _State, poses: bool) -> tuple[Array, Array]:
+    """Angles [rad] and distances [m] that are left, (N,)."""
+    M, c, Y, X, x, t = state
+    A = frames(chain, samples.q @ M.T + c).transform(-1)
+    gap = np.linalg.norm(samples.reading - (se3.apply(A, x) @ Y.T + t), axis=1)
+    if not poses:
+        return np.zeros(len(gap)), gap
+    return np.linalg.norm(turns_left(Y, A[:, :3, :3], X, samples.R), axis=1), gap
+
+
+def _said(fit: _Map, samples: Samples, chain: Chain) -> Disagreement | None:
+    """What is said of a map: the joints that it changes by more than errors of an arm, and how."""
+    names, q = samples.names or chain.names, samples.q
+    least = _TURNED * limits(chain)[0]
+    off = q @ (fit.M - np.eye(chain.n)).T
+    shift = off.mean(axis=0) + fit.c
+    varies = [i for i in range(chain.n) if off[:, i].std() > least]
+    # the zeros of the first and the last joint are as well base and tool
+    shifted = [i for i in range(1, chain.n - 1) if i not in varies and abs(np.sin(0.5 * shift[i])) > 0.5 * least]
+    if not varies and not shifted:
+        return None
+    said = []
+    for i in varies:
+        terms = [j for j in range(chain.n) if abs(fit.M[i, j]) * q[:, j].std() > least]
+        said.append(f"{names[i]} = {_sum([(fit.M[i, j], names[j]) for j in terms])}")
+    mixed = [i for i in varies if any(abs(fit.M[i, j]) * q[:, j].std() > least for j in range(chain.n) if j != i)]
+    who = _and([names[i] for i in varies])
+    what = []
+    if mixed:
+        what.append(f"positions of {who} look mixed with each other or with others, as those of motors: {'; '.join(said)}")
+    elif varies:
+        what.append(f"positions of {who} look counted in another scale: {'; '.join(said)}")
+    if shifted:
+        each = _and([f"{names[i]} by {np.degrees(np.angle(np.exp(1j * shift[i]))):.1f}°" for i in shifted])
+        what.append(f"zeros of joints look different: {each}")
+    remedy = f"check how the positions of {_and([names[i] for i in sorted({*varies, *shifted})])} get into joint_states"
+    return Disagreement(", and ".join(what), remedy, len(samples), len(samples))
+
+
+def _sum(terms: list[tuple[float, str]]) -> str:
+    if not terms:
+        return "constant"
+    out = ""
+    for value, name in terms:
+        size = _simple(abs(value))
+        sign = ("-" if value < 0 else "") if not out else (" - " if value < 0 else " + ")
+        out += f"{sign}{size}{name}"
+    return out
+
+
+def _simple(value: float) -> str:
+    for whole in (0.5, 1.0, 2.0):
+        if abs(value - whole) < _WHOLE * whole:
+            value = whole
+    return "" if value == 1.0 else f"{value:.3g} "
+
+
+def _and(names: list[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
