@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 
 # Read by OpenBLAS, OpenMP, MKL, BLIS and Accelerate once, when they are loaded
 VARIABLES = (
@@ -25,6 +26,7 @@ def limit_blas() -> None:
     before = {os.environ.get(name) for name in VARIABLES}
     os.environ.update(dict.fromkeys(VARIABLES, "1"))  # for what is loaded from here on, such as SciPy's own BLAS
     if "numpy" in sys.modules and before != {"1"}:
-        from threadpoolctl import threadpool_limits
+        with suppress(ModuleNotFoundError):  # beside ROS from apt, where it costs time only
+            from threadpoolctl import threadpool_limits
 
-        threadpool_limits(limits=1, user_api="blas")
+            threadpool_limits(limits=1, user_api="blas")
