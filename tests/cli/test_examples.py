@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from importlib.metadata import PackagePath, PathDistribution
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,21 @@ def test_an_installation_without_them_says_so(
     monkeypatch.setattr("modcal_nodes.cli.examples._of_checkout", lambda root: {})
     assert run(["examples"]) == 2
     assert "not part of this installation" in capsys.readouterr().err
+
+
+def test_of_an_installation_only_what_was_shipped_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pip lists what it compiled, too; what is elsewhere in the installation is no example."""
+    kept = tmp_path / "share" / "modcal" / "examples"
+    for name in ("a.py", "__pycache__/a.cpython-312.pyc", "../../other/b.py"):
+        (kept / name).parent.mkdir(parents=True, exist_ok=True)
+        (kept / name).write_text("1")
+    listed = [PackagePath(file.relative_to(tmp_path).as_posix()) for file in tmp_path.rglob("*.py*") if file.is_file()]
+    for one in listed:
+        one.dist = PathDistribution(tmp_path / "modcal.dist-info")
+    monkeypatch.setattr("modcal_nodes.cli.examples.files", lambda name: listed)
+    assert run(["examples", str(tmp_path / "here")]) == 0
+    assert len(listed) == 3
+    assert [file.name for file in (tmp_path / "here").rglob("*") if file.is_file()] == ["a.py"]
 
 
 def test_every_folder_of_examples_is_stated() -> None:

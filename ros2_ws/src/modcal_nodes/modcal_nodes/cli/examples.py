@@ -52,7 +52,9 @@ def _shipped() -> dict[str, Path]:
     except PackageNotFoundError:  # built by colcon: three packages, and no distribution
         listed = []
     found = {
-        file.as_posix().partition(_KEPT)[2]: Path(str(file.locate())) for file in listed if _KEPT in file.as_posix()
+        file.as_posix().partition(_KEPT)[2]: Path(str(file.locate()))
+        for file in listed
+        if _KEPT in file.as_posix() and file.suffix != ".pyc"  # pip lists what it compiled
     }
     if found := found or _of_checkout(Path(__file__).resolve().parents[5]):
         return found
