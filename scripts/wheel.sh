@@ -8,7 +8,7 @@ out=$(realpath -m "${1:-dist}")
 copy=$(mktemp -d)
 trap 'rm -rf "$copy"' EXIT
 packages=(ros2_ws/src/modcal_core ros2_ws/src/modcal_msgs_py ros2_ws/src/modcal_nodes)
-tar --exclude=__pycache__ --exclude='*.egg-info' --exclude=build -cf - pyproject.toml README.md LICENSE "${packages[@]}" | tar -xf - -C "$copy"
+tar --exclude=__pycache__ --exclude='*.egg-info' --exclude=build -cf - pyproject.toml README.md LICENSE examples bags "${packages[@]}" | tar -xf - -C "$copy"
 rm -rf "$out"/modcal-*.whl
 if ! said=$(.venv/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --no-index --disable-pip-version-check --wheel-dir "$out" "$copy" 2>&1); then
     printf '%s\n' "$said" >&2

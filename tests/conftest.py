@@ -17,7 +17,13 @@ PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Set before NumPy or rclpy is imported, and inherited by every process that a test starts.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+for _name in (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

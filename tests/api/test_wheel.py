@@ -20,7 +20,6 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "ros2_ws" / "src"
-BAG = ROOT / "bags" / "ur10_cell"
 SHIPPED = (".py", ".typed", ".css", ".html", ".j2", ".js", ".yaml", ".xml")
 STATED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -54,8 +53,18 @@ def test_every_module_template_and_table_is_in_it(wheel: Path) -> None:
     wanted = {name for _, name in modules()}
     assert len(wanted) > 300
     assert not wanted - there
-    assert {name for name in there if name.endswith(".py")} <= wanted
+    assert {name for name in there if name.endswith(".py") and "/share/" not in name} <= wanted
     assert any(name.endswith("config/calibrator.yaml") for name in there)
+
+
+def test_the_examples_are_in_it(wheel: Path) -> None:
+    """All but what runs in a checkout only; without git, what a clone has."""
+    listed = subprocess.run(["git", "ls-files", "examples", "bags"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("no clone")
+    wanted = {name for name in listed.stdout.splitlines() if not name.endswith(".sh")}
+    there = {name.partition("share/modcal/")[2] for name in zipfile.ZipFile(wheel).namelist()} - {""}
+    assert there == wanted
 
 
 def test_it_states_version_command_and_dependencies(wheel: Path) -> None:
@@ -92,7 +101,11 @@ def test_every_module_that_is_imported_is_a_dependency() -> None:
 
 
 def test_the_command_runs_from_it_without_ros(site: Path, tmp_path: Path) -> None:
-    """In a process that sees neither the workspace nor ROS: the five lines on the demo's recording."""
+    """In a process that sees neither the workspace nor ROS: the README's first way in, on the examples of the wheel."""
+    readme = (ROOT / "README.md").read_text()
+    blocks = "".join(re.findall(r"^```bash\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
+    ways = [line.split()[1:] for line in re.findall(r"^modcal .*", blocks, re.MULTILINE) if " my_arm" in line]
+    assert [words[0] for words in ways] == ["import", "calibrate"]
     program = f"""
 import sys
 sys.path[:] = [p for p in sys.path if "ros2_ws" not in p]
@@ -103,8 +116,11 @@ import modcal, modcal_nodes
 assert modcal.__file__.startswith({str(site)!r}) and modcal_nodes.__file__.startswith({str(site)!r})
 from modcal_nodes.cli.main import run
 assert run(["--help"]) == 0
-assert run(["info", {str(BAG)!r}]) == 0
-assert run(["calibrate", {str(BAG)!r}, "--geometry-only", "--out", "out"]) == 0
+assert run(["examples"]) == 0
+assert run(["info", "bags/ur10_cell"]) == 0
+for words in {ways!r}:
+    assert run(words) == 0
+assert run(["calibrate", "bags/ur10_cell", "--geometry-only", "--out", "out"]) == 0
 sys.exit(run(["watch"]))
 """
     clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "AMENT_PREFIX_PATH")}
@@ -113,6 +129,13 @@ sys.exit(run(["watch"]))
     assert "modcal: watch: needs rclpy" in done.stderr
     assert "Calibrate" in done.stdout or "calibrate" in done.stdout
     assert {"report.html", "report.json", "calibrated.urdf"} <= {p.name for p in (tmp_path / "out").iterdir()}
+    assert "PASS" in done.stdout
+    assert (
+        subprocess.run(
+            ["diff", "-r", "examples/tables/sockets", ROOT / "examples/tables/sockets"], cwd=tmp_path
+        ).returncode
+        == 0
+    )
 
 
 def test_colcon_does_not_take_the_root_for_a_package() -> None:

@@ -102,7 +102,9 @@ def test_what_commands_for_ros_name_exists(page: Path) -> None:
         command = line.partition("#")[0].replace("$ ", "").split()
         if not command or command[:2] in (["source", "env.bash"], ["ros2", "bag"]):
             continue
-        if command[0] == "make":
+        if command[:2] == ["pip", "install"]:
+            assert command[2] in ("modcal-*.whl", "."), line
+        elif command[0] == "make":
             assert re.search(rf"^{command[1]}:", makefile, re.MULTILINE), line
         elif command[:3] == ["ros2", "run", "modcal_nodes"]:
             declared = getattr(parameters, command[3].upper())

@@ -10,6 +10,7 @@ from modcal_core.measurements.approach import TRAVEL
 LEAST_RETURNS = 6  # to as many distinct postures; a spread of 18 degrees of freedom is known to about a sixth
 SAME = 1e-3  # rad or m; controllers come back to some 1e-4, and a model corrects for what is left
 LEFT = 2e-2  # rad or m; what a joint must move in between, far beyond backlash and settling
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # golden ratio: no two of its multiples are near each other, modulo 1
 
 
 def returns(q: Array, approach: Array | None = None) -> list[np.ndarray]:
@@ -42,7 +43,7 @@ def returns(q: Array, approach: Array | None = None) -> list[np.ndarray]:
 def _alike(q: Array) -> list[list[int]]:
     """Rows of q (N, n) of the same posture, for each that stands there more than once, in order."""
     # On a line in no special direction postures that are alike are neighbours, and hardly any others
-    along = np.random.default_rng(0).uniform(0.5, 1.0, q.shape[1])
+    along = 0.5 + 0.5 * (_GOLDEN * np.arange(1, q.shape[1] + 1) % 1.0)
     x = q @ along
     order = np.argsort(x, kind="stable")
     limit = SAME * float(np.sum(along))

@@ -28,9 +28,18 @@ def is_kinematic(path: Path) -> bool:
 
 
 def proposed(
-    tables: Sequence[Path], urdf: Path, base: str | None, tip: str | None, mapping: Path | None, output: Output
+    tables: Sequence[Path],
+    urdf: Path,
+    base: str | None,
+    tip: str | None,
+    mapping: Path | None,
+    out: Path | None,
+    output: Output,
 ) -> tuple[Proposal, Path]:
-    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
+    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
+
+    out: the bag that is made of them at once, where nothing is left to ask.
+    """
     path = mapping or Path(f"{tables[0].stem}.yaml")
     if path.exists():
         raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
@@ -42,7 +51,8 @@ def proposed(
         made = proposal(find(tables, chain, watch), os.path.relpath(urdf.resolve(), path.resolve().parent))
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
-    following = f"next: modcal import {path}{data}" if not made.open else f"answer, then: modcal import {path}{data}"
+    again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
+    following = f"answer, then: {again}" if made.open else f"after an edit: {again}" if out else f"next: {again}"
     lines = [
         *(f"proved: {said}" for said in made.proved),
         *(f"assumed: {said}" for said in made.assumed),

@@ -84,7 +84,7 @@ def import_command(
     """  # fmt: skip
     first = sources[0]
     if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, base, tip, mapping, output)
+        made, path = proposed(sources, urdf, base, tip, mapping, out, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
@@ -131,7 +131,7 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
     stations = sum(len(r.stamps) for r in recording.readings)
     left_out = [note for note in recording.warnings if "left out" in note]
     found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
-    line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}"
+    line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}; next: modcal calibrate {out}"
     output.result(found, partial(tell, [*left_out, line]))
 
 

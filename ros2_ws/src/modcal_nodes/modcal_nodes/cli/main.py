@@ -17,6 +17,7 @@ from click.shell_completion import CompletionItem
 
 import modcal_core
 from modcal_core.errors import ModcalError, plain
+from modcal_nodes.one_thread import limit_blas
 
 # Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
 # the readers of bags take a second or two, which a request for help should not.
@@ -40,10 +41,12 @@ VERBS = {
     "watch": ("watch", "watch_command", "Show the status of all nodes of a cell, live."),
     "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
     "door": ("door", "door_command", "Open a simulated door or drawer with the nodes, and report."),
+    "examples": ("examples", "examples_command", "Copy the examples that the documentation uses into a folder."),
     "completion": ("completion", "completion_command", "Print the script for completion in bash, zsh or fish."),
 }
 # The same in the order of work, as the list shows them
 GROUPS = {
+    "Begin": ("examples",),
     "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
     "Get and look at a recording": ("import", "info", "repair"),
     "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
@@ -182,6 +185,7 @@ def _refuse(line: str) -> int:
 
 def main() -> None:
     """Entry point of the executable."""
+    limit_blas()
     sys.exit(run())
 
 

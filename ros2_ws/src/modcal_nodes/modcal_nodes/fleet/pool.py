@@ -14,11 +14,10 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 
 from modcal_nodes.fleet.task import FAILED, Outcome, Task
+from modcal_nodes.one_thread import VARIABLES
 from modcal_nodes.ros.child_process import settle_in
 
 _TRIES = 2
-# each process does one thing at a time; more threads would only stand in each other's way
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -106,8 +105,9 @@ def _serve(connection: Connection, work: Callable[[Task], Outcome]) -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    """What is started meanwhile has BLAS on one thread, also in a program that has not limited its own."""
+    before = {name: os.environ.get(name) for name in VARIABLES}
+    os.environ.update(dict.fromkeys(VARIABLES, "1"))
     try:
         yield
     finally:

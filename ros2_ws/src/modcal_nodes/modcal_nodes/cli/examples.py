@@ -1,0 +1,76 @@
+"""``modcal examples``: the example files of the documentation, out of the installation into a folder."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections import Counter
+from functools import partial
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+
+import click
+
+from modcal_core.errors import BadCommand
+from modcal_nodes.cli.console import Output, speaking, tell
+
+_KEPT = "share/modcal/"  # where pyproject.toml puts them, below the prefix of the installation
+_FIRST = (
+    "modcal import examples/tables/tracker.csv --urdf examples/robots/ur10.urdf --out my_arm",
+    "modcal calibrate my_arm --tolerance-mm 0.2",
+)
+
+
+@click.command("examples")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=".")
+@speaking
+def examples_command(folder: Path, output: Output) -> None:
+    """Copy the example tables, robots, scripts and a recording into FOLDER. Default: the current one.
+
+    They stand in FOLDER/examples and FOLDER/bags, as in a checkout: what README and documentation name is found there.
+    """
+    found = _shipped()
+    names = sorted({name.partition("/")[0] for name in found})
+    for name in names:
+        if (folder / name).exists():
+            raise BadCommand(str(folder / name), "is there already", "give another folder: modcal examples FOLDER")
+    for name, source in found.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, folder / name)
+    count = Counter(name.partition("/")[0] for name in found)
+    here = "" if folder == Path() else f" in {folder}"
+    said = ["Written: " + ", ".join(f"{folder / name} ({count[name]} files)" for name in names), f"Try{here}:"]
+    output.result(
+        {"folder": str(folder), "files": sorted(found)}, partial(tell, [*said, *(f"  {one}" for one in _FIRST)])
+    )
+
+
+def _shipped() -> dict[str, Path]:
+    """Where each example is, by its path in a checkout: of an installed distribution, else of the checkout itself."""
+    try:
+        listed = files("modcal") or []
+    except PackageNotFoundError:  # built by colcon: three packages, and no distribution
+        listed = []
+    found = {
+        file.as_posix().partition(_KEPT)[2]: Path(str(file.locate()))
+        for file in listed
+        if _KEPT in file.as_posix() and file.suffix != ".pyc"  # pip lists what it compiled
+    }
+    if found := found or _of_checkout(Path(__file__).resolve().parents[5]):
+        return found
+    raise BadCommand("examples", "are not part of this installation", "take the folder examples of the checkout")
+
+
+def _of_checkout(root: Path) -> dict[str, Path]:
+    """The files that the distribution would bring, where this is a checkout."""
+    stated = root / "pyproject.toml"
+    if not stated.is_file() or not (root / "examples").is_dir():
+        return {}
+    data_files = tomllib.loads(stated.read_text(encoding="utf-8"))["tool"]["setuptools"]["data-files"]
+    return {
+        str(file.relative_to(root)): file
+        for place, patterns in data_files.items()
+        if place.startswith(_KEPT)
+        for pattern in patterns
+        for file in sorted(root.glob(pattern))
+    }
