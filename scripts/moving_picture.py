@@ -4,7 +4,8 @@
 
 Calibrates the recording in bags/ and draws stations that neither the fit nor the choice of effects has seen. A ring is
 where the tracker saw the tool, a dot where the model puts it, SCALE times as far off as it is. The picture is one SVG
-file without scripts: it moves by SMIL, follows the reader's colour scheme, and shows every station where nothing moves.
+file without scripts: it moves by SMIL, follows the reader's colour scheme, and stands still with every station shown
+where the reader wants nothing to move: SMIL does not ask, so that a still arm stands beside the moving one.
 """
 
 from __future__ import annotations
@@ -131,14 +132,16 @@ def panel(shot: Shots, errors: Array, kind: str, title: str, rms_mm: float) -> s
         f'<polyline class="arm" points="{points(arms[0])}"><animate attributeName="points" dur="{whole:g}s" '
         f'repeatCount="indefinite" keyTimes="{keys}" values="{";".join(points(a) for a in arms)}"/></polyline>'
     )
-    marks, numbers = [], []
+    still = f'<polyline class="arm" points="{points(arms[0])}"/>'
+    marks, moving, numbers = [], [], []
     for seen, error, (begin, end) in zip(shot.seen, errors, shot.stays, strict=True):
         (x, y), (u, v) = flat(seen), flat(seen - SCALE * error)
         mark = f'<path class="miss" d="M{x:.1f},{y:.1f}L{u:.1f},{v:.1f}"/>'
         mark += f'<circle class="ring" cx="{x:.1f}" cy="{y:.1f}" r="5"/>'
         mark += f'<circle class="dot" cx="{u:.1f}" cy="{v:.1f}" r="3"/>'
         faded = f'<animate attributeName="opacity" dur="{whole:g}s" repeatCount="indefinite" calcMode="discrete" '
-        marks.append(f'<g>{mark}{faded}keyTimes="0;{max(begin, 1e-4):.4f};1" values="0;1;1"/></g>')
+        marks.append(mark)
+        moving.append(f'<g>{mark}{faded}keyTimes="0;{max(begin, 1e-4):.4f};1" values="0;1;1"/></g>')
         number = f'<text x="{PANEL / 2:.0f}" y="88" opacity="0">here {1e3 * np.linalg.norm(error):.3f} mm'
         numbers.append(f'{number}{faded}keyTimes="0;{max(begin, 1e-4):.4f};{end:.4f};1" values="0;1;0;0"/></text>')
     foot = flat(np.zeros(3))
@@ -148,7 +151,8 @@ def panel(shot: Shots, errors: Array, kind: str, title: str, rms_mm: float) -> s
         f'<text class="title" x="{PANEL / 2:.0f}" y="34">{title}</text>'
         f'<text class="rms" x="{PANEL / 2:.0f}" y="64">{rms_mm:.2g} mm RMS</text>'
         f'<circle class="foot" cx="{foot[0]:.0f}" cy="{foot[1]:.0f}" r="11"/>'
-        f"{arm}{''.join(marks)}{''.join(numbers)}</g>"
+        f'<g class="still">{still}{"".join(marks)}</g>'
+        f'<g class="moving">{arm}{"".join(moving)}{"".join(numbers)}</g></g>'
     )
 
 
@@ -172,6 +176,9 @@ marker circle {{ fill: var(--paper); stroke: var(--soft); stroke-width: 0.3; }}
 .ring {{ fill: none; stroke: var(--ink); stroke-width: 1.6; }}
 .miss {{ stroke: var(--kind); stroke-width: 2.4; }}
 .dot {{ fill: var(--kind); }}
+.still {{ display: none; }}
+@media (prefers-reduced-motion: reduce) {{ .still {{ display: inline; }} .moving {{ display: none; }} }}
+@media print {{ .still {{ display: inline; }} .moving {{ display: none; }} }}
 .before {{ --kind: var(--bad); }}
 .after {{ --kind: var(--good); }}
 </style>

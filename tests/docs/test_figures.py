@@ -82,6 +82,25 @@ def test_it_moves_and_follows_the_colour_scheme(tmp_path: Path) -> None:
     assert len(set(shots)) == 4
 
 
+@pytest.mark.slow
+def test_it_stands_still_where_the_reader_wants_nothing_to_move(tmp_path: Path) -> None:
+    """With every station, as on paper. Takes the second in which it would move."""
+    page = tmp_path / "page.html"
+    page.write_text(f'<img src="{MOVING.as_uri()}" width="860" height="444">')
+    with browser("--force-prefers-reduced-motion") as opened:
+        opened.open(MOVING)
+        seen = "[...document.querySelectorAll('.ring')].filter((ring) => ring.getClientRects().length).length"
+        stations = opened.run(seen)
+        opened.open(page, width=880, height=470)
+        shots = []
+        for k in range(2):
+            opened.picture(tmp_path / f"{k}.png", whole=False)
+            shots.append((tmp_path / f"{k}.png").read_bytes())
+            time.sleep(1.0)
+    assert stations == 2 * int(re.search(r"between (\d+) stations", MOVING.read_text())[1])  # type: ignore[index]
+    assert len(set(shots)) == 1
+
+
 def test_words_that_people_search_for_are_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text()
     for word in (

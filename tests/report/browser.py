@@ -111,12 +111,12 @@ class Page:
 
 
 @contextmanager
-def browser() -> Iterator[Page]:
-    """A tab of a Chromium of its own, ended with all its children."""
+def browser(*flags: str) -> Iterator[Page]:
+    """A tab of a Chromium of its own, ended with all its children. flags: more of its command line."""
     where = find()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         process = subprocess.Popen(
-            [where, *FLAGS, f"--user-data-dir={folder}", "about:blank"],
+            [where, *FLAGS, *flags, f"--user-data-dir={folder}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,

@@ -82,6 +82,12 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "parameters": [
             {"name": name, "value": value, "std": std, "unit": unit} for name, value, std, unit in report.parameters
         ],
+        "joint_offsets": None
+        if report.offsets is None
+        else [
+            {"joint": o.joint, "value": o.value, "std": o.std, "unit": "rad" if o.turning else "m"}
+            for o in report.offsets.found
+        ],
         "notes": list(report.notes),
         "verdict": sentence(report),
         "story": list(report.story),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.report.comparison import Comparison, ParameterDifference, to_json_data
+from modcal_core.report.effect_tables import size_tables
 from modcal_core.report.page import Chart, render
 from modcal_core.report.palette import AFTER
 from modcal_core.report.panel import Panel
@@ -27,15 +28,19 @@ _KINDS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"))
 def to_html(found: Comparison) -> str:
     """The page."""
     first, second = (side.name for side in found.sides)
+    data = to_json_data(found)
     return render(
         "comparison.html.j2",
         title=f"Comparison: {first} and {second}",
         heading=_HEADINGS[found.result],
         tone=TONES.get(found.result, "warn"),
         verdict=found.sentence,
-        data=to_json_data(found),
+        data=data,
         groups=_groups(found),
         effects=found.effects,
+        sizes=size_tables(
+            [((e["effect"],), [e["first"], e["second"]]) for e in data["effects"]], ("effect", first, second)
+        ),
         charts=_charts(found),
     )
 

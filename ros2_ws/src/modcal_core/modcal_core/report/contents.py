@@ -18,6 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
 from modcal_core.report.intervals import independent_units
+from modcal_core.report.joint_offsets import JointOffsets
 from modcal_core.report.trace import Trace
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.rejection import Rejected
@@ -54,7 +55,8 @@ class ReportContents:
     for effects saw and what the last one did; empty where nothing was looked for. model: the final one. residuals: how
     far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
     many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
-    verdict has to know. judged: the verdict; None until it was made.
+    verdict has to know. judged: the verdict; None until it was made. offsets: of the joints, of the calibration that is
+    shipped or judged; None where they do not apply.
     """
 
     samples: Samples
@@ -66,6 +68,7 @@ class ReportContents:
     left: EffectChoice | None = None
     identifiability: Identifiability | None = None
     parameters: tuple[tuple[str, float, float, str], ...] = ()
+    offsets: JointOffsets | None = None
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     title: str = "recording"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,8 @@ from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.effect_shapes import effect_shapes
+from modcal_core.report.effect_tables import Sizes, size_tables
 from modcal_core.report.figures import error_histogram, spread_chart, timeline
-from modcal_core.report.joint_offsets import joint_offsets
 from modcal_core.report.page import as_script_data, render
 from modcal_core.report.parameter_tables import parameter_tables
 from modcal_core.report.residuals import comparisons
@@ -25,7 +25,6 @@ from modcal_core.verdict.verdict import Status
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
 MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
-_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
 _MOST_COLUMNS = 28  # drivers of a map
 _MOST_LISTED = 30  # stations that were left out
 
@@ -97,9 +96,9 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
         tiles=_tiles(report, data),
         stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
-        offsets=None if report.model is None else joint_offsets(report.model, report.scored),
+        offsets=_offsets(report),
         tables=parameter_tables(report.parameters),
-        sized=_sized,
+        sizes=size_tables(_named_sizes(data), ("effect", "value")),
         scene=None if drawn is None else as_script_data(drawn.to_data()),
         scene_stages=[] if drawn is None else [name for name, _ in drawn.stages],
         postures=0 if drawn is None else len(drawn.paths),
@@ -117,11 +116,32 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
     )
 
 
-def _sized(quantity: Mapping[str, Any]) -> str:
-    """A size with its deviation, lengths in mm and angles in mrad."""
-    unit, factor = _UNITS.get(quantity["unit"], (quantity["unit"], 1.0))
-    std = f" ± {factor * quantity['std']:.1g}" if quantity["std"] else ""
-    return f"{factor * quantity['value']:.4g}{std} {'' if unit == '1' else unit}".rstrip()
+def _named_sizes(data: dict[str, Any]) -> list[tuple[tuple[str], list[Sizes]]]:
+    """Name and sizes of each effect."""
+    return [
+        ((f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}",), [e["parameters"]])
+        for e in data["effects"]
+    ]
+
+
+def _offsets(report: ReportContents) -> dict[str, Any] | None:
+    """Joint offsets by unit: names, values, and their intervals as far as they are known."""
+    found = report.offsets
+    if found is None:
+        return None
+    tables = []
+    for turning, unit, factor, title in (
+        (True, "°", np.degrees(1.0), "Joint offsets"),
+        (False, "mm", 1e3, "Offsets of sliding joints"),
+    ):
+        rows = [
+            (o.joint, factor * o.value, None if o.ci95 is None else [factor * end for end in o.ci95])
+            for o in found.found
+            if o.turning == turning
+        ]
+        if rows:
+            tables.append({"title": title, "unit": unit, "rows": rows})
+    return {"tables": tables, "nominal_mm": found.nominal_mm, "left_mm": found.left_mm}
 
 
 def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]]:

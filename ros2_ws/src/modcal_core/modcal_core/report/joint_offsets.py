@@ -3,7 +3,8 @@ nearest to the calibrated one, base and tool being free.
 
 A fit has no such parameters of its own: a turn about a joint's axis passes through the joint and is seen at the next
 place, so that it stands in several of them. An offset that base or tool can take up, mostly of the first and the last
-joint, is not determined and left out.
+joint, is not determined and left out. How sure an offset is follows from the covariance of the fit: what its parameters
+do at the tool is projected on the offsets as the difference itself is.
 """
 
 from __future__ import annotations
@@ -13,56 +14,88 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.base_and_tool import base_and_tool_motions, twists, without
+from modcal_core.report.base_and_tool import base_and_tool_motions, parameter_motions, twists, without
 from modcal_core.robots.mechanism import is_serial_arm
 
+NORMAL = 1.96  # deviations of a 95 % interval
 _MOST = 200  # postures; offsets are constant, and more say the same
 _STEP = 1e-6  # rad or m, of a difference quotient
 _TAKEN_UP = 1e-3  # of a joint's motion at the tool, that is left when base and tool were fitted: rounding, no offset
 
 
 @dataclass(frozen=True)
+class JointOffset:
+    """Of one joint. value, std: with its standard deviation [rad; m of a sliding joint]; std None where not known."""
+
+    joint: str
+    value: float
+    std: float | None
+    turning: bool
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """95 % interval of the value [rad, m]; None where it is not known."""
+        return None if self.std is None else (self.value - NORMAL * self.std, self.value + NORMAL * self.std)
+
+
+@dataclass(frozen=True)
 class JointOffsets:
-    """turning: names and offsets [deg]; sliding: the same [mm]. nominal_mm, left_mm: RMS at the tool between nominal
+    """found: those that are determined, in the order of the chain. nominal_mm, left_mm: RMS at the tool between nominal
     and calibrated geometry without and with the offsets, base and tool fitted.
     """
 
-    turning: tuple[tuple[str, float], ...]
-    sliding: tuple[tuple[str, float], ...]
+    found: tuple[JointOffset, ...]
     nominal_mm: float
     left_mm: float
 
 
-def joint_offsets(model: Model, samples: Samples) -> JointOffsets | None:
-    """Of a calibrated model at the samples' postures; None for a Delta, or where the nominal arm is not known."""
+def joint_offsets(model: Model, samples: Samples, known: Uncertainty | None = None) -> JointOffsets | None:
+    """Of a calibrated model at the samples' postures; None for a Delta, or where the nominal arm is not known.
+
+    known: the uncertainty of the model's parameters.
+    """
     if model.arm is None or not is_serial_arm(model.chain) or not is_serial_arm(model.arm.chain) or not len(samples):
         return None
     q = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))]
-    turns = bool(samples.is_pose.all())
-    part = slice(6 if turns else 3)
-    bare = replace(model, effects=(), T_frame_base=np.eye(4)[None])
+    part = slice(6 if samples.is_pose.all() else 3)
+    bare = replace(model, effects=(), T_frame_base=np.tile(np.eye(4), (len(model.frames), 1, 1)), instruments=())
     nominal = bare.with_chain(model.arm.chain)
     T = nominal.predict(q)
-    taken = base_and_tool_motions(T, turns)
+    taken = base_and_tool_motions(T, part.stop == 6)
     apart = without(twists(T, bare.predict(q))[:, part], taken)
     moved = np.stack([twists(T, nominal.predict(q + _STEP * row))[:, part] / _STEP for row in np.eye(q.shape[1])])
     own = without(moved, taken)
-    known = np.linalg.norm(own, axis=(1, 2)) > _TAKEN_UP * np.linalg.norm(moved, axis=(1, 2))
-    if not known.any():
+    seen = np.linalg.norm(own, axis=(1, 2)) > _TAKEN_UP * np.linalg.norm(moved, axis=(1, 2))
+    if not seen.any():
         return None
-    J = own[known].reshape(int(known.sum()), -1).T
-    values = np.linalg.lstsq(J, apart.ravel(), rcond=1e-6)[0]
+    J = own[seen].reshape(int(seen.sum()), -1).T
+    to_offsets = np.linalg.pinv(J, rcond=1e-6)
+    values = to_offsets @ apart.ravel()
     left = apart - (J @ values).reshape(apart.shape)
-    found = [(j, value) for j, value in zip(np.flatnonzero(known), values, strict=True)]
-    names, turning = model.chain.names, model.chain.revolute
+    std = _deviations(bare, q, known, taken, part, to_offsets)
     return JointOffsets(
-        tuple((names[j], float(np.degrees(value))) for j, value in found if turning[j]),
-        tuple((names[j], 1e3 * float(value)) for j, value in found if not turning[j]),
+        tuple(
+            JointOffset(model.chain.names[j], float(values[k]), std[k], bool(model.chain.revolute[j]))
+            for k, j in enumerate(np.flatnonzero(seen))
+        ),
         _rms_mm(apart),
         _rms_mm(left),
     )
+
+
+def _deviations(
+    bare: Model, q: Array, known: Uncertainty | None, taken: Array, part: slice, to_offsets: Array
+) -> list[float | None]:
+    """Standard deviations of the offsets, from the covariance of the arm's and the tool's parameters."""
+    rows = [] if known is None else [k for k, p in enumerate(known.parameters) if p.frame < 0 and p.instrument < 0]
+    if known is None or not rows:
+        return [None] * len(to_offsets)
+    motions = parameter_motions(bare, [known.parameters[k] for k in rows], q)[..., part]
+    A = to_offsets @ without(motions, taken).reshape(len(rows), -1).T
+    return [float(x) for x in np.sqrt(np.einsum("ij,jk,ik->i", A, known.covariance[np.ix_(rows, rows)], A))]
 
 
 def _rms_mm(motions: Array) -> float:

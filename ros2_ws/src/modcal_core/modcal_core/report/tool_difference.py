@@ -11,18 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import ErrorSize
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import exact_samples
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import KIND_NAMES
-from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import Samples
 from modcal_core.report.base_and_tool import base_and_tool_motions as taken_by
-from modcal_core.report.base_and_tool import twists, without
+from modcal_core.report.base_and_tool import parameter_motions, poses_at, twists, without
 
 _MOST = 300  # postures; the differences are smooth, and more say the same
 _DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it
@@ -64,7 +59,7 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
     (one, left_one), (two, left_two) = _standing(first), _standing(second)
     # one tool for both, so that the point that is compared is the same on the arm
     models = (one, replace(two, T_tip_tool=one.T_tip_tool))
-    samples = tuple(_samples(model, q) for model in models)
+    samples = tuple(poses_at(model, q) for model in models)
     T = [model.predict_samples(at) for model, at in zip(models, samples, strict=True)]
     taken = taken_by(T[0], turns)
     left = without(twists(T[0], T[1])[:, : 6 if turns else 3], taken)
@@ -81,9 +76,9 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
         size_mm=mm,
         size_deg=ErrorSize.of(np.degrees(np.linalg.norm(left[:, 3:], axis=1))) if turns else None,
         as_they_are_mm=raw,
-        expected_mm=_expected((first, second), models, samples, taken),
+        expected_mm=_expected((first, second), models, q, taken),
         left_out=tuple(dict.fromkeys((*left_one, *left_two))),
-        of_base_or_tool=_taken_up(first, models[0], samples[0], taken),
+        of_base_or_tool=_taken_up(first, models[0], q, taken),
     )
 
 
@@ -96,21 +91,17 @@ def _standing(calibration: Calibration) -> tuple[Model, tuple[str, ...]]:
     return replace(model.with_effects(kept), T_frame_base=frames, instruments=()), others
 
 
-def _samples(model: Model, q: Array) -> Samples:
-    return exact_samples(model, q, np.zeros(len(q), int), np.full(len(q), POSE, dtype=KIND_NAMES))
-
-
 def _expected(
     calibrations: tuple[Calibration, Calibration],
     models: tuple[Model, ...],
-    samples: tuple[Samples, ...],
+    q: Array,
     taken: Array,
 ) -> float | None:
     """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
     rng = np.random.default_rng(0)  # the same calibrations give the same bytes
     total = np.zeros((_DRAWS, *taken.shape[:2]))
-    for calibration, model, at in zip(calibrations, models, samples, strict=True):
-        moved = _drawn(calibration, model, at, rng)
+    for calibration, model in zip(calibrations, models, strict=True):
+        moved = _drawn(calibration, model, q, rng)
         if moved is None:
             return None
         total = total + moved[:, :, : taken.shape[1]]
@@ -118,25 +109,18 @@ def _expected(
     return 1e3 * float(np.quantile(np.sqrt(np.mean(np.sum(left**2, axis=-1), axis=-1)), 1.0 - _TAIL))
 
 
-def _taken_up(calibration: Calibration, model: Model, at: Samples, taken: Array) -> frozenset[str]:
+def _taken_up(calibration: Calibration, model: Model, q: Array, taken: Array) -> frozenset[str]:
     """Names of the parameters that change nothing at the tool which base and tool could not."""
     if calibration.uncertainty is None:
         return frozenset()
     parameters = tuple(p for p in calibration.uncertainty.parameters if p.instrument < 0)
-    moved = _at_tool(model, linearise(model, parameters, np.zeros(len(parameters)), at).J)[..., : taken.shape[1]]
+    moved = parameter_motions(model, parameters, q)[..., : taken.shape[1]]
     left = np.linalg.norm(without(moved, taken), axis=(1, 2))
     all_of_it = np.linalg.norm(moved, axis=(1, 2))
     return frozenset(p.name for p, rest, whole in zip(parameters, left, all_of_it, strict=True) if rest < _OWN * whole)
 
 
-def _at_tool(model: Model, J: Array) -> Array:
-    """Derivatives (K, 6 N) as seen from the root, as motions of the base (K, N, 6)."""
-    R = model.chain.T_base_root[:3, :3]
-    parts = J.reshape(len(J), 2, 3, -1)
-    return np.asarray(np.einsum("ij,kpjn->knpi", R, parts).reshape(len(J), parts.shape[-1], 6))
-
-
-def _drawn(calibration: Calibration, model: Model, at: Samples, rng: np.random.Generator) -> Array | None:
+def _drawn(calibration: Calibration, model: Model, q: Array, rng: np.random.Generator) -> Array | None:
     """Twists at the tool (draws, N, 6) for parameters drawn from the covariance; None where none is kept."""
     known = calibration.uncertainty
     if known is None:
@@ -147,8 +131,8 @@ def _drawn(calibration: Calibration, model: Model, at: Samples, rng: np.random.G
     for effect in calibration.calibrated.effects:
         index += range(here, here + len(effect.values)) if not outside_drivers(effect) else ()
         here += len(effect.values)
-    values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
-    J = _at_tool(model, linearise(model, parameters, values, at).J)
+    of_effects = np.concatenate([np.empty(0), *(e.values for e in model.effects)])
+    J = parameter_motions(model, parameters, q, of_effects)
     C = known.covariance[np.ix_(index, index)]
     size, axes = np.linalg.eigh(C)
     draws = rng.standard_normal((_DRAWS, len(index))) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
