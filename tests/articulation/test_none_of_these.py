@@ -31,6 +31,7 @@ def slid_then_turned(rng: np.random.Generator, oriented: bool) -> Track:
     return Track(p, (world * turns * jitter).as_matrix() if oriented else None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oriented", [True, False])
 def test_two_motions_are_told_apart_and_cut(oriented: bool, rng: np.random.Generator) -> None:
     choice = choose(slid_then_turned(rng, oriented))

@@ -25,6 +25,7 @@ def sweep() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_a_number_moves_in_every_module_that_imported_it_and_comes_back(sweep: ModuleType) -> None:
     before = pruning.LEAST_GAIN
     with sweep.changed("modcal_core.diagnosis.pruning", "LEAST_GAIN", 1.3):

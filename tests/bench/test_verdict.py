@@ -37,6 +37,7 @@ def case(bench: dict[str, ModuleType], name: str, robot: str = "ur10", seed: int
     return makers[name](bench["workcell"].Works(robot, rng), rng)
 
 
+@pytest.mark.slow
 def test_there_are_as_many_as_promised(bench: dict[str, ModuleType]) -> None:
     tasks = bench["run"].tasks_of(["main", "good"], [], None)
     assert sum(t.group == "main" for t in tasks) >= 100

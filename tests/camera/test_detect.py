@@ -33,6 +33,7 @@ def image(board: PrintedTarget = BOARD, seed: int = 1, **options: float) -> np.n
     return render(poses(seed=seed)[0], SMALL, board, np.random.default_rng(seed), **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [BOARD, PrintedTarget(CHESSBOARD, 7, 4, 0.03)], ids=["charuco", "chessboard"])
 def test_corners_are_where_the_renderer_has_them(board: PrintedTarget) -> None:
     """To 0.1 px, and the covariances say so: their standard scores are about 1, image by image within a factor."""
@@ -84,6 +85,7 @@ def test_grids_of_markers() -> None:
     assert fitted[1, 1] < 0.0 < fitted[0, 0]  # y goes up
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [

@@ -35,6 +35,7 @@ def told(folder: Path) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.slow
 def test_a_door_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen, stamps = door(), 1.7e9 + 0.05 * np.arange(80)
     write_recording(

@@ -37,6 +37,7 @@ def completed(*words: str) -> set[str]:
     return {line.partition(",")[2] for line in out.splitlines()}
 
 
+@pytest.mark.slow
 def test_a_shell_completes_verbs_options_and_choices() -> None:
     assert completed("ca") == {"calibrate"}
     assert completed("calibrate", "--tol") == {"--tolerance-mm", "--tolerance-of"}
@@ -56,6 +57,7 @@ def test_the_script_of_a_shell(shell: str, monkeypatch: pytest.MonkeyPatch, caps
     assert "shell 'tcsh': has no completion script: give one of bash" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_is_there_under_its_name(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     command = modcal.get_command(click.Context(modcal), verb)

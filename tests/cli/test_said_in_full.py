@@ -21,6 +21,7 @@ TWO = '<link name="torso"/>' + serial("rrrrrrf", "right_", "torso") + serial("rr
 TABLE = "convention: dh\nrows: []\n"
 
 
+@pytest.mark.slow
 def test_of_two_arms_the_other_one_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "two.urdf").write_text(robot(TWO))
     asked = ["sensitivity", str(tmp_path / "two.urdf"), "--parameters", "calibration", "--out", str(tmp_path / "out")]
@@ -55,6 +56,7 @@ def test_a_table_of_a_verb_is_followed_by_its_headings(tmp_path: Path, capfd: py
     )
 
 
+@pytest.mark.slow
 def test_stages_effects_and_shares_of_a_report_are_explained() -> None:
     blocks = summary(everything())
     tables = [at for at, block in enumerate(blocks) if isinstance(block, SummaryTable)]

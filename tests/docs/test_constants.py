@@ -19,6 +19,7 @@ PAGE = ROOT / "docs" / "constants.md"
 SWEPT = ROOT / "bench" / "constants" / "constants.json"
 
 
+@pytest.mark.slow
 def test_every_number_at_the_top_of_a_file_has_a_comment() -> None:
     numbers = module_numbers.numbers()
     assert len(numbers) > 400
@@ -47,6 +48,7 @@ def test_what_is_no_number_is_not_listed() -> None:
     assert not module_numbers.of_source('A = "3"\nB = True\nC = {"x": "y"}\nD = np.eye(3)\nE = None')
 
 
+@pytest.mark.slow
 def test_the_page_of_those_that_decide_says_what_the_code_says() -> None:
     values = {f"{n.file.removesuffix('.py').replace('/', '.')}.{n.name}": n.value for n in module_numbers.numbers()}
     rows = re.findall(r"^\| `([\w.]+)` \| `([^`]+)` \|", PAGE.read_text("utf-8"), re.MULTILINE)

@@ -99,6 +99,7 @@ def test_the_site_has_every_page(site: Path) -> None:
     assert "Motion capture" in home.text_content()
 
 
+@pytest.mark.slow
 def test_links_of_the_site_lead_somewhere_and_nothing_is_fetched(site: Path) -> None:
     trees = {page.resolve(): html.parse(page).getroot() for page in site.rglob("*.html")}
     ids = {page: {e.get("id") for e in tree.iter() if e.get("id")} for page, tree in trees.items()}

@@ -51,6 +51,7 @@ def test_the_pages_are_up_to_date_and_an_old_one_is_noticed(tmp_path: Path) -> N
     assert "`patience`" in old.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_option_that_help_names_is_on_the_page(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([verb, "--help"]) == 0

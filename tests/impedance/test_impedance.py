@@ -80,6 +80,7 @@ def test_turning_the_task_turns_the_answer(rng: np.random.Generator) -> None:
         assert np.allclose(both @ plain.step(F, 0.01), turned_.step(both @ F, 0.01), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_other_gains_come_in_without_a_jump(rng: np.random.Generator) -> None:
     """Of position and of speed; the acceleration changes by less than a hundredth of what a sudden change would do."""
     h, F = 0.004, rng.normal(size=6)

@@ -59,6 +59,7 @@ def located(kind: str, own_target: bool = False) -> tuple[Model, Samples]:
     return model, replace(samples, reading=samples.reading + 0.01 * rng.standard_normal(samples.reading.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", READINGS)
 def test_it_is_placed_from_no_guess(kind: str) -> None:
     samples = exact(kind)
@@ -96,6 +97,7 @@ def test_derivatives(kind: str, own_target: bool) -> None:
     assert_jacobian(measured, np.einsum("pin,in->np", J, along), x, tolerance=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", READINGS)
 def test_what_is_predicted_is_what_is_seen(kind: str) -> None:
     """A kind's own predictions leave no residual, and an error of scale acts as the derivative says."""

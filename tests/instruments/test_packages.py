@@ -44,6 +44,7 @@ def installed(folder: Path, name: str = "sonar", made: str = "Sonar()", message:
     return done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_kind_of_a_package_is_known(tmp_path: Path) -> None:
     assert installed(tmp_path).strip() == "sonar reef [[1.25]] 1"
 

@@ -38,6 +38,7 @@ def cell(chain: Chain, seed: int, late: float = 0.0, count: int = 20, noise: flo
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "ur10", "xarm7"])
 def test_clocks_that_agree_are_left_alone(robot: str) -> None:
     chain = read_chain((ROBOTS / f"{robot}.urdf").read_text())

@@ -56,6 +56,7 @@ ONE: dict[str, tuple[Spoil, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ONE)
 def test_one_message_that_cannot_be_costs_itself(case: str) -> None:
     spoil, reason = ONE[case]

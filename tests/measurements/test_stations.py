@@ -33,6 +33,7 @@ def test_every_dwell_becomes_one_station() -> None:
     assert np.median(samples.sigma_position) == pytest.approx(2e-5 / np.sqrt(37), rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [36, 37])
 def test_a_tool_that_is_knocked_during_a_stand_is_where_it_was_for_most_of_it(count: int) -> None:
     """Half of the readings before and half after have a mean, and a median, where the tool never was."""
@@ -77,6 +78,7 @@ def test_pairs_are_recognised_where_one_topic_was_heard_for_longer(joints: int, 
     assert not samples.moving.any()
 
 
+@pytest.mark.slow
 def test_a_motion_is_used_reading_by_reading() -> None:
     samples = cut_stations(streams(10, dwell=0.0), NAMES)
     assert samples.moving.all()

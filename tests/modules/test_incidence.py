@@ -51,6 +51,7 @@ def test_the_matrix_of_the_published_answer() -> None:
     assert "LP     ·      1,2,0  1,3,2 2,3,0  2,4,2" in str(matrix)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("serials", [False, True])
 def test_round_trip(serials: bool, rng: np.random.Generator) -> None:
     for _ in range(200):

@@ -87,6 +87,7 @@ def test_a_tool_upside_down_is_no_solution() -> None:
 # inverse kinematics
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mask", MASKS)
 def test_derivatives_of_the_rows(mask: list[int], rng: np.random.Generator) -> None:
     goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask)

@@ -93,6 +93,7 @@ def exact(chain: Chain, rng: np.random.Generator, kind: str, count: int = 40) ->
     return start, true, samples_of(chain, q, T, kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 @pytest.mark.parametrize("what", ["sliders", "random"])
 def test_exact_readings_are_met_exactly_and_joints_stay_joints(kind: str, what: str, rng: np.random.Generator) -> None:
@@ -138,6 +139,7 @@ def columns(model: Model, q: Array, kind: str, every: bool) -> Array:
     return J[:, [*kept, *range(6 * chain.n, 6 * chain.n + (6 if kind == "pose" else 3))]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_nothing_is_missing_and_nothing_too_much(kind: str, rng: np.random.Generator) -> None:
     """The six directions of every joint and of the tool span no more than those that are solved for."""

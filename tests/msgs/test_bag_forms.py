@@ -271,6 +271,7 @@ def c() -> Cell:
     return forms.cell()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_said_of_a_form(form: str, c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     make, options, said = FORMS[form]

@@ -172,6 +172,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
     """What was flushed is on disk although nothing was ever closed."""
     killed = subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path / "bag")], timeout=60.0)

@@ -30,6 +30,7 @@ def test_what_is_handed_over_is_in_the_file(tmp_path: Path, rng: np.random.Gener
     file.close()
 
 
+@pytest.mark.slow
 def test_a_sync_that_hangs_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is handed over meanwhile is with the system, and so outlives a process that is killed."""
     moves = threading.Event()

@@ -191,6 +191,7 @@ def test_the_reason_is_in_the_refusal(tmp_path: Path) -> None:
         read_bag(tmp_path / "bomb.mcap")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"])
 def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind: str) -> None:
     """They pack a thousand times as tightly as they are slow to decode, one by one."""

@@ -109,6 +109,7 @@ def test_any_mixture_is_read_alike(plan: list[tuple[str, int, int]], seed: int, 
     same(read_bag(path), read_bag(path, layouts=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [

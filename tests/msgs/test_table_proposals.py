@@ -79,6 +79,7 @@ def test_names_units_and_an_inverse_pose(tmp_path: Path, rng: np.random.Generato
     assert any("second best" in said for said in made.proved)
 
 
+@pytest.mark.slow
 def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Generator) -> None:
     q, T = poses(rng)
     quaternion = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
@@ -90,6 +91,7 @@ def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Ge
     same(proposal(find([write(tmp_path, columns)], CHAIN), None), tmp_path, q, T)
 
 
+@pytest.mark.slow
 def test_a_homogeneous_matrix_without_labels(tmp_path: Path, rng: np.random.Generator) -> None:
     q, T = poses(rng)
     cells = T[:, :3].reshape(-1, 12) * np.array([1.0, 1.0, 1.0, 1e3] * 3)
@@ -98,6 +100,7 @@ def test_a_homogeneous_matrix_without_labels(tmp_path: Path, rng: np.random.Gene
     same(proposal(find([path], CHAIN), None), tmp_path, q, T)
 
 
+@pytest.mark.slow
 def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator) -> None:
     q, T = poses(rng)
     order = rng.permutation(len(q))
@@ -137,6 +140,7 @@ def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: 
     assert any("computed from the joints" in question for question in made.open)
 
 
+@pytest.mark.slow
 def test_labels_that_contradict_the_arm_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
     q, T = poses(rng)
     columns = {

@@ -75,6 +75,7 @@ def test_growing_adds_the_variance_that_was_asked_for(rng: Generator) -> None:
     assert np.abs(grown.mean - known.mean).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count"), [("pose", 300), ("point", 300), ("pose", 1500)])
 def test_equals_the_batch_solution(kind: str, count: int) -> None:
     """1500 is more than can be linearised again: what was kept of the rest must do."""

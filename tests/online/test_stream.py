@@ -42,6 +42,7 @@ def play(recording: Recording, stream: SampleStream | None = None, flush: bool =
     return joined(out)
 
 
+@pytest.mark.slow
 def test_stands_become_the_stations_of_the_recording() -> None:
     recording = streams(30)
     live, whole = play(recording), cut_stations(recording, NAMES)
@@ -61,6 +62,7 @@ def test_finished_stations_are_paired_as_they_are() -> None:
     assert (live.reading == whole.reading[rows]).all()
 
 
+@pytest.mark.slow
 def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
     recording = streams(60, dwell=0.01)
     live, whole = play(recording), cut_stations(recording, NAMES)
@@ -73,6 +75,7 @@ def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
     assert np.abs(live.reading - whole.reading[rows]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_long_stand_makes_several_samples_of_one_posture() -> None:
     recording = streams(5, dwell=11.0)
     live = play(recording)

@@ -39,6 +39,7 @@ def off(samples: list[Samples]) -> float:
     return max(float(np.abs(s.q[0] - truth(s.stamps[0] - START)).max()) for s in samples)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", RATES)
 def test_readings_in_motion_are_paired_at_every_rate(rate: float) -> None:
     joints = np.arange(0.0, 34.0, 1.0 / rate)
@@ -49,6 +50,7 @@ def test_readings_in_motion_are_paired_at_every_rate(rate: float) -> None:
     assert off(samples) < (3e-5 if rate < 40.0 else 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [125.0, FAST])
 @pytest.mark.parametrize("gap", [0.012, 0.03, 0.06, 0.09, 0.2])
 def test_a_gap_in_the_joint_states_costs_at_most_the_readings_in_it(rate: float, gap: float) -> None:

@@ -110,6 +110,7 @@ def changed(what: str, world: World, q: Array) -> Array:
 EXPECTED = {"tool": "tool", "base": "base", "joint": "elbow_joint", "link": "elbow_joint", "payload": None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:

@@ -95,6 +95,7 @@ def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
         assert len(set(found.chosen.tolist())) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CRITERIA)
 def test_no_single_exchange_makes_it_better(name: str) -> None:
     """For the criteria with exact updates; the others, ranked by slope, must at least beat what is drawn at random."""

@@ -71,6 +71,7 @@ def test_refining_never_loses() -> None:
     assert found.indices.rank == 27
 
 
+@pytest.mark.slow
 def test_what_is_measured_already_counts() -> None:
     """Besides stations that hold the wrist still, six more do what as many of the same kind do not."""
     site = hall()
@@ -99,6 +100,7 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
         calibrate(samples.select(np.arange(least - 1)), ur10(), np.random.default_rng(0), look_for_effects=False)
 
 
+@pytest.mark.slow
 def test_fixed_parameters_are_not_planned_for() -> None:
     request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
     names = [p.name for p in plan(ur10(), hall(), request, np.random.default_rng(5)).pool.parameters]

@@ -93,6 +93,7 @@ def test_sobol_indices_of_a_linear_error_are_the_shares(abb: ClosedChain) -> Non
     assert found.total.sum() == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_sobol_indices_of_a_distance_against_integrals() -> None:
     """Three equal Gaussian shifts: the distance is chi with three degrees of freedom, and its indices are integrals."""
     closed = dh_closed_chain(irb1410(), point=POINT)

@@ -85,6 +85,7 @@ def test_a_joint_that_is_stale_or_was_never_reported(clean: Samples) -> None:
     assert "joint elbow_joint is reported as standing still" in never
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "words"),
     [
@@ -118,6 +119,7 @@ def test_positions_along_the_axes_of_the_tool_in_a_part(clean: Samples) -> None:
     assert "at stations 45 to 79" in said
 
 
+@pytest.mark.slow
 def test_three_joints_that_are_reversed_in_a_part(clean: Samples) -> None:
     q = clean.q.copy()
     q[np.ix_(LATER, [0, 2, 3])] *= -1.0
@@ -126,6 +128,7 @@ def test_three_joints_that_are_reversed_in_a_part(clean: Samples) -> None:
     assert "look reversed at stations 45 to 79" in said
 
 
+@pytest.mark.slow
 def test_a_stale_joint_seen_by_points(clean: Samples) -> None:
     points = replace(clean, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
     said = found(with_joint(points, ELBOW, np.where(LATER, clean.q[45, ELBOW], clean.q[:, ELBOW]))).what
@@ -146,6 +149,7 @@ def test_joints_that_are_wrong_throughout(clean: Samples) -> None:
         assert said.what == f"joints {CHAIN.names[1]} and {CHAIN.names[2]} look swapped"
 
 
+@pytest.mark.slow
 def test_a_joint_of_another_arm_and_a_coupled_one_seen_by_points(clean: Samples) -> None:
     points = replace(clean, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
     other = np.random.default_rng(2).permutation(clean.q[:, ELBOW])
@@ -159,6 +163,7 @@ def test_a_joint_of_another_arm_and_a_coupled_one_seen_by_points(clean: Samples)
     assert disagreement(replace(points, reading=points.reading[order]), CHAIN) is None
 
 
+@pytest.mark.slow
 def test_readings_that_move_on_while_the_joints_stand_are_named_in_the_refusal(clean: Samples) -> None:
     order = np.random.default_rng(3).permutation(80)
     late = replace(clean, reading=clean.reading[order], R=clean.R[order], sigma_position=np.full(80, 0.15))

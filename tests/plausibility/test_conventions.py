@@ -69,6 +69,7 @@ def test_a_mistake_is_refused_and_named(mistake: str) -> None:
         proved(spoil(record(1, 60).samples), CHAIN)
 
 
+@pytest.mark.slow
 def test_an_inverse_pose_is_undone() -> None:
     samples = record(2, 60).samples
     undone, convention = proved(inverted(samples), CHAIN)

@@ -30,6 +30,7 @@ def said(samples: Samples, position: Array) -> str:
     return found.what
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
     assert written_otherwise(clean, CHAIN) is None
     order = np.random.default_rng(0).permutation(90)

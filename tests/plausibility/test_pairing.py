@@ -34,6 +34,7 @@ def said(samples: Samples) -> str:
     return found.what
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_of_nonsense_and_of_another_tool(clean: Samples) -> None:
     shuffled = reordered(clean, np.random.default_rng(0).permutation(90))
     other = np.arange(90) >= 60
@@ -42,6 +43,7 @@ def test_nothing_is_said_of_a_clean_recording_of_nonsense_and_of_another_tool(cl
         assert mispaired(samples, CHAIN) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [False, True])
 def test_a_part_that_slipped(clean: Samples, points: bool) -> None:
     samples = as_points(clean) if points else clean
@@ -53,6 +55,7 @@ def test_a_part_that_slipped(clean: Samples, points: bool) -> None:
     assert "look late by 2 stations" in said(replace(samples, q=q))
 
 
+@pytest.mark.slow
 def test_rows_in_another_order(clean: Samples) -> None:
     assert "in reverse order" in said(reordered(clean, np.arange(90)[::-1]))
     named = np.array(sorted(range(90), key=lambda k: str(k + 1)))
@@ -62,6 +65,7 @@ def test_rows_in_another_order(clean: Samples) -> None:
     assert "look late by 7 stations" in said(reordered(clean, np.maximum(np.arange(90) - 7, 0)))
 
 
+@pytest.mark.slow
 def test_a_part_in_reverse_order_pairs_and_labels(clean: Samples) -> None:
     rows = np.arange(90)
     rows[60:] = rows[60:][::-1]

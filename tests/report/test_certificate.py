@@ -89,6 +89,7 @@ def full() -> Certificate:
     return certificate(report(Verdict("open", reasons), 0.001), INSTRUMENT, said, hashes, made_from=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["full", "plain"])
 def test_the_pdf_is_one_sheet_and_the_same_every_time(which: str) -> None:
     one = full() if which == "full" else certificate(report(FLOOR), INSTRUMENT)

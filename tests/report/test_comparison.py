@@ -53,6 +53,7 @@ def to_json_data_of(report: Report) -> dict[str, object]:
     return report.to_data()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("remounted", [False, True])
 def test_the_same_arm_twice_shows_no_difference(remounted: bool) -> None:
     found = compare(side("a", 1, 10), side("b", 1, 11, remounted), 0.2)
@@ -63,6 +64,7 @@ def test_the_same_arm_twice_shows_no_difference(remounted: bool) -> None:
     assert not any(p.shown for p in found.parameters)
 
 
+@pytest.mark.slow
 def test_another_arm_differs_by_as_much_as_the_arms_do() -> None:
     """The size by MuJoCo's poses of both arms, base and tool fitted by a solver of its own."""
     found = compare(side("a", 1, 10), side("b", 2, 11), 0.2)

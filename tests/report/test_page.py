@@ -228,6 +228,7 @@ def test_joint_offsets_come_first_and_no_table_mixes_units() -> None:
         assert len(units) <= 1, head
 
 
+@pytest.mark.slow
 def test_an_evaluation_is_named_after_its_calibration() -> None:
     report = replace(points(), searched=None)
     assert "<title>cell_3, evaluated on recording</title>" in to_html(report, calibration="cell_3")

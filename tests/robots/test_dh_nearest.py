@@ -69,6 +69,7 @@ def test_an_arm_that_dh_holds_is_met() -> None:
     assert found.parallel == (("j1", "j2"), ("j2", "j3"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convention", ["dh", "mdh"])
 def test_what_it_says_of_a_bent_arm_is_what_pinocchio_sees(convention: str) -> None:
     chain, text = bent_ur10(5e-4)
@@ -92,6 +93,7 @@ def test_what_it_says_of_a_bent_arm_is_what_pinocchio_sees(convention: str) -> N
     assert rms < 0.6 * np.sqrt(np.mean(np.square(nominal)))
 
 
+@pytest.mark.slow
 def test_it_is_nearest() -> None:
     """No small change of any length or angle of the table brings tip and tool nearer."""
     chain, _ = bent_ur10(5e-4)

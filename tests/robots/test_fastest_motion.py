@@ -18,6 +18,7 @@ from modcal_core.robots.inertia import Payload, with_payload
 from modcal_core.robots.joint_path import JointPath
 
 
+@pytest.mark.slow
 def test_bang_bang() -> None:
     """One joint, constant bounds: with unequal up and down, T = √(2 L (1/up + 1/down)); at a speed limit, a trapeze."""
     path = JointPath.through([[0.0], [3.0]])
@@ -78,6 +79,7 @@ def test_motion_is_consistent() -> None:
     assert np.abs(ends[1]).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_torques_are_used_up_and_not_exceeded(seed: int) -> None:
     """Of a random arm with friction, by MuJoCo's mechanics: nowhere beyond the limit, almost everywhere one at it."""

@@ -43,6 +43,7 @@ def test_it_undoes_forward_kinematics_from_anywhere(chain: Chain, seed: int) -> 
     assert within(chain, found)
 
 
+@pytest.mark.slow
 @arms
 def test_a_step_away_stays_near(chain: Chain, rng: np.random.Generator) -> None:
     near = 0
@@ -56,6 +57,7 @@ def test_a_step_away_stays_near(chain: Chain, rng: np.random.Generator) -> None:
     assert near >= 47
 
 
+@pytest.mark.slow
 @arms
 def test_what_is_out_of_reach_is_refused_with_what_is_missing(chain: Chain, rng: np.random.Generator) -> None:
     T = forward(chain, postures(chain, 1, rng)[0])
@@ -65,6 +67,7 @@ def test_what_is_out_of_reach_is_refused_with_what_is_missing(chain: Chain, rng:
     assert 3.0 - chain.reach() - 0.5 < refusal.value.position < 3.0
 
 
+@pytest.mark.slow
 @arms
 def test_limits_are_kept_where_they_are_the_only_obstacle(chain: Chain, rng: np.random.Generator) -> None:
     """Poses that the same arm without limits reaches: within the limits an answer keeps them, or there is none."""

@@ -47,6 +47,7 @@ def test_it_ends_where_single_starts_do(chain: Chain, mask: tuple[bool, ...], rn
     assert same >= 38
 
 
+@pytest.mark.slow
 @arms
 def test_many_starts_for_each_pose(chain: Chain, rng: np.random.Generator) -> None:
     q = drawn(chain, 20, rng)
@@ -66,6 +67,7 @@ def test_many_starts_for_each_pose(chain: Chain, rng: np.random.Generator) -> No
     assert (found.met == (np.abs(found.error).max(axis=-1) <= 1e-10)).all()
 
 
+@pytest.mark.slow
 @arms
 def test_what_cannot_be_reached_is_missed_by_the_least(chain: Chain, rng: np.random.Generator) -> None:
     goal = forward(chain, drawn(chain, 1, rng)[0])

@@ -73,6 +73,7 @@ def test_places_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
             assert np.abs(place_jacobian(chain, q[None], place)[0] - T.toActionMatrix()).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [*ARMS, "sliders"])
 def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
@@ -84,6 +85,7 @@ def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
         assert_jacobian(lambda x, T=T: se3.log(se3.inverse(T) @ forward(chain, x)), body_jacobian(chain, q[None])[0], q)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [*ARMS, "sliders"])
 def test_errors_at_every_place(arm: str, rng: np.random.Generator) -> None:
     """A small twist put in before a joint, or at the tip, moves the tip as its column says."""

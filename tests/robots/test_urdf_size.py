@@ -32,6 +32,7 @@ def row(count: int) -> str:
     return described(count, lambda k: k - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", [read_chain, LoadedArm.read])
 def test_joints_in_a_row_up_to_the_limit_are_read(reader: Callable[[str], object]) -> None:
     assert reader(row(250))
@@ -48,6 +49,7 @@ def test_a_loop_is_called_a_loop() -> None:
         read_chain(tied)
 
 
+@pytest.mark.slow
 def test_a_description_of_fifty_megabytes_is_not_parsed() -> None:
     for text in (row(3) + " " * 50_000_000, row(3).replace("<link", "<!--" + "x" * 50_000_000 + "--><link", 1)):
         begun = time.perf_counter()
@@ -56,6 +58,7 @@ def test_a_description_of_fifty_megabytes_is_not_parsed() -> None:
         assert time.perf_counter() - begun < 0.5
 
 
+@pytest.mark.slow
 def test_many_links_are_refused_before_they_are_looked_at() -> None:
     begun = time.perf_counter()
     with pytest.raises(BadRobot, match="has 10001 links, 2000 is the limit"):

@@ -68,6 +68,7 @@ def test_awkward_text_keeps_every_other_byte() -> None:
     assert re.fullmatch(pattern, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])
 @pytest.mark.parametrize("start", ["", "\ufeff", "\n\n  "])
 @pytest.mark.parametrize("arm", ARMS)
@@ -116,6 +117,7 @@ def test_the_first_of_two_origins_counts_as_it_does_for_ros() -> None:
     assert_same(read_chain(calibrated_urdf(text, chain, moved(chain))), moved(chain))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 1.5708, np.pi / 2 - 1e-8, np.pi / 2 + 1e-12])
 def test_origins_at_gimbal_lock(pitch: float, rng: np.random.Generator) -> None:
     for roll, yaw in rng.uniform(-np.pi, np.pi, (20, 2)):

@@ -91,6 +91,7 @@ def test_ur_with_a_prefix() -> None:
     assert data == kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefix", ["panda_", "fr3_", "left_fer_", "fr3v2_"])
 def test_franka(prefix: str) -> None:
     chain, text = corrected("panda")

@@ -43,6 +43,7 @@ def _names(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
+@pytest.mark.slow
 def test_nothing_outside_a_familys_file_asks_for_its_name() -> None:
     packages = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
     sources = {(package, place): path for package in packages for place, path in files(package).items()}

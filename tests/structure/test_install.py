@@ -44,6 +44,7 @@ def test_configs_and_launch_files_are_installed(install: Path, folder: str) -> N
     assert installed == written
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executable", EXECUTABLES, ids=lambda e: e.name)
 def test_executables_are_installed_and_start_somewhere(install: Path, executable: EntryPoint) -> None:
     script = install / "modcal_nodes/lib/modcal_nodes" / executable.name
@@ -57,6 +58,7 @@ def test_there_are_executables(install: Path) -> None:
     assert {"modcal", "recorder", "calibrator", "simulated_cell"} <= installed
 
 
+@pytest.mark.slow
 def test_modcal_is_on_the_path_of_a_sourced_shell(install: Path, tmp_path: Path) -> None:
     clean = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
     shell = f"source {install}/setup.bash && command -v modcal && modcal --version"

@@ -131,6 +131,7 @@ def test_every_folder_of_the_core_is_a_known_layer() -> None:
 
 
 # Each rule looks at every file and names all that break it.
+@pytest.mark.slow
 def test_core_imports_point_downwards() -> None:
     broken = {place: layers_broken(place, imports_of("modcal_core", place)) for place in files("modcal_core")}
     assert len(broken) > 100

@@ -31,6 +31,7 @@ def asks(source: str) -> bool:
     return any({"Chain", "Delta"} & {n.id for n in ast.walk(c.args[1]) if isinstance(n, ast.Name)} for c in calls)
 
 
+@pytest.mark.slow
 def test_few_files_ask_what_kind_of_robot_it_is() -> None:
     assert asks("if not isinstance(a.b, Chain): pass")
     assert asks("isinstance(a, int | Delta)")

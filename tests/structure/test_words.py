@@ -63,6 +63,7 @@ def commands(source: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, ast.get_docstring(node) or ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["modcal_core", "modcal_msgs_py", "modcal_nodes"])
 def test_no_message_has_a_banned_phrase(package: str) -> None:
     found = []

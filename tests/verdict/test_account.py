@@ -106,6 +106,7 @@ def test_estimation_is_what_the_parameters_cost() -> None:
     assert np.mean(said) == pytest.approx(np.mean(squares), rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_stated_floor_stands_in_the_account() -> None:
     stated = Stated(repeatability_mm=0.03, instrument_mm=0.02, repeatability_deg=0.002, instrument_deg=0.002)
     judged = calibrate(

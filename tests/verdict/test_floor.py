@@ -93,6 +93,7 @@ def test_one_wrong_reading_does_not_set_the_floor() -> None:
     assert floor.rms == pytest.approx(np.sqrt(3.0) * 1e-2, rel=0.5)
 
 
+@pytest.mark.slow
 def test_repeatability_of_an_arm_in_mujoco() -> None:
     """Joints that miss by 40 µrad, seen through a whole calibration."""
     judged = calibrate(visited(4, 100, 12, joint_rad=4e-5), ur10(), np.random.default_rng(0), look_for_effects=False)
@@ -125,6 +126,7 @@ def test_a_stated_floor_needs_both_numbers() -> None:
     assert both.instrument == pytest.approx(0.04**2)
 
 
+@pytest.mark.slow
 def test_iso_repeatability_by_drawing() -> None:
     """RP is the mean distance to the barycentre and three deviations of it: of a million visits with one deviation."""
     points = np.random.default_rng(0).normal(size=(1_000_000, 3))
@@ -134,6 +136,7 @@ def test_iso_repeatability_by_drawing() -> None:
     assert rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_scatter_within_a_dwell_is_no_floor() -> None:
     samples = visited(1, 80, 0)
     samples = replace(samples, sigma_position=np.full(len(samples), NOISE_M))
@@ -155,6 +158,7 @@ def test_returns_that_jump_are_no_repeatability() -> None:
     assert "jump" in said
 
 
+@pytest.mark.slow
 def test_noise_along_a_line_does_not_jump() -> None:
     samples = visited(3, 40, 8)
     rng = np.random.default_rng(6)

@@ -33,6 +33,7 @@ def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples
     return replace(moved, reading=moved.reading + noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 2])
 def test_a_loose_encoder_is_named(made: Recorded, joint: int) -> None:
     sizes = [1e-5] * 6
@@ -46,17 +47,20 @@ def test_a_loose_encoder_is_named(made: Recorded, joint: int) -> None:
     assert "scatters" not in said(samples, known)
 
 
+@pytest.mark.slow
 def test_two_loose_encoders_are_named(made: Recorded) -> None:
     text = said(scattered(made, [1e-5, 5e-4, 1e-5, 5e-4, 1e-5, 1e-5]))
     names = ur10().names
     assert f"Joints {names[1]} and {names[3]} scatter by at least" in text or f"Joint {names[1]} scatters" in text, text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_joints_that_are_alike_are_not(made: Recorded, kind: str) -> None:
     assert "scatters" not in said(scattered(made, [3e-4, 1e-4, 1e-4, 1e-4, 2e-4, 1e-4], kind))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("across", [False, True])
 def test_a_tracker_that_scatters_to_one_side_is_no_joint(made: Recorded, across: bool) -> None:
     """Along one axis, and by its angle about one: much as the first joint of an arm that works on one side."""

@@ -52,6 +52,7 @@ def twists(turn: float, lever: Array | None = None) -> Array:
     return np.concatenate([np.cross(one, lever), one], axis=1)
 
 
+@pytest.mark.slow
 def test_a_stand_that_wobbles(made: Recorded) -> None:
     samples = moved(made, twists(5e-4), tool=False)
     text = said(samples)
@@ -60,11 +61,13 @@ def test_a_stand_that_wobbles(made: Recorded) -> None:
     assert STAND not in said(samples, known)
 
 
+@pytest.mark.slow
 def test_a_target_that_is_loose_in_its_seat(made: Recorded) -> None:
     text = said(moved(made, twists(3e-3, np.array([0.0, 0.15, 0.05])), tool=True))
     assert SEAT in text, text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter", [1e-5, 3e-4])
 def test_joints_that_scatter_alike_are_neither(made: Recorded, scatter: float) -> None:
     q = made.samples.q + scatter * np.random.default_rng(4).normal(size=made.samples.q.shape)
@@ -83,6 +86,7 @@ def test_a_tracker_that_scatters_by_its_angles_is_neither(made: Recorded) -> Non
     assert SEAT not in text
 
 
+@pytest.mark.slow
 def test_a_while_in_which_something_shook(made: Recorded) -> None:
     shaken = (np.arange(140) >= 60) & (np.arange(140) < 85)
     off = np.where(shaken, 4.0, 0.0)[:, None] * (made.samples.reading - made.exact.reading)

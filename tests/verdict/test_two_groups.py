@@ -66,6 +66,7 @@ def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
     assert "the tool (or the target on it) had two positions" in said(bent(made, made.samples.q, step))
 
 
+@pytest.mark.slow
 def test_one_of_two_targets_seen_by_points(made: Recorded) -> None:
     other = np.arange(120) % 3 == 2
     step = np.where(other[:, None], [4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0], 0.0)
@@ -89,6 +90,7 @@ def test_what_has_more_values_than_two_is_not_split(made: Recorded, off: str) ->
     assert said(bent(made, q)) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_nothing_is_split_on_clean_arms(seed: int, kind: str) -> None:
