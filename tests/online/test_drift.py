@@ -106,6 +106,11 @@ def test_a_base_that_is_set_up_anew_says_nothing_and_hides_nothing() -> None:
     assert still.base
     assert still.tool
     assert drift(reference, [still]).named is None
+    # of base and tool, which were found again, this recording says nothing: as many directions are open as they have
+    stood = change_since(reference, later(cell, 1, 10.0))
+    assert not stood.base
+    assert (np.linalg.eigvalsh(stood.covariance) > 0.1).sum() == 0
+    assert (np.linalg.eigvalsh(still.covariance) > 0.1).sum() == 12
     found = drift(reference, [change_since(reference, later(cell, 2, 10.0, base=away, zero=4e-4 * np.eye(6)[2]))])
     assert found.named is not None
     assert found.named.name == "elbow_joint zero"

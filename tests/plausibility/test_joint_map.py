@@ -47,7 +47,9 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
         assert other_link(samples, CHAIN) is None
 
 
-@pytest.mark.parametrize("values", [[[1, 1], [1, -1]], [[1, -1], [1, 1]], [[0.5, 0.5], [-0.5, 0.5]], [[1, 0.4], [0, 1]]])
+@pytest.mark.parametrize(
+    "values", [[[1, 1], [1, -1]], [[1, -1], [1, 1]], [[0.5, 0.5], [-0.5, 0.5]], [[1, 0.4], [0, 1]]]
+)
 @pytest.mark.parametrize("pair", [(4, 5), (1, 2), (0, 3)])
 def test_two_joints_that_are_mixed(clean: Samples, pair: tuple[int, int], values: list[list[float]]) -> None:
     found = mixed_joints(reported(clean, mixed(*pair, values)), CHAIN)
