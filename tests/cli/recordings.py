@@ -24,7 +24,7 @@ def stations(count: int = 80, seed: int = 1) -> Recording:
     made = record(seed, count)
     t = START + 2.0 * np.arange(count)
     T = se3.transform(made.samples.R, made.samples.reading)
-    return _recording(t, made.samples.q, t, se3.to_pose(T))
+    return recorded(t, made.samples.q, t, se3.to_pose(T))
 
 
 def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0) -> Recording:
@@ -39,10 +39,11 @@ def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.
     T = world.tool_in_tracker(np.array([program.at(x) for x in s]))
     T[:, :3, 3] += 2e-5 * rng.standard_normal((len(s), 3))
     stamps = START + s + late + drift * s
-    return _recording(START + t, np.array([program.at(x) for x in t]), stamps, se3.to_pose(T), received=START + s)
+    return recorded(START + t, np.array([program.at(x) for x in t]), stamps, se3.to_pose(T), received=START + s)
 
 
-def _recording(t: Array, q: Array, s: Array, poses: Array, received: Array | None = None) -> Recording:
+def recorded(t: Array, q: Array, s: Array, poses: Array, received: Array | None = None) -> Recording:
+    """Joint states (n, 6) at t, and poses of the tool (m, 7) at s [s]."""
     unknown = np.full_like(q, np.nan)
     return Recording(
         joints=(JointTrack(ur10().names, t, q, unknown, unknown, t),),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cells import ur10
-from cli.recordings import START, stations, streams, with_joints, with_reading
+from cli.recordings import START, recorded, stations, streams, with_joints, with_reading
 from scipy.ndimage import maximum_filter1d
 
 from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.alignment import align, clock_offset
 from modcal_core.measurements.dwells import deviation_of_mean, running_max
@@ -76,6 +77,20 @@ def test_pairs_are_recognised_where_one_topic_was_heard_for_longer(joints: int, 
     samples = cut_stations(heard, ur10().names)
     assert len(samples) == min(joints, readings)
     assert not samples.moving.any()
+
+
+def test_pairs_of_an_arm_that_never_stands_have_its_velocity_and_acceleration() -> None:
+    """A controller that writes both topics with one stamp, during a motion of which the derivatives are known."""
+    t = np.arange(0.0, 8.0, 0.008)
+    amplitude, pace = np.array([0.8, 0.3, -0.4, 0.5, 0.6, -0.7]), np.array([0.5, 0.7, 0.6, 0.9, 0.8, 1.1])
+    phase = pace * t[:, None] + 0.1
+    q, v, a = amplitude * np.sin(phase), amplitude * pace * np.cos(phase), -amplitude * pace**2 * np.sin(phase)
+    samples = cut_stations(recorded(START + t, q, START + t, se3.to_pose(tip(q))), NAMES)
+    assert len(samples) == len(t)
+    assert samples.moving.all()
+    inner = slice(100, -100)
+    assert np.abs(samples.velocity - v)[inner].max() < 0.01
+    assert np.abs(samples.acceleration - a)[inner].max() < 0.05
 
 
 @pytest.mark.slow

@@ -13,7 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from impedance.toy import PANDA, READY, Toy, door
 from lifecycle_msgs.msg import Transition
 from nodes.processes import Process, fresh_domain, listener, running
-from nodes.pulled_arm import PulledArm, Witness, fuzz, reached
+from nodes.pulled_arm import URDF, PulledArm, Witness, fuzz, reached
+from std_msgs.msg import String
 
 from modcal_core.geometry import se3
 from modcal_msgs_py.stamps import seconds
@@ -78,7 +79,10 @@ def test_it_opens_a_door_and_says_nothing_before_and_after(cell: Cell) -> None:
     assert {m.wrench.force.x for m in arm.stiffnesses} == {3000.0}
     assert {m.wrench.force.x for m in arm.wrenches} == {0.0}
     witness = Witness(arm)
+    # somebody starts another robot's description in mid-pull: this arm stays the one that was pulling
+    arm.description.publish(String(data=URDF.replace('"panda_', '"other_')))
     wait(lambda: arm.said().startswith("open to"), 90.0)
+    arm.description.publish(String(data=URDF))
     witness.look()
     assert witness.count > 300
     assert arm.toy.a == pytest.approx(GOAL, abs=0.03)
