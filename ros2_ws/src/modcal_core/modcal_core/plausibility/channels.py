@@ -33,6 +33,7 @@ _APART = np.radians(3.0)  # by which two frames are turned, from which that is n
 _LONGER = 0.05  # share by which a coordinate is too long or too short
 _SEEN = 0.03  # of the reach; deviation of the tip's place beyond what its turns tell, from which scales are known
 _WRONG_LENGTH = 0.02  # of the reach
+_MOSTLY = 0.8  # share of the orientations that must agree on a frame, before it is said to be that of all of them
 _ROUNDS = 12  # iterations
 
 
@@ -106,6 +107,13 @@ class _Channels:
     @property
     def turns_agree(self) -> bool:
         return self.turned[2] < ANGLE
+
+    @property
+    def _agreeing(self) -> float:
+        """Share of the orientations that agree on how base and tool are turned."""
+        Y, X, _ = self.turned
+        left = turns_left(Y, self.A[:, :3, :3], X, self.samples.R)
+        return float((np.linalg.norm(left, axis=1) < 2.0 * ANGLE).mean())
 
     # --- rows --------------------------------------------------------------------------------------------------------
 
@@ -195,7 +203,7 @@ class _Channels:
         if not self.turns_agree:
             return self._orientations_alone()
         apart = float(np.linalg.norm(so3.log(self.turned[0] @ Y.T)))
-        if apart < _APART:
+        if apart < _APART or self._agreeing < _MOSTLY:
             return None
         return self._said(
             f"orientations are given in a frame that is turned by {np.degrees(apart):.3g}° to that of the positions "

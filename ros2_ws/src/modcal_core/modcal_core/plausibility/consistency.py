@@ -46,6 +46,8 @@ _MORE = 0.3  # share of all stations that a joint's angles must bring back beyon
 _MOST = 160  # stations; more are thinned evenly
 _STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
 _STILL = 1e-9  # rad
+_OTHER_UNIT = 0.02  # by which a scale must differ to be another unit, and may miss one that has a name
+_UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "kilometres": 1e-3}
 # What drivers publish instead of radians at the joint
 _FACTORS = {
     "the other way round": -1.0,
@@ -134,6 +136,8 @@ class _Search:
             if len(rest) >= _LEAST // 2:
                 said = (
                     self._by_mistake(placed, rest, self._mistakes())
+                    or self._turned(placed, rest)
+                    or self._in_another_unit(placed, rest)
                     or self._elsewhere(placed, rest)
                     or self._one_joint(placed, rest)
                     or self._by_mistake(placed, rest, of_several_joints(self.samples.names))
@@ -199,6 +203,55 @@ class _Search:
             yield inverse_pose()
             yield from of_axes_of_the_pose()
             yield from of_rotations()
+
+    def _turned(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+        """Positions of the rest that agree, and orientations that are turned by one angle about one axis."""
+        if not self.poses:
+            return None
+        A, R = self.A[rest, :3, :3], self.samples.R[rest]
+        gap = placed.residual(self.A[rest], self.samples.select(rest))[1]
+        if (gap < _CLEARLY * self.limit[1]).mean() < _EXPLAINED:
+            return None
+        expected = placed.Y @ A @ placed.X
+        best, named, about = _EXPLAINED, np.eye(3), ""
+        for off, frame in (
+            (R @ np.swapaxes(expected, 1, 2), "the tracker"),
+            (np.swapaxes(expected, 1, 2) @ R, "the tool"),
+        ):
+            cosine = 0.5 * (np.einsum("nij,kij->nk", off, off) - 1.0)
+            alike = (cosine > np.cos(_CLEARLY * self.limit[0])).mean(axis=1)
+            k = int(np.argmax(alike))
+            if alike[k] > best:
+                best, named, about = float(alike[k]), off[k], frame
+        if not about:
+            return None
+        turn = so3.log(named)
+        angle = float(np.linalg.norm(turn))
+        axis = ", ".join(f"{v:.2f}" for v in turn / max(angle, 1e-12) + 0.0)
+        return self._said(
+            rest,
+            f"orientations look turned by {np.degrees(angle):.4g}° about ({axis}) of {about} at {self._stations(rest)}, "
+            "and positions agree",
+            "check how orientations are computed (an angle that is folded or of which the sign is lost), and whether "
+            "the target looks alike from several sides",
+        )
+
+    def _in_another_unit(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+        """The rest with positions that are one number times as long as they should be."""
+        expected = se3.apply(self.A[rest], placed.x) @ placed.Y.T + placed.t
+        seen = self.samples.reading[rest]
+        factor = float(np.median(np.sum(seen * expected, axis=1) / np.sum(expected**2, axis=1)))
+        if abs(factor - 1.0) < _OTHER_UNIT or abs(factor) < 1e-9:
+            return None
+        part = replace(self.samples.select(rest), reading=seen / factor)
+        if self._within(placed, self.A[rest], part, _CLEARLY).mean() < _EXPLAINED:
+            return None
+        unit = next((f" ({name})" for name, size in _UNITS.items() if abs(factor / size - 1.0) < _OTHER_UNIT), "")
+        return self._said(
+            rest,
+            f"positions look {factor:.4g} times as long as the others, in another unit{unit}, at {self._stations(rest)}",
+            "write all positions in metres",
+        )
 
     def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with a base, a tool, or both of its own."""

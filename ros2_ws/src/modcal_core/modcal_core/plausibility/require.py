@@ -79,8 +79,9 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         )
         if alone is not None:
             raise BadRecording(alone.what, said, alone.remedy)
-    if best[1] and best[0] <= _AN_ARM * chain.reach():
-        raise BadRecording(best[1], f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm", best[2])
+    named = f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm"
+    if best[1] and best[0] <= limit:
+        raise BadRecording(best[1], named, best[2])
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
         raise BadRecording(
@@ -91,6 +92,8 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
     found = disagreement(few, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+    if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
+        raise BadRecording(best[1], named, best[2])
     described = wrong_description(whole, chain) or mixed_joints(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
