@@ -29,8 +29,8 @@ _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
 _MOST = 0.5  # share of implausible readings beyond which the plausible ones are the exception
 _GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
-_MILLI = 1e-3  # what coordinates in millimetres are to be multiplied by
-_WITHIN = 0.8  # share of the implausible readings that are plausible as millimetres, from which they are
+_UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254}  # of a metre
+_WITHIN = 0.8  # share of the implausible readings that are plausible in another unit, from which they are in it
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
 DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
@@ -208,29 +208,35 @@ def _readings(
 
 
 def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:
-    """Raises BadRecording where the implausible ones of whole readings are plausible with millimetres in some cells.
+    """Raises BadRecording where the implausible ones of whole readings are plausible with another unit in some cells.
 
     So they are where a part was recorded in another unit, or an export writes short lengths in millimetres: then what
     is left may hold such numbers as well, which are only small enough to be metres.
     """
     if not kinds()[track.kind].direct:
         return
-    values, kind = track.values[odd].copy(), kinds()[track.kind]
-    most = farthest(reach)
-    large = np.abs(values[:, :3]) > most
-    values[:, :3] = np.where(large, _MILLI * values[:, :3], values[:, :3])
-    good = track.values[whole & ~odd, :3]
-    near = np.abs(values[:, :3] - np.median(good, axis=0)) < reach + np.ptp(good, axis=0)
-    fits = ~kind.implausible(values, reach) & near.all(axis=1) & large.any(axis=1)
-    if fits.mean() < _WITHIN:
+    kind, good = kinds()[track.kind], track.values[whole & ~odd, :3]
+    large = np.abs(track.values[odd, :3]) > farthest(reach)
+    usual, room = np.median(good, axis=0), reach + np.ptp(good, axis=0)
+    found: list[tuple[float, str]] = []
+    for unit, size in _UNITS.items():
+        values = track.values[odd].copy()
+        whole_ones = values[:, :3] / size  # or some coordinates of them alone
+        there = (np.abs(whole_ones - usual) < room).all(axis=1, keepdims=True)
+        values[:, :3] = np.where(there | large, whole_ones, values[:, :3])
+        near = (np.abs(values[:, :3] - usual) < room).all(axis=1)
+        if (~kind.implausible(values, reach) & near & large.any(axis=1)).mean() >= _WITHIN:
+            apart = np.log(np.median(np.linalg.norm(values[:, :3], axis=1)) / np.linalg.norm(usual))
+            found.append((abs(float(apart)), unit))
+    if not found:
         return
     n, of, first = int(odd.sum()), int(whole.sum()), float(track.stamps[int(np.argmax(odd))])
     columns = " and ".join(axis for axis, some in zip("xyz", large.any(axis=0), strict=True) if some)
     which = "" if large.all(axis=1).mean() > _WITHIN else f" in {columns}"
     raise BadRecording(
         f"{track.topic} ({track.frame})",
-        f"units are mixed: {n} of {of} readings hold numbers{which} that look like millimetres, beside others in "
-        f"metres, first at {first:.3f} s",
+        f"units are mixed: {n} of {of} readings hold numbers{which} that look like {min(found)[1]}, beside "
+        f"others in metres, first at {first:.3f} s",
         "write all positions in metres, and record or export again",
     )
 

@@ -46,7 +46,7 @@ def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | No
     if found is None:
         return None
     try:
-        return found.late() or found.frames()
+        return found.late() or found.frames() or found.unrelated()
     except np.linalg.LinAlgError:
         return None
 
@@ -136,6 +136,19 @@ class _Channels:
             remedy = "pair each reading with its own posture (a table that slipped, or a clock that is off)"
             return self._said(what, remedy)
         return None
+
+    def unrelated(self) -> Disagreement | None:
+        """Coordinates that go along with no posture, where the others go along with their own."""
+        fits = self._agree(0)[:3]
+        if fits.all() or fits.sum() < 2 - (self.poses and self.turns_agree):
+            return None
+        who = self._columns([axis for axis, fit in zip("xyz", fits, strict=True) if not fit])
+        rest = " and ".join(axis for axis, fit in zip("xyz", fits, strict=True) if fit)
+        verb = "do" if who.startswith("columns") else "does"
+        return self._said(
+            f"{who} {verb} not follow the posture, and {rest} {'do' if len(rest) > 1 else 'does'}",
+            "check how that column is read, sorted and written, and whether it holds a coordinate at all",
+        )
 
     @staticmethod
     def _columns(names: list[str]) -> str:

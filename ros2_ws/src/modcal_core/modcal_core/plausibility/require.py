@@ -94,7 +94,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
         raise BadRecording(best[1], named, best[2])
-    described = wrong_description(whole, chain) or mixed_joints(whole, chain)
+    described = mixed_joints(whole, chain) or wrong_description(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
     if (wander := _wander(samples)) > _WANDER * missed:
