@@ -236,8 +236,8 @@ class _Search:
         axis = ", ".join(f"{v:.2f}" for v in turn / max(angle, 1e-12) + 0.0)
         return self._said(
             rest,
-            f"orientations look turned by {np.degrees(angle):.4g}° about ({axis}) of {about} at {self._stations(rest)}, "
-            "and positions agree",
+            f"orientations look turned by {np.degrees(angle):.4g}° about ({axis}) of {about} "
+            f"at {self._stations(rest)}, and positions agree",
             "check how orientations are computed (an angle that is folded or of which the sign is lost), and whether "
             "the target looks alike from several sides",
         )
@@ -255,7 +255,8 @@ class _Search:
         unit = next((f" ({name})" for name, size in _UNITS.items() if abs(factor / size - 1.0) < _OTHER_UNIT), "")
         return self._said(
             rest,
-            f"positions look {factor:.4g} times as long as the others, in another unit{unit}, at {self._stations(rest)}",
+            f"positions look {factor:.4g} times as long as the others, in another unit{unit}, "
+            f"at {self._stations(rest)}",
             "write all positions in metres",
         )
 

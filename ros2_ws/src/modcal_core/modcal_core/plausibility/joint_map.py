@@ -1,8 +1,9 @@
 """Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for.
 
 Drivers report motors where joints are meant: sums and differences of a differential wrist, counts of another gear,
-zeros of another table. With positions q of the joints as M times the reported ones and c, base, tool, M and c are found
-together by least squares, from the columns as they are and from such mixtures of two columns as fit best in closed form.
+zeros of another table. With positions of the joints as M times the reported ones and c, base, tool, M and c are found
+together by least squares (Levenberg-Marquardt), from the columns as they are, and from mixtures of columns and zeros
+that fit best in closed form.
 """
 
 from __future__ import annotations
@@ -123,33 +124,33 @@ def _fitted(samples: Samples, chain: Chain, start: _Map, moved: np.ndarray) -> _
     Y, X = _turns(A, samples, poses)
     _, x, t = tool_and_place(Y, A, samples.reading)
     scale = np.array([angle, distance])
-    damping, cost = 1e-3, np.inf
     state = (M, c, Y, X, x, t)
+    r, G = _rows(samples, chain, state, moved, poses, scale)
+    damping, cost = 1e-3, _cost(r)
     for _ in range(_ROUNDS):
-        r, G = _rows(samples, chain, state, moved, poses, scale)
-        square = np.sum(r**2, axis=1)
-        now = float(np.sum(np.log1p(square)))
-        if now > cost and damping < 1e4:
-            damping *= 8.0
-            state = before
-            r, G, square = kept
-        else:
-            settled = cost - now < _SETTLED * abs(now)
-            cost, damping = now, max(damping / 4.0, 1e-6)
-            if settled:
-                break
-        before, kept = state, (r, G, square)
-        weight = 1.0 / (1.0 + square)  # Cauchy
+        weight = np.repeat(1.0 / (1.0 + np.sum(r**2, axis=1)), r.shape[1])  # Cauchy
         flat = G.reshape(-1, G.shape[2])
-        H = (flat.T * np.repeat(weight, r.shape[1])) @ flat
-        g = flat.T @ (np.repeat(weight, r.shape[1]) * r.ravel())
+        H = (flat.T * weight) @ flat
         D = np.diag(H)
-        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), g)
-        state = _stepped(state, step, moved)
+        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), flat.T @ (weight * r.ravel()))
+        moved_on = _stepped(state, step, moved)
+        r_there, G_there = _rows(samples, chain, moved_on, moved, poses, scale)
+        now = _cost(r_there)
+        if now > cost:
+            damping *= 8.0
+            continue
+        settled = cost - now < _SETTLED * now
+        state, r, G, cost, damping = moved_on, r_there, G_there, now, max(damping / 4.0, 1e-6)
+        if settled:
+            break
     turned, gap = _left(samples, chain, state, poses)
     if float(np.median(gap)) > distance or float(np.median(turned)) > angle:
         return None
     return _Map(state[0], state[1])
+
+
+def _cost(r: Array) -> float:
+    return float(np.sum(np.log1p(np.sum(r**2, axis=1))))
 
 
 _State = tuple[Array, Array, Array, Array, Array, Array]

@@ -1,8 +1,8 @@
 """Readings that follow another link than the tip: a target on the elbow, a tracker that the arm carries.
 
-Between any two frames along the chain, that of one link seen from another, base and target are found in closed form. The
-tip seen from the base is what is expected; where the readings follow another pair as a nominal arm does, the target or
-what it is seen from is mounted there, or the topic is that of another target.
+Between any two frames along the chain, that of one link seen from another, base and target are found in closed form.
+The tip seen from the base is what is expected; where the readings follow another pair as a nominal arm does, the target
+or what it is seen from is mounted there, or the topic is that of another target.
 """
 
 from __future__ import annotations
