@@ -33,6 +33,7 @@ from modcal_core.plausibility.mistakes import (
     of_several_joints,
     of_units,
 )
+from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
@@ -89,7 +90,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
             "record an instrument that measures all three coordinates",
         )
-    found = disagreement(few, chain)
+    found = disagreement(few, chain) or part_apart(whole, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
