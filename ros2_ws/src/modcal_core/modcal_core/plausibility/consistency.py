@@ -52,6 +52,7 @@ _BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from w
 _STEPS, _LONGEST = 12, 0.7  # iterations, and how far one goes [rad]
 _STILL = 1e-9  # rad
 _OTHER_UNIT = 0.02  # by which a scale must differ to be another unit, and may miss one that has a name
+# of a metre
 _UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "kilometres": 1e-3}
 # What drivers publish instead of radians at the joint
 _FACTORS = {
