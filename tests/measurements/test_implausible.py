@@ -144,6 +144,16 @@ def test_what_is_left_out_too_often_makes_the_verdict_open() -> None:
     assert any("in 8 of 60 messages" in reason and "left out" in reason for reason in judged.open_because)
 
 
+def test_a_tracker_that_jumps_while_the_arm_stands_is_doubted() -> None:
+    whole = streams(6)
+    track = whole.readings[0]
+    assert prepare(whole, ur10()).doubts == ()
+    values = track.values.copy()
+    values[::9, 0] += 0.002
+    (said,) = prepare(with_reading(whole, values=values), ur10()).doubts
+    assert "readings taken at rest lie far from the others of their station and were left out (11%" in said
+
+
 @pytest.mark.parametrize("rows", [slice(0, 12), slice(20, 39)])
 def test_a_part_of_the_cells_in_millimetres_is_named(rows: slice) -> None:
     """Where a few large numbers are left out, small ones in the same unit would be taken for metres."""

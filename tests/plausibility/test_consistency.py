@@ -169,3 +169,28 @@ def test_readings_that_move_on_while_the_joints_stand_are_named_in_the_refusal(c
     late = replace(clean, reading=clean.reading[order], R=clean.R[order], sigma_position=np.full(80, 0.15))
     with pytest.raises(BadRecording, match="readings: go on moving while the joints stand still, by 150 mm"):
         calibrate(late, CHAIN, np.random.default_rng(0), look_for_effects=False)
+
+
+def test_two_joints_of_a_part(clean: Samples) -> None:
+    half = len(clean) // 2
+    q = clean.q.copy()
+    q[half:, 3:5] = q[half, 3:5]
+    found = disagreement(replace(clean, q=q), CHAIN)
+    assert found is not None
+    assert f"joints {CHAIN.names[3]} and {CHAIN.names[4]} keep their reported positions at stations" in found.what
+    order = np.r_[np.arange(half), half + np.random.default_rng(0).permutation(len(clean) - half)]
+    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
+
+
+def test_orientations_of_a_part_that_are_turned_and_a_part_in_another_unit(clean: Samples) -> None:
+    some = np.arange(len(clean)) % 5 < 2
+    flip = Rotation.from_rotvec([0.0, 0.0, np.pi]).as_matrix()
+    for R, of in ((flip @ clean.R, "the tracker"), (clean.R @ flip, "the tool")):
+        found = disagreement(replace(clean, R=np.where(some[:, None, None], R, clean.R)), CHAIN)
+        assert found is not None
+        assert "orientations look turned by 180° about" in found.what or "orientations look turned by 179" in found.what
+        assert f"of {of} at {some.sum()} of {len(clean)} stations" in found.what
+    inches = np.where(some[:, None], clean.reading / 0.0254, clean.reading)
+    found = disagreement(replace(clean, reading=inches), CHAIN)
+    assert found is not None
+    assert "times as long as the others, in another unit (inches)" in found.what

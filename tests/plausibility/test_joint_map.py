@@ -14,6 +14,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
+from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.robots.kinematics import frames
 
 CHAIN = ur10()
@@ -45,6 +46,7 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
     for samples in (clean, shuffled, clean.select(np.arange(20))):
         assert mixed_joints(samples, CHAIN) is None
         assert other_link(samples, CHAIN) is None
+        assert part_apart(samples, CHAIN) is None
 
 
 @pytest.mark.parametrize(
@@ -94,3 +96,19 @@ def test_readings_of_another_link(clean: Samples, link: tuple[int, int], of) -> 
         assert f"the link before {NAMES[link[1]]} (" in found.what
     if link[0] == 0:
         assert f"{NAMES[-1]} do" in found.what
+
+
+def test_a_part_follows_another_link_or_has_other_columns(clean: Samples) -> None:
+    f, half = frames(CHAIN, clean.q), len(clean) // 2
+    stand = se3.transform(Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix(), [2.0, 0.5, 0.3])
+    T = stand @ f.transform(3) @ se3.exp(np.array([0.1, 0.05, 0.2, 0.4, 0.3, -0.2]))
+    p, R = clean.reading.copy(), clean.R.copy()
+    p[half:], R[half:] = T[half:, :3, 3], T[half:, :3, :3]
+    found = part_apart(replace(clean, reading=p, R=R), CHAIN)
+    assert found is not None
+    assert found.what.startswith(f"at stations {half} to {len(clean) - 1}, and not at the others, readings follow")
+    assert f"the link before {NAMES[3]} (" in found.what
+    q = reported(clean, mixed(4, 5, [[1, 1], [1, -1]])).q
+    found = part_apart(replace(clean, q=np.where(np.arange(len(clean))[:, None] < half, clean.q, q)), CHAIN)
+    assert found is not None
+    assert f"{NAMES[4]} = 0.5 {NAMES[4]} + 0.5 {NAMES[5]}" in found.what

@@ -17,8 +17,8 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.dropouts import cleaned
-from modcal_core.measurements.dropped import UNUSABLE, Dropped, dropped, together
+from modcal_core.measurements.dropouts import MOST_GLITCHES, cleaned
+from modcal_core.measurements.dropped import GLITCHES, UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
@@ -75,9 +75,25 @@ def prepare(
             said = "The arm was almost always moving: readings were used one by one, with interpolated postures."
             notes = (said, *notes)
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
-    lost = together([clean.lost, dropped(aligned, samples, rules, since, until)])
+    unused = dropped(aligned, samples, rules, since, until)
     own = own_statement(aligned, chain.names, rules)
-    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated, clean.doubts)
+    doubts = (*clean.doubts, *_flickering(aligned, dict(unused), since, until))
+    lost = together([clean.lost, unused])
+    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated, doubts)
+
+
+def _flickering(recording: Recording, unused: dict[str, int], since: float, until: float) -> tuple[str, ...]:
+    """What makes a verdict open where more than single readings lie far from the others of their station."""
+    wrong = unused.get(GLITCHES, 0)
+    count = sum(int(np.sum((track.stamps >= since) & (track.stamps < until))) for track in recording.readings)
+    at_rest = count - sum(n for reason, n in unused.items() if reason != GLITCHES)
+    if wrong <= MOST_GLITCHES * at_rest:
+        return ()
+    return (
+        f"{wrong} of {at_rest} readings taken at rest lie far from the others of their station and were left out "
+        f"({wrong / at_rest:.0%}; up to {MOST_GLITCHES:.0%} may be wrong readings): see whether the tracker jumps "
+        "between targets.",
+    )
 
 
 def prepare_pieces(

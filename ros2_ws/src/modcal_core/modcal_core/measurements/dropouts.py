@@ -28,9 +28,9 @@ ELSEWHEN = "stamped at another time than all others"
 _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
 _MOST = 0.5  # share of implausible readings beyond which the plausible ones are the exception
-_GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
-_MILLI = 1e-3  # what coordinates in millimetres are to be multiplied by
-_WITHIN = 0.8  # share of the implausible readings that are plausible as millimetres, from which they are
+MOST_GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
+_UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254}  # of a metre
+_WITHIN = 0.8  # share of the implausible readings that are plausible in another unit, from which they are in it
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
 DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
@@ -78,7 +78,7 @@ def elsewhen(stamps: Array) -> np.ndarray:
         return np.zeros(len(stamps), dtype=np.bool_)
     off = np.abs(stamps - np.median(stamps))
     far = np.asarray(~(off <= max(DAY, _SPREADS * float(np.median(off)))))
-    return far if far.sum() <= max(1.0, _GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
+    return far if far.sum() <= max(1.0, MOST_GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
 
 
 def _joints(
@@ -110,7 +110,7 @@ def _joints(
             _count(lost, reason, int(those.sum()))
             of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
             notes.append(_sentence(track.topic, those, track.stamps, what + of))
-            if reason == BEYOND and those.mean() > _GLITCHES:
+            if reason == BEYOND and those.mean() > MOST_GLITCHES:
                 doubts.append(_too_often(notes[-1]))
     keep = ~(rows | other | far)
     if not keep.all():
@@ -135,7 +135,7 @@ def _beyond(track: JointTrack, mine: list[int], chain: Mechanism | None) -> np.n
         return np.asarray(surely)
     known = dict(zip(chain.names, joint_limits(chain), strict=True))
     over = size > np.array([known.get(track.names[j], np.inf) for j in mine])
-    return np.asarray(over if over.any(axis=1).mean() <= _GLITCHES else surely)
+    return np.asarray(over if over.any(axis=1).mean() <= MOST_GLITCHES else surely)
 
 
 def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTrack:
@@ -154,7 +154,7 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
         order = np.argsort(track.stamps, kind="stable")
         for k in np.flatnonzero(some).tolist():
             j, good, n = mine[k], known[:, k], int((~known[:, k]).sum())
-            few = n <= _GLITCHES * len(good)
+            few = n <= MOST_GLITCHES * len(good)
             kept = order[good[order]]
             values[~good, j] = np.interp(track.stamps[~good], track.stamps[kept], values[kept, j]) if few else np.nan
             done = "the neighbouring values replace it" if few else "it counts as unknown there"
@@ -190,7 +190,7 @@ def _readings(
     odd &= ~other
     if odd.sum() > _MOST * (~rows).sum():
         odd[:] = False  # what is wrong with them is said when they are checked
-    elif odd.sum() > _GLITCHES * (~rows).sum():
+    elif odd.sum() > MOST_GLITCHES * (~rows).sum():
         _require_one_unit(track, ~rows, odd, reach)
     for reason, those, what in (
         (READINGS, broken, "not finite"),
@@ -201,36 +201,42 @@ def _readings(
         if those.any():
             _count(lost, reason, int(those.sum()))
             notes.append(_sentence(name, those, track.stamps, what))
-            if reason == IMPLAUSIBLE and those.sum() > _GLITCHES * (~(broken | gone)).sum():
+            if reason == IMPLAUSIBLE and those.sum() > MOST_GLITCHES * (~(broken | gone)).sum():
                 doubts.append(_too_often(notes[-1]))
     rows = rows | other | odd
     return track.rows(~rows) if rows.any() else track
 
 
 def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:
-    """Raises BadRecording where the implausible ones of whole readings are plausible with millimetres in some cells.
+    """Raises BadRecording where the implausible ones of whole readings are plausible with another unit in some cells.
 
     So they are where a part was recorded in another unit, or an export writes short lengths in millimetres: then what
     is left may hold such numbers as well, which are only small enough to be metres.
     """
     if not kinds()[track.kind].direct:
         return
-    values, kind = track.values[odd].copy(), kinds()[track.kind]
-    most = farthest(reach)
-    large = np.abs(values[:, :3]) > most
-    values[:, :3] = np.where(large, _MILLI * values[:, :3], values[:, :3])
-    good = track.values[whole & ~odd, :3]
-    near = np.abs(values[:, :3] - np.median(good, axis=0)) < reach + np.ptp(good, axis=0)
-    fits = ~kind.implausible(values, reach) & near.all(axis=1) & large.any(axis=1)
-    if fits.mean() < _WITHIN:
+    kind, good = kinds()[track.kind], track.values[whole & ~odd, :3]
+    large = np.abs(track.values[odd, :3]) > farthest(reach)
+    usual, room = np.median(good, axis=0), reach + np.ptp(good, axis=0)
+    found: list[tuple[float, str]] = []
+    for unit, size in _UNITS.items():
+        values = track.values[odd].copy()
+        whole_ones = values[:, :3] / size  # or some coordinates of them alone
+        there = (np.abs(whole_ones - usual) < room).all(axis=1, keepdims=True)
+        values[:, :3] = np.where(there | large, whole_ones, values[:, :3])
+        near = (np.abs(values[:, :3] - usual) < room).all(axis=1)
+        if (~kind.implausible(values, reach) & near & large.any(axis=1)).mean() >= _WITHIN:
+            apart = np.log(np.median(np.linalg.norm(values[:, :3], axis=1)) / np.linalg.norm(usual))
+            found.append((abs(float(apart)), unit))
+    if not found:
         return
     n, of, first = int(odd.sum()), int(whole.sum()), float(track.stamps[int(np.argmax(odd))])
     columns = " and ".join(axis for axis, some in zip("xyz", large.any(axis=0), strict=True) if some)
     which = "" if large.all(axis=1).mean() > _WITHIN else f" in {columns}"
     raise BadRecording(
         f"{track.topic} ({track.frame})",
-        f"units are mixed: {n} of {of} readings hold numbers{which} that look like millimetres, beside others in "
-        f"metres, first at {first:.3f} s",
+        f"units are mixed: {n} of {of} readings hold numbers{which} that look like {min(found)[1]}, beside "
+        f"others in metres, first at {first:.3f} s",
         "write all positions in metres, and record or export again",
     )
 

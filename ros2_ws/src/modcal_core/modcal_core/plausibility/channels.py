@@ -33,6 +33,7 @@ _APART = np.radians(3.0)  # by which two frames are turned, from which that is n
 _LONGER = 0.05  # share by which a coordinate is too long or too short
 _SEEN = 0.03  # of the reach; deviation of the tip's place beyond what its turns tell, from which scales are known
 _WRONG_LENGTH = 0.02  # of the reach
+_MOSTLY = 0.8  # share of the orientations that must agree on a frame, before it is said to be that of all of them
 _ROUNDS = 12  # iterations
 
 
@@ -45,7 +46,7 @@ def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | No
     if found is None:
         return None
     try:
-        return found.late() or found.frames()
+        return found.late() or found.frames() or found.unrelated()
     except np.linalg.LinAlgError:
         return None
 
@@ -107,6 +108,13 @@ class _Channels:
     def turns_agree(self) -> bool:
         return self.turned[2] < ANGLE
 
+    @property
+    def _agreeing(self) -> float:
+        """Share of the orientations that agree on how base and tool are turned."""
+        Y, X, _ = self.turned
+        left = turns_left(Y, self.A[:, :3, :3], X, self.samples.R)
+        return float((np.linalg.norm(left, axis=1) < 2.0 * ANGLE).mean())
+
     # --- rows --------------------------------------------------------------------------------------------------------
 
     def late(self) -> Disagreement | None:
@@ -128,6 +136,19 @@ class _Channels:
             remedy = "pair each reading with its own posture (a table that slipped, or a clock that is off)"
             return self._said(what, remedy)
         return None
+
+    def unrelated(self) -> Disagreement | None:
+        """Coordinates that go along with no posture, where the others go along with their own."""
+        fits = self._agree(0)[:3]
+        if fits.all() or fits.sum() < 2 - (self.poses and self.turns_agree):
+            return None
+        who = self._columns([axis for axis, fit in zip("xyz", fits, strict=True) if not fit])
+        rest = " and ".join(axis for axis, fit in zip("xyz", fits, strict=True) if fit)
+        verb = "do" if who.startswith("columns") else "does"
+        return self._said(
+            f"{who} {verb} not follow the posture, and {rest} {'do' if len(rest) > 1 else 'does'}",
+            "check how that column is read, sorted and written, and whether it holds a coordinate at all",
+        )
 
     @staticmethod
     def _columns(names: list[str]) -> str:
@@ -195,7 +216,7 @@ class _Channels:
         if not self.turns_agree:
             return self._orientations_alone()
         apart = float(np.linalg.norm(so3.log(self.turned[0] @ Y.T)))
-        if apart < _APART:
+        if apart < _APART or self._agreeing < _MOSTLY:
             return None
         return self._said(
             f"orientations are given in a frame that is turned by {np.degrees(apart):.3g}° to that of the positions "

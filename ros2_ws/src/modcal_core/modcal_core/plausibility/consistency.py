@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from modcal_core.plausibility.mistakes import (
     of_units,
 )
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
@@ -45,7 +47,13 @@ _EXPLAINED = 0.8  # share of the rest that an explanation must bring back
 _MORE = 0.3  # share of all stations that a joint's angles must bring back beyond those that agree as they are
 _MOST = 160  # stations; more are thinned evenly
 _STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
+_FEW = 40  # stations of the rest at which two joints are looked for
+_BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from which two joints are looked for
+_STEPS, _LONGEST = 12, 0.7  # iterations, and how far one goes [rad]
 _STILL = 1e-9  # rad
+_OTHER_UNIT = 0.02  # by which a scale must differ to be another unit, and may miss one that has a name
+# of a metre
+_UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "kilometres": 1e-3}
 # What drivers publish instead of radians at the joint
 _FACTORS = {
     "the other way round": -1.0,
@@ -134,9 +142,12 @@ class _Search:
             if len(rest) >= _LEAST // 2:
                 said = (
                     self._by_mistake(placed, rest, self._mistakes())
+                    or self._turned(placed, rest)
+                    or self._in_another_unit(placed, rest)
                     or self._elsewhere(placed, rest)
                     or self._one_joint(placed, rest)
                     or self._by_mistake(placed, rest, of_several_joints(self.samples.names))
+                    or self._two_joints(placed, rest)
                 )
                 if said is not None:
                     return said
@@ -200,6 +211,56 @@ class _Search:
             yield from of_axes_of_the_pose()
             yield from of_rotations()
 
+    def _turned(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+        """Positions of the rest that agree, and orientations that are turned by one angle about one axis."""
+        if not self.poses:
+            return None
+        A, R = self.A[rest, :3, :3], self.samples.R[rest]
+        gap = placed.residual(self.A[rest], self.samples.select(rest))[1]
+        if (gap < _CLEARLY * self.limit[1]).mean() < _EXPLAINED:
+            return None
+        expected = placed.Y @ A @ placed.X
+        best, named, about = _EXPLAINED, np.eye(3), ""
+        for off, frame in (
+            (R @ np.swapaxes(expected, 1, 2), "the tracker"),
+            (np.swapaxes(expected, 1, 2) @ R, "the tool"),
+        ):
+            cosine = 0.5 * (np.einsum("nij,kij->nk", off, off) - 1.0)
+            alike = (cosine > np.cos(_CLEARLY * self.limit[0])).mean(axis=1)
+            k = int(np.argmax(alike))
+            if alike[k] > best:
+                best, named, about = float(alike[k]), off[k], frame
+        if not about:
+            return None
+        turn = so3.log(named)
+        angle = float(np.linalg.norm(turn))
+        axis = ", ".join(f"{v:.2f}" for v in turn / max(angle, 1e-12) + 0.0)
+        return self._said(
+            rest,
+            f"orientations look turned by {np.degrees(angle):.4g}° about ({axis}) of {about} "
+            f"at {self._stations(rest)}, and positions agree",
+            "check how orientations are computed (an angle that is folded or of which the sign is lost), and whether "
+            "the target looks alike from several sides",
+        )
+
+    def _in_another_unit(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+        """The rest with positions that are one number times as long as they should be."""
+        expected = se3.apply(self.A[rest], placed.x) @ placed.Y.T + placed.t
+        seen = self.samples.reading[rest]
+        factor = float(np.median(np.sum(seen * expected, axis=1) / np.sum(expected**2, axis=1)))
+        if abs(factor - 1.0) < _OTHER_UNIT or abs(factor) < 1e-9:
+            return None
+        part = replace(self.samples.select(rest), reading=seen / factor)
+        if self._within(placed, self.A[rest], part, _CLEARLY).mean() < _EXPLAINED:
+            return None
+        unit = next((f" ({name})" for name, size in _UNITS.items() if abs(factor / size - 1.0) < _OTHER_UNIT), "")
+        return self._said(
+            rest,
+            f"positions look {factor:.4g} times as long as the others, in another unit{unit}, "
+            f"at {self._stations(rest)}",
+            "write all positions in metres",
+        )
+
     def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with a base, a tool, or both of its own."""
         other, agree = self._largest(rest)
@@ -215,7 +276,9 @@ class _Search:
         remedy = (
             "check whether two trackers or targets publish under one name; give each part its own frame or recording"
         )
-        return self._said(rest, f"{said} at {self._stations(rest)}", remedy)
+        joint = self._one_joint(placed, rest)  # a turn about its axis is as well that of the base, or of the tool
+        as_well = "" if joint is None else f", or {joint.what}"
+        return self._said(rest, f"{said} at {self._stations(rest)}{as_well}", remedy)
 
     def _one_joint(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with the position of one joint unknown."""
@@ -226,6 +289,54 @@ class _Search:
             if share >= _EXPLAINED:
                 return self._joint_said(j, rest, part.q[:, j], q[:, j])
         return None
+
+    def _two_joints(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
+        """The rest with the positions of two joints unknown, which four of the six numbers of a pose then prove."""
+        if not self.poses:
+            return None
+        few = rest[np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FEW)).astype(int))]
+        part = self.samples.select(few)
+        for pair in combinations(self._joints(), 2):
+            q = self._solved_two(list(pair), placed, part)
+            if float(self._within(placed, forward(self.chain, q), part, _CLEARLY).mean()) < _EXPLAINED:
+                continue
+            names = " and ".join(part.names[j] for j in pair)
+            where = f" at {self._stations(rest)}" if len(rest) < len(self.samples) else ""
+            stale = np.ptp(part.q[:, pair], axis=0).max() < _STILL
+            what = (
+                f"joints {names} keep their reported positions{where} while they move: they look stale"
+                if stale
+                else f"joints {names} were not where they were reported{where}"
+            )
+            return self._said(rest, what, f"check how the positions of {names} get into joint_states")
+        return None
+
+    def _solved_two(self, pair: list[int], placed: Placed, part: Samples) -> Array:
+        """Postures with the positions of two joints that come nearest to the readings, from several starts."""
+        best, q_best = np.full(len(part), np.inf), part.q.copy()
+        scale = np.array(self.limit)
+        for start in product(_BEGIN, repeat=2):
+            q = part.q.copy()
+            q[:, pair] += start
+            for _ in range(_STEPS):
+                A = forward(self.chain, q)
+                J = spatial_jacobian(self.chain, q)[:, :, pair]
+                point = se3.apply(A, placed.x)
+                gap = part.reading - (point @ placed.Y.T + placed.t)
+                turn = turns_left(placed.Y, A[:, :3, :3], placed.X, part.R)
+                by_gap = placed.Y @ (J[:, :3] + np.cross(J[:, 3:], point[:, :, None], axis=1))
+                by_turn = np.swapaxes(A[:, :3, :3] @ placed.X, 1, 2) @ J[:, 3:]
+                G = np.concatenate([by_turn / scale[0], by_gap / scale[1]], axis=1)
+                r = np.concatenate([turn / scale[0], gap / scale[1]], axis=1)
+                H = np.swapaxes(G, 1, 2) @ G
+                H += 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+                step = np.linalg.solve(H, np.swapaxes(G, 1, 2) @ r[..., None])[..., 0]
+                q[:, pair] += np.clip(step, -_LONGEST, _LONGEST)
+            angle, distance = placed.residual(forward(self.chain, q), part)
+            left = np.maximum(angle / scale[0], distance / scale[1])
+            better = left < best
+            best[better], q_best[better] = left[better], q[better]
+        return q_best
 
     def _joints(self) -> list[int]:
         return [j for j in range(self.chain.n) if self.chain.revolute[j]]

@@ -24,6 +24,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.consistency import placed_by_most
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
@@ -53,6 +54,7 @@ _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever w
 _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
 _TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
 _MOST_LEFT = 0.5  # of the residual, by the convention that is meant
+_PART = 0.2  # share of the stations that agree as they are, from which another convention is none of all of them
 _ROUNDS = 8  # iterations
 _NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gaussian: 99 % along each axis)
 
@@ -94,10 +96,7 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
         if mistake.offender == inverse_pose().offender:
             samples, undone = _inverted(samples, rows), INVERTED
             continue
-        said = (
-            f"the nominal arm misses by {_degrees(before.angle)} and {1e3 * before.position:.3g} mm, "
-            f"with that undone by {_degrees(after.angle)} and {1e3 * after.position:.3g} mm"
-        )
+        said = _said(before, after)
         gain = f"better by {after.score - before.score:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
         raise BadRecording(f"readings in frame '{frame}': {mistake.offender}", f"{said} ({gain})", mistake.remedy)
     return samples, undone
@@ -108,6 +107,19 @@ def _inverted(samples: Samples, rows: np.ndarray) -> Samples:
     position, R = samples.reading.copy(), samples.R.copy()
     position[rows], R[rows] = part.reading, part.R
     return replace(samples, reading=position, R=R)
+
+
+def _said(before: Match, after: Match) -> str:
+    """By how much the nominal arm misses before and after: RMS, or the medians where these alone got better."""
+    if _throughout(after, before):
+        was, now, where = (before.angle, before.position), (after.angle, after.position), ""
+    else:
+        was, now = (before.typical_angle, before.typical), (after.typical_angle, after.typical)
+        where = " at the median station"
+    return (
+        f"the nominal arm misses by {_degrees(was[0])} and {1e3 * was[1]:.3g} mm{where}, "
+        f"with that undone by {_degrees(now[0])} and {1e3 * now[1]:.3g} mm"
+    )
 
 
 def _degrees(angle: float) -> str:
@@ -138,7 +150,20 @@ def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake
     if top - before.score <= BEYOND_DOUBT:
         return None
     after, _, mistake = min((c for c in judged if c[0].score >= top - _ALIKE), key=lambda c: c[1])
+    if not _throughout(after, before) and _a_part_agrees(more, chain):
+        return None  # it brings some back and spoils others: of those stations :mod:`consistency` speaks
     return mistake, before, after
+
+
+def _throughout(after: Match, before: Match) -> bool:
+    """Whether the RMS got better with the median: no mean is spoiled where the usual station is brought back."""
+    return after.angle <= before.angle and after.position <= before.position
+
+
+def _a_part_agrees(samples: Samples, chain: Chain) -> bool:
+    """Whether many stations agree with the arm as they are, so that no other convention is that of all."""
+    placed, agree = placed_by_most(samples, chain)
+    return placed is not None and float(agree.mean()) >= _PART
 
 
 def _turned(found: Match) -> bool:

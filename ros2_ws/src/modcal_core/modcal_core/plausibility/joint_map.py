@@ -1,8 +1,9 @@
 """Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for.
 
 Drivers report motors where joints are meant: sums and differences of a differential wrist, counts of another gear,
-zeros of another table. With positions q of the joints as M times the reported ones and c, base, tool, M and c are found
-together by least squares, from the columns as they are and from such mixtures of two columns as fit best in closed form.
+zeros of another table. With positions of the joints as M times the reported ones and c, base, tool, M and c are found
+together by least squares (Levenberg-Marquardt), from the columns as they are, and from mixtures of columns and zeros
+that fit best in closed form.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_pos
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import Disagreement, limits
+from modcal_core.plausibility.consistency import ANGLE, Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.plausibility.screening import most_likely
@@ -27,7 +28,8 @@ from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 _LEAST = 40  # stations; some seventy numbers are fitted to three or six of each
 _MOST = 100  # the same at most
-_STARTS = 6  # likeliest mixtures that are refined beside the columns as they are
+_STARTS = 4  # likeliest mixtures, and likeliest zeros, that are refined beside the columns as they are
+_MOST_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
 _ROUNDS = 40  # iterations
 _TURNED = 4.0  # times the limit of angles that a joint must be off by at the usual station to be named
 _SETTLED = 1e-3  # relative change of the cost at which a fit has settled
@@ -44,15 +46,12 @@ def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     part = part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
     moved = part.q.std(axis=0) > 0.0
-    starts = [np.eye(chain.n), *(m for m in _likely(part, chain))]
+    starts = [_Map(np.eye(chain.n), np.zeros(chain.n)), *_likely(part, chain)]
     try:
-        for M in starts:
-            fit = _fitted(part, chain, M, moved)
-            if fit is not None:
-                return _said(fit, part, chain)
+        fits = [fit for start in starts if (fit := _fitted(part, chain, start, moved)) is not None]
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
-    return None
+    return _said(min(fits, key=lambda fit: _changed(fit, part)), part, chain) if fits else None
 
 
 @dataclass(frozen=True)
@@ -63,21 +62,48 @@ class _Map:
     c: Array
 
 
-def _likely(samples: Samples, chain: Chain) -> list[Array]:
-    """The mixtures of two columns that are worth a fit."""
-    matrices = list(_mixtures(chain.n))
-    mistakes = [
-        Mistake("", str(k), lambda s, M=M: replace(s, q=s.q @ M.T), "joints")  # type: ignore[misc]
-        for k, M in enumerate(matrices)
-    ]
-    try:
-        return [matrices[int(m.remedy)] for m in most_likely(samples, chain, mistakes, _STARTS)]
-    except np.linalg.LinAlgError:
-        return []
+def _changed(fit: _Map, samples: Samples) -> int:
+    """How many coefficients and zeros a map changes by more than errors of an arm."""
+    least = _TURNED * ANGLE
+    off = np.abs(fit.M - np.eye(len(fit.c))) * samples.q.std(axis=0) > least
+    shift = samples.q.mean(axis=0) @ (fit.M - np.eye(len(fit.c))).T + fit.c
+    zeros = (np.abs(np.sin(0.5 * shift)) > 0.5 * least) & ~off.any(axis=1)
+    return int(off.sum() + zeros[1:-1].sum())
 
 
-def _mixtures(n: int) -> Iterator[Array]:
-    """What undoes sums, differences and means of two columns, and one in another's place with its sign."""
+def _likely(samples: Samples, chain: Chain) -> list[_Map]:
+    """Mixtures of columns, and zeros of other tables, that are worth a fit."""
+    out: list[_Map] = []
+    for some in (list(_mixtures(chain.n)), list(_zeros(chain))):
+        mistakes = [
+            Mistake("", str(k), lambda s, m=m: replace(s, q=s.q @ m.M.T + m.c), "joints")  # type: ignore[misc]
+            for k, m in enumerate(some)
+        ]
+        try:
+            out += [some[int(m.remedy)] for m in most_likely(samples, chain, mistakes, _STARTS)]
+        except np.linalg.LinAlgError:
+            continue
+    return out
+
+
+def _zeros(chain: Chain) -> Iterator[_Map]:
+    """Quarter turns in the zeros of the joints between the first and the last, whose own are base and tool as well."""
+    inner = [j for j in range(1, chain.n - 1) if chain.revolute[j]]
+    if len(inner) > _MOST_INNER:
+        return
+    for quarters in product(range(4), repeat=len(inner)):
+        c = np.zeros(chain.n)
+        c[inner] = 0.5 * np.pi * np.array(quarters)
+        yield _Map(np.eye(chain.n), c)
+
+
+def _mixtures(n: int) -> Iterator[_Map]:
+    """What undoes sums, differences and means of two columns, and angles that add up along the arm."""
+    for first in range(n - 2):
+        for last in range(first + 3, n + 1):
+            B = np.eye(n)
+            B[first:last, first:last] = np.tril(np.ones((last - first, last - first)))
+            yield _Map(np.linalg.inv(B), np.zeros(n))
     for i, j in combinations(range(n), 2):
         for values in product((-1.0, 0.0, 1.0), repeat=4):
             B = np.array(values).reshape(2, 2)
@@ -87,45 +113,44 @@ def _mixtures(n: int) -> Iterator[Array]:
             for scale in (1.0, 2.0) if abs(det) == 2.0 else (1.0,):
                 M = np.eye(n)
                 M[np.ix_((i, j), (i, j))] = scale * np.linalg.inv(B)
-                yield M
+                yield _Map(M, np.zeros(n))
 
 
-def _fitted(samples: Samples, chain: Chain, M: Array, moved: np.ndarray) -> _Map | None:
+def _fitted(samples: Samples, chain: Chain, start: _Map, moved: np.ndarray) -> _Map | None:
     """The map from this start, where a nominal arm misses by no more than its own errors with it; None otherwise."""
     angle, distance = limits(chain)
-    n, poses = chain.n, bool(samples.is_pose.all())
-    c = np.zeros(n)
-    A = frames(chain, samples.q @ M.T).transform(-1)
+    poses, M, c = bool(samples.is_pose.all()), start.M, start.c
+    A = frames(chain, samples.q @ M.T + c).transform(-1)
     Y, X = _turns(A, samples, poses)
     _, x, t = tool_and_place(Y, A, samples.reading)
     scale = np.array([angle, distance])
-    damping, cost = 1e-3, np.inf
     state = (M, c, Y, X, x, t)
+    r, G = _rows(samples, chain, state, moved, poses, scale)
+    damping, cost = 1e-3, _cost(r)
     for _ in range(_ROUNDS):
-        r, G = _rows(samples, chain, state, moved, poses, scale)
-        square = np.sum(r**2, axis=1)
-        now = float(np.sum(np.log1p(square)))
-        if now > cost and damping < 1e4:
-            damping *= 8.0
-            state = before
-            r, G, square = kept
-        else:
-            settled = cost - now < _SETTLED * abs(now)
-            cost, damping = now, max(damping / 4.0, 1e-6)
-            if settled:
-                break
-        before, kept = state, (r, G, square)
-        weight = 1.0 / (1.0 + square)  # Cauchy
+        weight = np.repeat(1.0 / (1.0 + np.sum(r**2, axis=1)), r.shape[1])  # Cauchy
         flat = G.reshape(-1, G.shape[2])
-        H = (flat.T * np.repeat(weight, r.shape[1])) @ flat
-        g = flat.T @ (np.repeat(weight, r.shape[1]) * r.ravel())
+        H = (flat.T * weight) @ flat
         D = np.diag(H)
-        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), g)
-        state = _stepped(state, step, moved)
+        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), flat.T @ (weight * r.ravel()))
+        moved_on = _stepped(state, step, moved)
+        r_there, G_there = _rows(samples, chain, moved_on, moved, poses, scale)
+        now = _cost(r_there)
+        if now > cost:
+            damping *= 8.0
+            continue
+        settled = cost - now < _SETTLED * now
+        state, r, G, cost, damping = moved_on, r_there, G_there, now, max(damping / 4.0, 1e-6)
+        if settled:
+            break
     turned, gap = _left(samples, chain, state, poses)
     if float(np.median(gap)) > distance or float(np.median(turned)) > angle:
         return None
     return _Map(state[0], state[1])
+
+
+def _cost(r: Array) -> float:
+    return float(np.sum(np.log1p(np.sum(r**2, axis=1))))
 
 
 _State = tuple[Array, Array, Array, Array, Array, Array]
@@ -190,7 +215,7 @@ def _left(samples: Samples, chain: Chain, state: _State, poses: bool) -> tuple[A
 def _said(fit: _Map, samples: Samples, chain: Chain) -> Disagreement | None:
     """What is said of a map: the joints that it changes by more than errors of an arm, and how."""
     names, q = samples.names or chain.names, samples.q
-    least = _TURNED * limits(chain)[0]
+    least = _TURNED * ANGLE
     off = q @ (fit.M - np.eye(chain.n)).T
     shift = off.mean(axis=0) + fit.c
     varies = [i for i in range(chain.n) if off[:, i].std() > least]
@@ -206,7 +231,9 @@ def _said(fit: _Map, samples: Samples, chain: Chain) -> Disagreement | None:
     who = _and([names[i] for i in varies])
     what = []
     if mixed:
-        what.append(f"positions of {who} look mixed with each other or with others, as those of motors: {'; '.join(said)}")
+        what.append(
+            f"positions of {who} look mixed with each other or with others, as those of motors: {'; '.join(said)}"
+        )
     elif varies:
         what.append(f"positions of {who} look counted in another scale: {'; '.join(said)}")
     if shifted:

@@ -1,8 +1,8 @@
 """Readings that follow another link than the tip: a target on the elbow, a tracker that the arm carries.
 
-Between any two frames along the chain, that of one link seen from another, base and target are found in closed form. The
-tip seen from the base is what is expected; where the readings follow another pair as a nominal arm does, the target or
-what it is seen from is mounted there, or the topic is that of another target.
+Between any two frames along the chain, that of one link seen from another, base and target are found in closed form.
+The tip seen from the base is what is expected; where the readings follow another pair as a nominal arm does, the target
+or what it is seen from is mounted there, or the topic is that of another target.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def other_link(samples: Samples, chain: Mechanism) -> Disagreement | None:
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
     good = (missed < distance) & (turned < angle)
-    whole = pairs.index((0, chain.n, False))
-    if good[whole] or not good.any():
+    whole = [pairs.index((0, chain.n, inverse)) for inverse in (False, True)]
+    if good[whole].any() or not good.any():
         return None
     # of those that fit, the one with fewest joints: what is between others of them stood still
     first, last, inverse = min((pairs[k] for k in np.flatnonzero(good)), key=lambda p: (p[1] - p[0], p[2]))
@@ -98,7 +98,8 @@ def _sentence(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, 
     target = f"the link before {names[last]} ({behind}behind {names[last - 1]})" if last < n else "the tool"
     seen = f"the link behind {names[first - 1]} ({before}before {names[first]})" if first else "the base"
     still = [*names[:first], *names[last:]]
-    moved = f"{' and '.join(still)} do{'es' if len(still) == 1 else ''} not move them" if still else ""
+    *most, final = still
+    moved = f"{', '.join(most)}{' and ' if most else ''}{final} do{'' if most else 'es'} not move them"
     if inverse:
         what = f"readings look like the pose of {seen} seen from {target}"
     elif first == 0:
@@ -108,7 +109,7 @@ def _sentence(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, 
     else:
         what = f"readings follow {target} as seen from {seen}"
     return (
-        f"{what}{'; ' if moved else ''}{moved}",
+        f"{what}; {moved}",
         "record the topic of the target on the tool in a frame that stands, or give --tip and --base as the links that "
         "carry target and tracker",
     )

@@ -33,6 +33,7 @@ from modcal_core.plausibility.mistakes import (
     of_several_joints,
     of_units,
 )
+from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
@@ -79,8 +80,9 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         )
         if alone is not None:
             raise BadRecording(alone.what, said, alone.remedy)
-    if best[1] and best[0] <= _AN_ARM * chain.reach():
-        raise BadRecording(best[1], f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm", best[2])
+    named = f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm"
+    if best[1] and best[0] <= limit:
+        raise BadRecording(best[1], named, best[2])
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
         raise BadRecording(
@@ -88,10 +90,12 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
             "record an instrument that measures all three coordinates",
         )
-    found = disagreement(few, chain)
+    found = disagreement(few, chain) or part_apart(whole, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
-    described = wrong_description(whole, chain) or mixed_joints(whole, chain)
+    if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
+        raise BadRecording(best[1], named, best[2])
+    described = mixed_joints(whole, chain) or wrong_description(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
     if (wander := _wander(samples)) > _WANDER * missed:

@@ -13,6 +13,7 @@ from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
+from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.screening import wrong_joints
 from modcal_core.verdict.case import Case, derivatives, weights
@@ -87,6 +88,7 @@ def _apart(case: Case) -> Iterator[str]:
         looks = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
         other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
+    other = other or part_apart(case.samples, chain)
     if other is not None:
         what = other.what[0].upper() + other.what[1:]
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."

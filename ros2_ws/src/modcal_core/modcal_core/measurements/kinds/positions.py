@@ -9,6 +9,7 @@ from modcal_core.measurements.kinds.kind import Kind, farthest
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
 
 _SPREAD = 5.0  # times the arm's reach; millimetres spread a thousand times as far, and an arm itself no more than once
+_MILLI = 150.0  # the same from which no other usual unit is as small
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be
 
 
@@ -40,7 +41,8 @@ class Point(Kind):
             wide = [axis for axis in size if size[axis] > _SPREAD * reach]
             narrow = [axis for axis in size if 1e-3 * reach < size[axis] <= _SPREAD * reach]
             if not wide or not narrow:
-                return f"{said}it looks like millimetres", "record metres"
+                small = "centimetres or inches, or millimetres of a small part of its reach"
+                return f"{said}it looks like {'millimetres' if spread > _MILLI * reach else small}", "record metres"
             which = f"column{'s' if len(wide) > 1 else ''} {' and '.join(wide)}"
             look = f"{which} alone, in another unit than the rest (millimetres), or angles (polar coordinates)"
             return f"{said}{look}", "record x, y and z in metres"
