@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,7 +84,10 @@ def test_a_wrong_convention_gets_no_certificate(
 def test_comparing_writes_a_page_and_json(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run(["compare", str(folder / "a"), str(folder / "a"), "--tolerance-mm", "1", "--out", str(out)]) == 0
-    assert "No difference is shown" in capfd.readouterr().out
+    said = capfd.readouterr().out
+    assert "No difference is shown" in said
+    assert re.search(r"^  ±: one standard deviation; .*shown: ", said, re.MULTILINE)
+    assert said.endswith(f"Comparison: {out}/comparison.html\nAlso in {out}: comparison.json\n")
     assert json.loads((out / "comparison.json").read_text())["result"] == "same"
     assert "No difference is shown" in (out / "comparison.html").read_text()
     assert run(["compare", str(folder / "a"), str(folder / "a"), "--tolerance-mm", "1e-6", "--out", str(out)]) == 3

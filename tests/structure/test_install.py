@@ -88,3 +88,14 @@ def test_every_folder_of_modules_is_a_package(package: str) -> None:
     }
     assert with_modules == set(find_packages(str(SRC / package), include=include))
     assert (SRC / package / package / "py.typed").is_file()
+
+
+def test_in_the_shell_of_env_bash_the_nodes_are_commands(root: Path, tmp_path: Path) -> None:
+    """Which stands in for `ros2 run`; `modcal` is the one that ignores another ROS, and a closed pipe is no fault."""
+    clean = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    shell = f"source {root}/env.bash && command -v modcal && (calibrator --help | head -1)"
+    done = subprocess.run(["bash", "-c", shell], env=clean, cwd=tmp_path, capture_output=True, text=True, check=True)
+    where, usage = done.stdout.splitlines()
+    assert Path(where) == root / ".venv/bin/modcal"
+    assert usage.startswith("usage: ros2 run modcal_nodes calibrator")
+    assert done.stderr == ""

@@ -11,7 +11,7 @@ from modcal_core.report.effect_tables import size_tables
 from modcal_core.report.page import Chart, render
 from modcal_core.report.palette import AFTER
 from modcal_core.report.panel import Panel
-from modcal_core.report.summary import SummaryLine, SummaryTable, Tone
+from modcal_core.report.summary import SummaryLine, SummaryTable, Tone, legend
 
 TONES: dict[str, str] = {"same": "good", "within tolerance": "good", "beyond tolerance": "bad"}
 _HEADINGS = {
@@ -22,6 +22,12 @@ _HEADINGS = {
     "cannot tell": "cannot tell",
 }
 _LARGEST = 12  # parameters on a terminal
+_LEGEND = {
+    "±": "one standard deviation",
+    "difference": "the second minus the first",
+    "shown": "whether it is more than the uncertainty of both explains, at 95 % for all parameters together",
+    "of base or tool": "base and tool take it up",
+}
 _KINDS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"))
 
 
@@ -65,6 +71,8 @@ def summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
             out.append(SummaryTable(head, lines))
         if len(part) > len(ranked):
             out.append(SummaryLine(f"{len(part) - len(ranked)} more are in comparison.json and on the page."))
+    if any(part for *_, part in _parts(found)):
+        out.append(legend(_LEGEND))
     if found.effects:
         rows = [(e.name, *("yes" if s is not None else "no" for s in (e.first, e.second))) for e in found.effects]
         out.append(SummaryTable(("effect", *names), tuple(rows)))

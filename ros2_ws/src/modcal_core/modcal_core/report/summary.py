@@ -68,7 +68,7 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
             rows.append((stage, *numbers, "" if angle is None else f"{angle.rms:.4f}"))
     names = ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg")
     yield SummaryTable((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
-    yield _legend({stage: said for stage, said in _STAGES.items() if any(row[0] == stage for row in rows)})
+    yield legend({stage: said for stage, said in _STAGES.items() if any(row[0] == stage for row in rows)})
     seen = report.identifiability
     if seen is not None:
         said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
@@ -77,13 +77,13 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
         yield _effects(report)
-        yield _legend(_EFFECTS)
+        yield legend(_EFFECTS)
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
     if judged := accounts(report.judged):
         yield from map(_account, judged)
-        yield _legend(_SHARES)
+        yield legend(_SHARES)
     yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")
@@ -92,7 +92,8 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
         yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
 
 
-def _legend(meanings: Mapping[str, str]) -> SummaryLine:
+def legend(meanings: Mapping[str, str]) -> SummaryLine:
+    """What the columns of the table above mean."""
     return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
 
 

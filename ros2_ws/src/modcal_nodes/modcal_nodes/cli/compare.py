@@ -16,7 +16,7 @@ from modcal_core.measurements.schema import require
 from modcal_core.report.comparison import Side, compare, to_json_data
 from modcal_core.report.comparison_page import summary, to_html
 from modcal_nodes.cli.calibrate import EXISTING, UNMET
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
 
@@ -46,8 +46,10 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
         found = compare(sides[0], sides[1], tolerance_mm)
         data = to_json_data(found)
         out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
-        write_folder(out, {"comparison.json": to_json(data), "comparison.html": to_html(found)})
-    output.result(data, partial(show_blocks, summary(found)), f"Comparison: {out / 'comparison.html'}")
+        files = {"comparison.json": to_json(data), "comparison.html": to_html(found)}
+        write_folder(out, files)
+    where = written(out, files, "Comparison", "comparison.html")
+    output.result(data, partial(show_blocks, summary(found)), where)
     judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
 

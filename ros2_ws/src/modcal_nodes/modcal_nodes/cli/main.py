@@ -161,7 +161,7 @@ def _source_of(module: str) -> str | None:
     if module in _EXTRAS:
         return f"pip install 'modcal[{_EXTRAS[module]}]'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
-        return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; every other verb works without"
+        return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only door and watch need one"
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,7 +28,10 @@ def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     words = list(sys.argv if arguments is None else arguments)
     name = Path(words[0]).name if words else ""
     if any(word in ("-h", "--help") for word in words[1:]):
-        print(help_text(name, make))
+        try:
+            print(help_text(name, make), flush=True)
+        except BrokenPipeError:  # `calibrator --help | head`: the interpreter's last flush must not complain either
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     try:
         own = remove_ros_args(words)[1:]
