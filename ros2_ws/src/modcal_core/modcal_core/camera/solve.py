@@ -17,6 +17,7 @@ from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
+from modcal_core.camera.contradicted import contradictions, is_stated
 from modcal_core.camera.corners import SHAPE, CornerTable, residuals
 from modcal_core.camera.decision import Decision, decide
 from modcal_core.camera.fit import CameraFit, fit_camera
@@ -39,6 +40,7 @@ _HELD_OUT = 4  # every fourth image
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
+_UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
 _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may differ from what is stated of it
 
 
@@ -145,7 +147,8 @@ def solve_camera(
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m)
-    problems = _problems(fit, nominal, moved, left_out, len(views), corners_out, target)
+    wrong = contradictions(fit, lens or lens_fit.lens, target.scale, is_stated(lens, stated), size_of_arm)
+    problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
     decision = decide(in_view, bool(metric), problems, arm_m)
     return CameraSolution(
         *(fit, nominal, mounting, lens_fit, target, left_out, corners_out, in_view, anywhere, decision, moved),
@@ -188,6 +191,7 @@ def _problems(
     fit: CameraFit,
     nominal: CameraFit,
     moved: MovedHalf | None,
+    wrong: tuple[str, ...],
     left_out: dict[str, str],
     count: int,
     corners_out: float,
@@ -204,12 +208,18 @@ def _problems(
             f"The {what} was moved before image {fit.table.names[moved.at]}, by {1e3 * moved.shift_m:.1f} mm and "
             f"{np.degrees(moved.turn_rad):.2f}°: calibrate from the images before, or from those after."
         )
+    out += wrong
+    if fit.sizes.joint > _UNSTEADY:
+        out.append(
+            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
+            "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
+        )
     if len(left_out) > _MANY_OUT * count:
         out.append(f"{len(left_out)} of {count} images were left out.")
     if corners_out > _CORNERS_OUT:
         out.append(f"{100.0 * corners_out:.0f} % of all corners fit no flat target of the stated form.")
     P = len(fit.poses.parameters)
-    for i, axis in enumerate("xy"):
+    for i, axis in enumerate("" if wrong else "xy"):
         off = fit.state.shape[i] - (getattr(target.scale, axis) - 1.0)
         usual = np.hypot(target.scale.std, 0.5 * target.scale.std_apart)
         if abs(off) > _SCALE_SIGMAS * usual:
