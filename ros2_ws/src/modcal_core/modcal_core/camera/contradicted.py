@@ -38,11 +38,11 @@ def contradictions(
     lens's values, None where nobody stated any. arm: as in the fit.
     """
     out = []
-    plain = fit.equations.solve(fit.sizes).misfit() + usual(fit.sizes)
+    plain = fit.misfit
     for what, prior in _wider(fit.prior, lens, stated).items():
         if _screened(fit, prior, arm) < plain - _SCREEN:
             other = fit_camera(fit.table, fit.poses, fit.state.lens, prior, fit.sizes, arm)
-            if other.converged and _misfit(other) < plain - _GAIN:
+            if other.converged and other.misfit < plain - _GAIN:
                 out.append(_said(what, other, lens, scale))
     if arm is not None and fit.poses.of_arm.any():
         free = likeliest(fit.equations, fit.sizes)
@@ -87,12 +87,8 @@ def _screened(fit: CameraFit, prior: CommonPrior, arm: float | None) -> float:
     return there.solve(sizes).misfit() + usual(sizes)
 
 
-def _misfit(fit: CameraFit) -> float:
-    return fit.equations.solve(fit.sizes).misfit() + usual(fit.sizes)
-
-
 def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
-    P = len(other.poses.parameters)
+    P = other.poses.count
     std = np.sqrt(np.diag(other.covariance))[P + 1 :]
     shape = other.state.shape
     if what == "size":

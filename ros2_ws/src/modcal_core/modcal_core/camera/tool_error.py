@@ -122,7 +122,7 @@ def postures_anywhere(chain: Chain, rng: np.random.Generator, count: int = _POST
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     """Whether the camera sees the front of the target at these postures (M, n), (M,) bool."""
     at = fit.poses.at_postures(q)
-    T = at.seen(at.model_at(fit.state.values).predict(q))
+    T = at.seen(at.tool_at(fit.state.values))
     points = _sheet(fit.table)
     X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
     ahead = X[:, :, 2] > 1e-3
@@ -130,7 +130,7 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     inside = ahead & ((pixels >= 0.0) & (pixels < np.array(fit.state.lens.size))).all(axis=2)
     # the side that the images show
     side = np.einsum("mi,mi->m", T[:, :3, 2], X.mean(axis=1))
-    seen = at.seen(fit.poses.model_at(fit.state.values).predict(fit.poses.q))
+    seen = fit.poses.seen(fit.poses.tool_at(fit.state.values))
     front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
     return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
 
