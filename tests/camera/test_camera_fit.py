@@ -290,13 +290,13 @@ def test_images_of_another_moment_are_refused_or_named(delay_s: float) -> None:
     """An arm that moves at 0.3 rad/s, taken as standing: the joints are those of 0.1 or 1 s before."""
     velocity = 0.3 * np.random.default_rng(8).choice([-1.0, 1.0], (20, 7))
     s = scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=delay_s)
-    try:
-        r = solved(s)
-    except BadRecording as error:
-        assert "belong" in str(error)
-    else:
-        assert r.decision.word == DO_NOT_APPLY
-        assert any("of the same moment" in said for said in r.decision.because)
+    if delay_s == 1.0:
+        with pytest.raises(BadRecording, match="belong"):
+            solved(s)
+        return
+    r = solved(s)
+    assert r.decision.word == DO_NOT_APPLY
+    assert any("of the same moment" in said for said in r.decision.because)
 
 
 def test_two_boards_in_turn_are_refused() -> None:

@@ -93,15 +93,15 @@ class Beside:
         """The rows with the arm's parameters, effects and own ones at these values, in that order. columns: where each
         of these stands among ``count``.
         """
-        A, O = len(arm), len(self.own)
+        own = len(self.own)
         parameters = (*self.own, *arm)
-        order = np.r_[values[len(values) - O :], values[: len(values) - O]]
+        order = np.r_[values[len(values) - own :], values[: len(values) - own]]
         model = self.model.with_effects(tuple(effects))
         at = linearise(model, parameters, order, self.samples)
         J = np.zeros((at.residual.size, count))
-        mine = np.r_[columns[len(columns) - O :], columns[: len(columns) - O]]
+        mine = np.r_[columns[len(columns) - own :], columns[: len(columns) - own]]
         J[:, mine] = at.J.T
-        assert len(mine) == len(at.J) >= A + O
+        assert len(mine) == len(at.J)
         N, pose = len(self.samples), self.samples.is_pose
         sigma_p = np.nan_to_num(self.samples.sigma_position)
         sigma_r = np.nan_to_num(self.samples.sigma_rotation[pose])
@@ -109,13 +109,17 @@ class Beside:
         turned = np.array([kinds()[str(k)].unit == "rad" for k in self.samples.kind])
         unit = np.where(turned, _LEVER**-2.0, 1.0)
         M = int(pose.sum())
-        return BesideRows(
-            J,
-            at.residual,
-            np.r_[np.tile(sigma_p**2, 3), np.tile(sigma_r**2, 3)],
-            np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
-            np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
-        ) if N else BesideRows(J, at.residual, *(np.empty(0) for _ in range(3)))
+        return (
+            BesideRows(
+                J,
+                at.residual,
+                np.r_[np.tile(sigma_p**2, 3), np.tile(sigma_r**2, 3)],
+                np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
+                np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
+            )
+            if N
+            else BesideRows(J, at.residual, *(np.empty(0) for _ in range(3)))
+        )
 
     def without(self, far: np.ndarray) -> Beside:
         """Without some of the readings (mask (N,))."""

@@ -1,6 +1,6 @@
 """Which of the values that somebody stated the images contradict: the sheet's size, its flatness, the lens, the arm.
 
-A stated value that is wrong does not show in the residuals where the arm can take it up: a sheet that is 2 % larger than
+A stated value that is wrong does not show in the residuals where the arm can take it up: a sheet 2 % larger than
 stated looks like an arm whose links are all 2 % shorter. What gives it away is that no arm is faulty like that. So each
 statement in turn is widened until it says next to nothing, all else stays, and the sizes of all errors are found again:
 where the data are likelier by far, everything integrated out, the statement is what is wrong, or the arm is built

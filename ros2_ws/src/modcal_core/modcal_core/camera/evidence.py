@@ -36,9 +36,7 @@ class WithModel:
 
 @dataclass(frozen=True)
 class CameraSpace(Space):
-    """Rows of images: of each six, whitened. turn: of motions in the root to those of the target in the image, whitened;
-    see :meth:`column`.
-    """
+    """Rows of images: of each six, whitened. now: the model. T: T_frame_tool, (N, 4, 4). white: (N, 6, 6)."""
 
     fit: CameraFit | None = None
     now: Model | None = None

@@ -35,7 +35,7 @@ class Moments:
 
     def elsewhere(self) -> Moments:
         """What is known of postures that nobody has measured: nothing."""
-        return Moments()
+        return NOTHING_KNOWN
 
     def samples(self, q: Array, velocity: Array, names: tuple[str, ...], frames: tuple[str, ...]) -> Samples:
         """Pose samples (N) at these moments, whose readings say nothing: for drivers and derivatives."""
@@ -60,3 +60,6 @@ class Moments:
             signals=self.signals,
             clock=timed,
         )
+
+
+NOTHING_KNOWN = Moments()

@@ -26,7 +26,7 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.moments import Moments
+from modcal_core.camera.moments import NOTHING_KNOWN, Moments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
@@ -52,12 +52,12 @@ _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may diff
 
 @dataclass(frozen=True)
 class CameraSolution:
-    """fit: of everything. geometric: the same without effects. nominal: the same images, the nominal arm. mounting: found first. lens_fit: from the images
-    alone. left_out: images by reason. corners_out: share of corners left out. in_view, anywhere: error at the tool over
-    the joint ranges of the images where the target is in view, and over all joint limits. decision: of the former.
-    moved: what was moved between images. weak: sentences. shares: see weakness. held_out_px: (nominal, calibrated) RMS
-    on images that neither fit has seen [px]. causes: effects beyond geometry. left: what is significant and could not be
-    turned into one.
+    """fit: of everything. geometric: the same without effects. nominal: the same images, the nominal arm. mounting:
+    found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
+    in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
+    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: see weakness.
+    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. causes: effects beyond geometry.
+    left: what is significant and could not be turned into one.
     """
 
     fit: CameraFit
@@ -110,7 +110,7 @@ def solve_camera(
     flat: bool = False,
     fixed: Sequence[str] = (),
     progress: Callable[[str], None] = lambda _: None,
-    moments: Moments = Moments(),
+    moments: Moments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
     beside: Beside | None = None,
     look_for_effects: bool = True,
@@ -177,7 +177,20 @@ def solve_camera(
     problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
     decision = decide(in_view, bool(metric), problems, arm_m)
     return CameraSolution(
-        *(fit, geometric, nominal, mounting, lens_fit, target, left_out, corners_out, in_view, anywhere, decision, moved),
+        *(
+            fit,
+            geometric,
+            nominal,
+            mounting,
+            lens_fit,
+            target,
+            left_out,
+            corners_out,
+            in_view,
+            anywhere,
+            decision,
+            moved,
+        ),
         weak_directions(fit, mounting),
         shares(fit, near),
         _held_out(fit, nominal, size_of_arm),

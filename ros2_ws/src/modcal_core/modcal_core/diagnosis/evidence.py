@@ -98,6 +98,7 @@ class Scanner:
         self._last: tuple[Fit, Space] | None = None
 
     def space_of(self, fit: Fit) -> Space:
+        """The rows of this fit at the samples."""
         if self._last is None or self._last[0] is not fit:
             self._last = (fit, Space.of(fit, self.drivers))
         return self._last[1]
@@ -293,6 +294,7 @@ class Space:
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
+        """Those of a fit at these drivers' samples."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])

@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from modcal_nodes.vision.images import ImageFolder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_TOGETHER = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting", "flat_target")
-_ALSO = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
-_ALSO = (*_ALSO, "out", "as_json", "verbose", "bag")
+_OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
+_TOGETHER = (*_OF_IMAGES, "flat_target")
+_OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
+_ALSO = (*_OF_ALL, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
         "--images", type=click.Path(exists=True, file_okay=False, path_type=Path), default=None, metavar="FOLDER",

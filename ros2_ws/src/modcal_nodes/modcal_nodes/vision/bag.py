@@ -103,7 +103,7 @@ def read_bag_images(
 
 @dataclass(frozen=True)
 class JointLog:
-    """Joint states of an arm as one table. stamps: increasing (m,) [s]. q: (m, n). efforts: (m, n), NaN where unknown."""
+    """Joint states of an arm as one table. stamps: increasing (m,) [s]. q, efforts: (m, n), NaN where unknown."""
 
     stamps: Array
     q: Array

@@ -162,9 +162,10 @@ def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pix
         *([(i, j) for i in range(c)] for j in (-1, r)),
     ):
         beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
-        if np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any():
-            if float(np.nanmin(beyond[~dark]) - np.nanmax(beyond[dark])) > _ALTERNATES * abs(contrast):
-                return Detection(None, f"shows more squares than a {target.label}", "count the squares of the board")
+        if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
+            continue
+        if float(np.nanmin(beyond[~dark]) - np.nanmax(beyond[dark])) > _ALTERNATES * abs(contrast):
+            return Detection(None, f"shows more squares than a {target.label}", "count the squares of the board")
     return None
 
 

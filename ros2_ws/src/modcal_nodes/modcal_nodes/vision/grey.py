@@ -22,7 +22,12 @@ _BAYER = {  # as ROS names the first two pixels of the first two rows; OpenCV na
     "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY,
     "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
 }
-_YUV = {"yuv422": cv2.COLOR_YUV2GRAY_UYVY, "uyvy": cv2.COLOR_YUV2GRAY_UYVY, "yuv422_yuy2": cv2.COLOR_YUV2GRAY_YUY2, "yuyv": cv2.COLOR_YUV2GRAY_YUY2}  # fmt: skip
+_YUV = {
+    "yuv422": cv2.COLOR_YUV2GRAY_UYVY,
+    "uyvy": cv2.COLOR_YUV2GRAY_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2GRAY_YUY2,
+    "yuyv": cv2.COLOR_YUV2GRAY_YUY2,
+}
 _GREY = ("mono8", "8UC1")
 
 
@@ -33,9 +38,8 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
     encoding = image.encoding
     if "16" in encoding or "32" in encoding:
         return None, f"is of encoding {encoding}, 8 bits a channel are read: publish mono8 or rgb8"
-    channels = 1 if encoding in _GREY or encoding in _BAYER else 2 if encoding in _YUV else 4 if "a8" in encoding or encoding == "8UC4" else 3  # fmt: skip
-    known = encoding in _GREY or encoding in _BAYER or encoding in _YUV or encoding in _COLOURS
-    if not known:
+    channels = _channels(encoding)
+    if not channels:
         return None, f"is of encoding {encoding[:30]}, which is not read: publish mono8 or rgb8"
     if image.step < image.width * channels or len(image.data) < image.step * image.height:
         return None, "has fewer bytes than its size says: record it again"
@@ -49,6 +53,17 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
         return pixels, ""
     code = {**_COLOURS, **_BAYER, **_YUV}[encoding]
     return np.asarray(cv2.cvtColor(pixels, code)), ""
+
+
+def _channels(encoding: str) -> int:
+    """Bytes a pixel, 0 for an encoding that is not read."""
+    if encoding in _GREY or encoding in _BAYER:
+        return 1
+    if encoding in _YUV:
+        return 2
+    if encoding in _COLOURS:
+        return 4 if "a8" in encoding or encoding == "8UC4" else 3
+    return 0
 
 
 def _unpacked(image: RawImage) -> tuple[np.ndarray | None, str]:
