@@ -126,7 +126,7 @@ CALIBRATION = _all(
 
 DIAGNOSIS = _all(
     "diagnosis",
-    ("evidence._Space.of", "what is fitted stays in the residual",
+    ("evidence.Space.of", "what is fitted stays in the residual",
      """residual - Q @ np.einsum("cNp,cN->p", Q, residual)""", "residual"),
     ("evidence.Scanner.__init__", "samples of a station get signs of their own",
      "independent_unit(drivers.samples)", "np.arange(len(drivers.samples))"),

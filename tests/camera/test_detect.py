@@ -111,6 +111,21 @@ def test_another_board() -> None:
     assert small.view is None or len(small.view) < 24
 
 
+@pytest.mark.parametrize("size", [(5, 7), (8, 5), (5, 5)])
+def test_a_board_of_other_squares(size: tuple[int, int]) -> None:
+    found = detect(image(), replace(BOARD, columns=size[0], rows=size[1]), "a")
+    assert found.view is None
+    assert "number of squares" in found.remedy
+
+
+@pytest.mark.parametrize("size", [(8, 5), (5, 4)])
+def test_a_chessboard_of_other_squares(size: tuple[int, int]) -> None:
+    """Fewer than there are would be found anywhere on the board, elsewhere in the next image."""
+    found = detect(image(PrintedTarget(CHESSBOARD, 7, 4, 0.03)), PrintedTarget(CHESSBOARD, *size, 0.03), "a")
+    assert found.view is None
+    assert "count the squares" in found.remedy
+
+
 def test_two_boards() -> None:
     one = image(seed=1)
     two = cv2.resize(np.concatenate([one, one], axis=1), (1280, 480))

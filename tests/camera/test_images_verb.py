@@ -82,7 +82,7 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     ("more", "said"),
     [
         ([], "--images needs --joints."),
-        (["--joints", "J", "--target", "T", "--urdf", "U", "--block", "2"], "--block does not work with --images."),
+        (["--joints", "J", "--target", "T", "--urdf", "U", "--block", "2"], "--block does not work with images."),
         (["--joints", "J", "--target", "J", "--urdf", "U"], "is not a target file"),
         (["--joints", "J", "--target", "T", "--urdf", "U"], "no column for joint"),
     ],
@@ -107,7 +107,7 @@ def test_without_images_a_bag_is_needed(capsys: pytest.CaptureFixture[str], tmp_
     assert "Missing argument 'BAG'" in capsys.readouterr().err
     (tmp_path / "bag").mkdir()
     assert run(["calibrate", str(tmp_path / "bag"), "--arm-mm", "1"]) == 2
-    assert "--arm-mm needs --images." in capsys.readouterr().err
+    assert "--arm-mm needs --images, or --target and a bag with images." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
 
     What base and tool can take of it is left out: camera and target are placed by the same images.
     """
-    _, motions = poses.at_postures(q).tool_motions(np.zeros(len(poses.parameters)))
+    _, motions = poses.at_postures(q).tool_motions(poses.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
     arm = poses.of_arm
     if not arm.any():

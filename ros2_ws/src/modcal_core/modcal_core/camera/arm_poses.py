@@ -15,22 +15,29 @@ import numpy as np
 from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter, View
-from modcal_core.calibration.structure import choose_parameters, exact_samples
+from modcal_core.calibration.structure import choose_parameters
+from modcal_core.camera.beside import Beside, BesideRows
+from modcal_core.camera.moments import NOTHING_KNOWN, Moments
+from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POSE
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian
+from modcal_core.robots.urdf_inertias import Inertias
 
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
 
 
 @dataclass(frozen=True)
 class ArmPoses:
-    """The arm at N images. model: base and tool as found first. parameters: P, what a fit may change. q: (N, n).
+    """The arm at N images. model: base and tool as found first, and the effects that it has. parameters: what a fit may
+    change besides the effects. q: (N, n).
 
-    velocity: of the joints [rad/s, m/s], (N, n), zeros where it stood. camera_on_tip: else the target is.
+    velocity: of the joints [rad/s, m/s], (N, n), zeros where it stood. camera_on_tip: else the target is. moments: what
+    else is known of the arm at the images. beside: readings of other instruments. Values are those of the parameters,
+    behind them those of the effects and of what the other instruments have of their own, P in all.
     """
 
     model: Model
@@ -38,44 +45,108 @@ class ArmPoses:
     q: Array
     velocity: Array
     camera_on_tip: bool
+    moments: Moments = NOTHING_KNOWN
+    beside: Beside | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:
         """The same arm at some of the images."""
-        return replace(self, q=self.q[rows], velocity=self.velocity[rows])
+        return replace(self, q=self.q[rows], velocity=self.velocity[rows], moments=self.moments.select(rows))
 
     def at_postures(self, q: Array) -> ArmPoses:
         """The same arm, standing, at other postures (M, n)."""
-        return replace(self, q=q, velocity=np.zeros_like(q))
+        return replace(self, q=q, velocity=np.zeros_like(q), moments=self.moments.elsewhere())
+
+    def with_effects(self, effects: Sequence[Effect]) -> ArmPoses:
+        """The same arm with these effects in place of those it has."""
+        return replace(self, model=self.model.with_effects(tuple(effects)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the P values."""
+        effects = [f"{e.label}/{i}" for e in self.model.effects for i in range(len(e.values))]
+        return (*(p.name for p in self.parameters), *effects, *(self.beside.names if self.beside else ()))
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return self.of_model + (len(self.beside.own) if self.beside else 0)
+
+    @property
+    def of_model(self) -> int:
+        """How many of the values are those of the arm's model: its parameters and its effects."""
+        return len(self.parameters) + sum(len(e.values) for e in self.model.effects)
+
+    @property
+    def start(self) -> Array:
+        """The values to begin with, (P,): no deviation, effects as they are in the model."""
+        own = np.zeros(self.count - self.of_model)
+        return np.concatenate([np.zeros(len(self.parameters)), *(e.values for e in self.model.effects), own])
+
+    @property
+    def expected(self) -> Array:
+        """What each value is expected to be, (P,): nothing, settings of effects as they were found."""
+        out = [np.zeros(len(self.parameters))]
+        for effect in self.model.effects:
+            linear = len(effect.amplitudes)
+            out.append(np.r_[np.zeros(linear), effect.values[linear:]])
+        return np.concatenate([*out, np.zeros(self.count - self.of_model)])
 
     @property
     def prior_std(self) -> Array:
-        """What is expected of each parameter, (P,) [m, rad]: of base and tool nothing."""
-        return np.array(
-            [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters], dtype=float
-        )
+        """How far from there, (P,) [m, rad]: of base and tool nothing is known."""
+        own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
+        effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
+        others = self.beside.prior_std if self.beside else np.empty(0)
+        return np.concatenate([np.array(own, dtype=float), *effects, others])
 
     @property
     def of_arm(self) -> np.ndarray:
-        """Which parameters change the arm itself, (P,) bool."""
-        return np.array([p.of_arm for p in self.parameters], dtype=bool)
+        """Which values change the arm's own geometry, (P,) bool."""
+        own = np.zeros(self.count, bool)
+        own[: len(self.parameters)] = [p.of_arm for p in self.parameters]
+        return own
+
+    def drivers(self, offset_s: float = 0.0) -> Drivers:
+        """What effects depend on, at the images."""
+        q = self.q + offset_s * self.velocity
+        samples = self.moments.samples(q, self.velocity, self.model.chain.names, self.model.frames)
+        return Drivers(samples, self.model.arm or NominalArm(self.model.chain))
 
     def model_at(self, values: Array) -> Model:
         """The model with these values put in."""
-        return model_at(self.model, self.parameters, values)
+        return model_at(self.model, self.parameters, values[: self.of_model])
+
+    def rows_beside(self, values: Array, count: int) -> BesideRows | None:
+        """The rows of other instruments at these values, their derivatives the first of ``count`` columns."""
+        if self.beside is None:
+            return None
+        arm = np.flatnonzero([p.of_arm for p in self.parameters])
+        columns = np.r_[arm, np.arange(len(self.parameters), self.count)]
+        among = [self.parameters[i] for i in arm]
+        return self.beside.rows(among, values[columns], self.model.effects, columns, count)
 
     def tool_motions(self, values: Array, offset_s: float = 0.0) -> tuple[Array, Array]:
         """(T_frame_tool (N, 4, 4), its derivative (N, 6, P): shift of the tool's origin and turn, along the frame).
 
         offset_s: by how much later than stated the joints were where the images say.
         """
-        q = self.q + offset_s * self.velocity
+        at = self.drivers(offset_s)
         now = self.model_at(values)
-        N = len(q)
-        rows = exact_samples(now, q, np.zeros(N, int), np.array([POSE] * N, dtype=KIND_NAMES))
-        J = linearise(self.model, self.parameters, values, rows).J
+        N = len(self.q)
+        J = linearise(self.model, self.parameters, values[: self.of_model], at.samples, drivers=at).J
+        motions = self.of_root(now, J.reshape(-1, 6, N))
+        others = np.zeros((N, 6, self.count - self.of_model))
+        return now.predict_samples(at.samples), np.concatenate([motions, others], axis=2)
+
+    def of_root(self, now: Model, motions: Array) -> Array:
+        """Motions (K, 6, N) of the tool, position and turn as seen from the root, along the frame, (N, 6, K)."""
         turn = now.T_frame_base[0, :3, :3] @ now.chain.T_base_root[:3, :3]
-        parts = (turn @ part.reshape(-1, 3, N).transpose(2, 1, 0) for part in (J[:, : 3 * N], J[:, 3 * N :]))
-        return now.predict(q), np.concatenate(list(parts), axis=1)
+        parts = (turn @ part.transpose(2, 1, 0) for part in (motions[:, :3], motions[:, 3:]))
+        return np.concatenate(list(parts), axis=1)
+
+    def tool_at(self, values: Array) -> Array:
+        """T_frame_tool, (N, 4, 4), the clock as stated."""
+        return self.model_at(values).predict_samples(self.drivers().samples)
 
     def joint_motions(self, values: Array, T: Array) -> Array:
         """Motion of the tool per unit of each joint, (N, 6, n), as in :meth:`tool_motions`. T: T_frame_tool."""
@@ -107,17 +178,21 @@ def arm_poses(
     camera_on_tip: bool,
     fixed: Sequence[str] = (),
     hand_eye_only: bool = False,
+    moments: Moments = NOTHING_KNOWN,
+    inertias: Inertias | None = None,
 ) -> ArmPoses:
     """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
 
-    fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone.
+    fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone. moments, inertias:
+    for effects.
     """
     frame = "target" if camera_on_tip else "camera"
-    model = Model(chain, (frame,), np.asarray(T_frame_base)[None], np.asarray(T_tip_tool))
+    arm_drawn = NominalArm(chain, inertias)
+    model = Model(chain, (frame,), np.asarray(T_frame_base)[None], np.asarray(T_tip_tool), arm=arm_drawn)
     views = (View(POSE, 0),)
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
     arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
-    return ArmPoses(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip)
+    return ArmPoses(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments)

@@ -73,6 +73,9 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
 def _with_move(eq: Equations, added: Array) -> Equations:
     """The equations with six more parameters, these twists (N, 6, 6), behind those of arm and clock."""
     K, six = eq.moved.shape[2], np.arange(6)
+    others = eq.beside
+    if others is not None:
+        others = replace(others, J=np.concatenate([others.J, np.zeros((len(others.J), 6))], axis=1))
     information = np.insert(np.insert(eq.information, [K] * 6, 0.0, axis=0), [K] * 6, 0.0, axis=1)
     information[K + six, K + six] = np.repeat([_USUAL_M**-2, _USUAL_RAD**-2], 3)
     return replace(
@@ -82,6 +85,7 @@ def _with_move(eq: Equations, added: Array) -> Equations:
         offset=np.insert(eq.offset, [K] * 6, 0.0),
         information=information,
         free=np.insert(eq.free, [K] * 6, True),
+        beside=others,
     )
 
 

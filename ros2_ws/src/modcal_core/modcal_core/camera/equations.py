@@ -18,6 +18,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import scipy.linalg
 
+from modcal_core.camera.beside import BesideRows
 from modcal_core.camera.corners import POSE
 from modcal_core.geometry.so3 import Array
 
@@ -25,22 +26,24 @@ from modcal_core.geometry.so3 import Array
 @dataclass(frozen=True)
 class Sizes:
     """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
-    besides [m]. arm: faults of the arm, in units of its prior.
+    besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
+    what they state [m].
     """
 
     noise: float
     joint: float
     shift: float
     arm: float
+    other: float = 1e-4
 
     @property
     def logs(self) -> Array:
-        """Their logarithms, (4,)."""
+        """Their logarithms, (5,)."""
         return np.log(np.array(astuple(self)))
 
     @classmethod
     def of_logs(cls, logs: Array) -> Sizes:
-        """The sizes with these logarithms (4,)."""
+        """The sizes with these logarithms (5,)."""
         return cls(*(float(x) for x in np.exp(logs)))
 
 
@@ -49,7 +52,7 @@ class Equations:
     """At one state: grams (N, 21, 21) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock; joints
     (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the arm.
     offset (K + 14,): the state less the prior's mean. information: of the prior with arm faults of size 1, (K + 14,
-    K + 14). free: (K + 14,) bool. corners: number of corners in use.
+    K + 14). free: (K + 14,) bool. corners: number of corners in use. beside: rows of other instruments.
     """
 
     grams: Array
@@ -61,6 +64,7 @@ class Equations:
     information: Array
     free: np.ndarray
     corners: int
+    beside: BesideRows | None = None
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
@@ -93,12 +97,20 @@ class Equations:
         H[K:, K:] = E[:, POSE:-1, POSE:-1].sum(0)
         b[:K] = A.T @ E[:, :POSE, -1].reshape(-1)
         b[K:] = E[:, POSE:-1, -1].sum(0)
+        extra = spread_beside = 0.0
+        if self.beside is not None:
+            variance = self.beside.variance(sizes.other)
+            weighted = self.beside.J / variance[:, None]
+            H[:K, :K] += self.beside.J.T @ weighted
+            b[:K] += weighted.T @ self.beside.residual
+            extra = float((self.beside.residual**2 / variance).sum())
+            spread_beside = float(self.beside.share @ np.log(variance))
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
         P = prior[np.ix_(use, use)]
         pull = prior[use] @ self.offset
-        cost = float(E[:, -1, -1].sum() + self.offset @ prior @ self.offset)
-        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
+        cost = float(E[:, -1, -1].sum() + self.offset @ prior @ self.offset) + extra
+        spread = spread_beside + 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
         return SolvedEquations(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, S, E)
 
 

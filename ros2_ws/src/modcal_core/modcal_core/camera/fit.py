@@ -12,7 +12,7 @@ from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
-from modcal_core.camera.sizes import START, likeliest
+from modcal_core.camera.sizes import START, likeliest, usual
 from modcal_core.geometry.so3 import Array
 
 _STEPS = 30  # at the same sizes
@@ -71,13 +71,17 @@ class CameraFit:
         return float(np.sqrt((w @ (self.pixels**2).sum(1)) / max(w.sum(), 1.0)))
 
     @property
+    def misfit(self) -> float:
+        """−2 log of the likelihood of the images, everything integrated out, and of sizes as usual as these."""
+        return self.equations.solve(self.sizes).misfit() + usual(self.sizes)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
         from modcal_core.camera.corners import SHAPE_NAMES
         from modcal_core.camera.lens import NAMES
 
-        arm = tuple(p.name for p in self.poses.parameters)
-        return (*arm, "clock", *(f"lens/{n}" for n in NAMES), *(f"sheet/{n}" for n in SHAPE_NAMES))
+        return (*self.poses.names, "clock", *(f"lens/{n}" for n in NAMES), *(f"sheet/{n}" for n in SHAPE_NAMES))
 
 
 def fit_camera(
@@ -88,14 +92,14 @@ def fit_camera(
     sizes: Sizes = START,
     arm: float | None = None,
     fixed_sizes: bool = False,
+    begin: CameraState | None = None,
 ) -> CameraFit:
     """The fit from this lens and from base and tool of the poses' model, nominal arm.
 
     sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
-    sizes as they are.
+    sizes as they are. begin: a state to begin with instead.
     """
-    shape = prior.mean[LENS:].copy()
-    state = CameraState(np.zeros(len(poses.parameters)), 0.0, lens, shape)
+    state = begin or CameraState(poses.start, 0.0, lens, prior.mean[LENS:].copy())
     if arm is not None:
         sizes = replace(sizes, arm=arm)
     converged = False
@@ -138,10 +142,11 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         poses.as_twists(T, joints),
         poses.as_twists(T, shifts),
         np.r_[poses.of_arm, False],
-        np.r_[state.values, state.offset_s, state.common - prior.mean],
+        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
         information,
         np.r_[np.ones(P, bool), clocked, prior.free],
         int((table.weight > 0.0).sum()),
+        poses.rows_beside(state.values, P + 1),
     )
 
 

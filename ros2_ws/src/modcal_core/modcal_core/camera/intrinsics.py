@@ -20,6 +20,7 @@ from modcal_core.geometry.so3 import Array
 _STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
+_UNSEEN = 1e-14  # of all that an image says: of one whose corners are all left out every pose is as good
 _MANY, _LEAST = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
@@ -65,6 +66,7 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     for _ in range(_STEPS):
         p, c = slice(0, POSE), POSE + use
         Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
+        Hpp = Hpp + (_UNSEEN * np.einsum("nii->n", Hpp) + _UNSEEN)[:, None, None] * np.eye(POSE)
         Hcp = G[:, c, p]
         back = np.linalg.solve(Hpp, np.concatenate([np.swapaxes(Hcp, 1, 2), G[:, p, -1:]], axis=2))
         H = (G[:, c[:, None], c]).sum(0) - (Hcp @ back[:, :, :-1]).sum(0) + P0

@@ -15,8 +15,9 @@ START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
 # size that the data say nothing of where arms and cameras have it.
 _USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
-_FACTOR = np.log(np.array([10.0, 10.0, 10.0, 10.0]))
-_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3]), np.log([50.0, 0.03, 0.03, 5.0])
+_FACTOR = np.log(np.full(5, 10.0))
+_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7]), np.log([50.0, 0.03, 0.03, 5.0, 0.03])
+_ARM, _OTHER = 3, 4
 _EVALUATIONS = 300
 _MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
 
@@ -29,22 +30,24 @@ def usual(sizes: Sizes) -> float:
 
 def likeliest(equations: Equations, start: Sizes, arm: float | None = None) -> Sizes:
     """The sizes that make the data likeliest. arm: size of the arm's faults where it is stated."""
-    fixed_arm = arm is not None or not equations.arm.any()
     begin = start if arm is None else replace(start, arm=arm)
-    keep = 3 if fixed_arm else 4
+    unknown = [0, 1, 2]
+    if arm is None and equations.arm.any():
+        unknown.append(_ARM)
+    if equations.beside is not None:
+        unknown.append(_OTHER)
+
+    def inside(logs: Array) -> Array:
+        full = begin.logs
+        full[unknown] = np.clip(logs, _LEAST[unknown], _MOST[unknown])
+        return full
 
     def misfit(logs: Array) -> float:
-        full = np.clip(np.r_[logs, begin.logs[keep:]], _LEAST, _MOST)
-        if fixed_arm:
-            full[3] = begin.logs[3]
-        outside = float(np.abs(np.r_[logs, begin.logs[keep:]] - full)[:keep].sum())
+        full = inside(logs)
         sizes = Sizes.of_logs(full)
-        return equations.solve(sizes).misfit() + usual(sizes) + outside
+        return equations.solve(sizes).misfit() + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
-    simplex = np.vstack([begin.logs[:keep], begin.logs[:keep] + np.eye(keep)])
+    first = begin.logs[unknown]
+    simplex = np.vstack([first, first + np.eye(len(first))])
     options: Any = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
-    found = minimize(misfit, begin.logs[:keep], method="Nelder-Mead", options=options).x
-    full = np.clip(np.r_[found, begin.logs[keep:]], _LEAST, _MOST)
-    if fixed_arm:
-        full[3] = begin.logs[3]
-    return Sizes.of_logs(full)
+    return Sizes.of_logs(inside(minimize(misfit, first, method="Nelder-Mead", options=options).x))

@@ -15,14 +15,18 @@ from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.model import Model
 from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
+from modcal_core.camera.beside import LEAST, Beside
+from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
+from modcal_core.camera.contradicted import contradictions, is_stated
 from modcal_core.camera.corners import SHAPE, CornerTable, residuals
 from modcal_core.camera.decision import Decision, decide
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.moments import NOTHING_KNOWN, Moments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
@@ -30,28 +34,34 @@ from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.tool_error import ToolError, postures_anywhere, postures_in_view, tool_error
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import shares, weak_directions
+from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf_inertias import Inertias
 
 _HELD_OUT = 4  # every fourth image
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
+_CLEANED = 3  # times that other instruments' readings are looked through for those far off
+_UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
 _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may differ from what is stated of it
 
 
 @dataclass(frozen=True)
 class CameraSolution:
-    """fit: of everything. nominal: the same images, the nominal arm. mounting: found first. lens_fit: from the images
-    alone. left_out: images by reason. corners_out: share of corners left out. in_view, anywhere: error at the tool over
-    the joint ranges of the images where the target is in view, and over all joint limits. decision: of the former.
-    moved: what was moved between images. weak: sentences. shares: see weakness. held_out_px: (nominal, calibrated) RMS
-    on images that neither fit has seen [px].
+    """fit: of everything. geometric: the same without effects. nominal: the same images, the nominal arm. mounting:
+    found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
+    in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
+    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: see weakness.
+    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. causes: effects beyond geometry.
+    left: what is significant and could not be turned into one.
     """
 
     fit: CameraFit
+    geometric: CameraFit
     nominal: CameraFit
     mounting: Mounting
     lens_fit: LensFit
@@ -66,11 +76,18 @@ class CameraSolution:
     shares: dict[str, tuple[float, float]]
     held_out_px: tuple[float, float]
     metric: tuple[str, ...]
+    causes: tuple[CameraCause, ...] = ()
+    left: EffectChoice | None = None
 
     @property
     def model(self) -> Model:
         """The calibrated model, with the least change to the drawing that gives these kinematics."""
-        return least_change(self.fit.poses.model_at(self.fit.state.values), self.fit.poses.model.chain)
+        return _nearest(self.fit)
+
+    @property
+    def geometric_model(self) -> Model:
+        """The model that is best by geometry alone, for readers that know no effects."""
+        return _nearest(self.geometric)
 
     @property
     def nominal_model(self) -> Model:
@@ -93,20 +110,25 @@ def solve_camera(
     flat: bool = False,
     fixed: Sequence[str] = (),
     progress: Callable[[str], None] = lambda _: None,
+    moments: Moments = NOTHING_KNOWN,
+    inertias: Inertias | None = None,
+    beside: Beside | None = None,
+    look_for_effects: bool = True,
 ) -> CameraSolution:
     """The calibration of an arm from views of a target at joint positions q (N, n).
 
     size: of the images [px]. velocity: of the joints at the images, (N, n); None: it stood. lens: as stated, with what
     becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the nominal arm
     [m], as stated. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat. fixed:
-    parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
+    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments. Raises
+    ModcalError for images that cannot carry a fit.
     """
     velocity = np.zeros_like(q) if velocity is None else velocity
     keep = np.array([enough_corners(target.points[v.ids]) for v in views], dtype=bool)
     left_out = {v.name: "too few corners of the target" for v, k in zip(views, keep, strict=True) if not k}
     _require_views(int(keep.sum()))
     table = CornerTable.of([v for v, k in zip(views, keep, strict=True) if k], target)
-    q, velocity = q[keep], velocity[keep]
+    q, velocity, moments = q[keep], velocity[keep], moments.select(keep)
 
     progress("lens")
     prior = common_prior(lens or first_lens(table, size), target.scale, stated if lens is not None else None, flat)
@@ -114,7 +136,7 @@ def solve_camera(
     poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
-        table, q, velocity = table.select(~bad), q[~bad], velocity[~bad]
+        table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
         _require_views(table.views)
         lens_fit, table = _lens(table, lens, prior, size)
         poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
@@ -128,15 +150,21 @@ def solve_camera(
 
     progress("fit")
     start = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
-    arm = arm_poses(*start)
+    arm = replace(arm_poses(*start, moments=moments, inertias=inertias), beside=beside)
     size_of_arm = None if arm_m is None else arm_size(arm, arm_m, q)
     fit = fit_camera(table, arm, lens_fit.lens, prior, arm=size_of_arm)
     if (strange := strangers(fit)).any() and (~strange).sum() >= LEAST_VIEWS:
         left_out |= {n: "far from where the arm has it" for n, s in zip(table.names, strange, strict=True) if s}
         table, arm = table.select(~strange), arm.select(~strange)
         fit = fit_camera(table, arm, lens_fit.lens, prior, fit.sizes, arm=size_of_arm)
+    fit, arm = _without_far(fit, arm, lens_fit.lens, prior, size_of_arm)
     still = replace(arm, parameters=arm_poses(*start, hand_eye_only=True).parameters)
     nominal = fit_camera(table, still, lens_fit.lens, prior)
+
+    geometric, causes, left = fit, (), None
+    if look_for_effects:
+        progress("effects")
+        fit, causes, left = find_causes(fit, rng, size_of_arm, progress)
 
     progress("verdict")
     moved = moved_half(fit, size_of_arm)
@@ -144,16 +172,53 @@ def solve_camera(
     in_view = tool_error(fit, nominal, near, rng)
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng)
     corners_out = 1.0 - float(table.weight.mean())
-    metric = _metric(target, arm_m)
-    problems = _problems(fit, nominal, moved, left_out, len(views), corners_out, target)
+    metric = _metric(target, arm_m, beside)
+    wrong = contradictions(fit, lens or lens_fit.lens, target.scale, is_stated(lens, stated), size_of_arm)
+    problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
     decision = decide(in_view, bool(metric), problems, arm_m)
     return CameraSolution(
-        *(fit, nominal, mounting, lens_fit, target, left_out, corners_out, in_view, anywhere, decision, moved),
+        *(
+            fit,
+            geometric,
+            nominal,
+            mounting,
+            lens_fit,
+            target,
+            left_out,
+            corners_out,
+            in_view,
+            anywhere,
+            decision,
+            moved,
+        ),
         weak_directions(fit, mounting),
         shares(fit, near),
         _held_out(fit, nominal, size_of_arm),
         metric,
+        causes,
+        left,
     )
+
+
+def _nearest(fit: CameraFit) -> Model:
+    """The model of a fit, with the least change to the drawing that gives its kinematics."""
+    return least_change(fit.poses.model_at(fit.state.values), fit.poses.model.chain)
+
+
+def _without_far(
+    fit: CameraFit, arm: ArmPoses, lens: Lens, prior: CommonPrior, size: float | None
+) -> tuple[CameraFit, ArmPoses]:
+    """The fit, and what it was made from, without readings of other instruments that are nowhere near the arm."""
+    for _ in range(_CLEANED):
+        rows = fit.equations.beside
+        if arm.beside is None or rows is None:
+            break
+        far = arm.beside.far(rows, fit.sizes.other)
+        if not far.any() or (~far).sum() < LEAST:
+            break
+        arm = replace(arm, beside=arm.beside.without(far))
+        fit = fit_camera(fit.table, arm, lens, prior, fit.sizes, arm=size)
+    return fit, arm
 
 
 def _require_views(count: int) -> None:
@@ -178,9 +243,11 @@ def _lens(
     return fit, table
 
 
-def _metric(target: PrintedTarget, arm_m: float | None) -> tuple[str, ...]:
+def _metric(target: PrintedTarget, arm_m: float | None, beside: Beside | None) -> tuple[str, ...]:
     """What has a length that somebody measured or states."""
     out = ["the sheet's rulers were measured"] if target.scale.measured else []
+    if beside is not None and beside.metric:
+        out.append(f"readings of {beside.label}")
     return (*out, "the arm's accuracy is stated") if arm_m is not None else tuple(out)
 
 
@@ -188,6 +255,7 @@ def _problems(
     fit: CameraFit,
     nominal: CameraFit,
     moved: MovedHalf | None,
+    wrong: tuple[str, ...],
     left_out: dict[str, str],
     count: int,
     corners_out: float,
@@ -204,12 +272,18 @@ def _problems(
             f"The {what} was moved before image {fit.table.names[moved.at]}, by {1e3 * moved.shift_m:.1f} mm and "
             f"{np.degrees(moved.turn_rad):.2f}°: calibrate from the images before, or from those after."
         )
+    out += wrong
+    if fit.sizes.joint > _UNSTEADY:
+        out.append(
+            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
+            "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
+        )
     if len(left_out) > _MANY_OUT * count:
         out.append(f"{len(left_out)} of {count} images were left out.")
     if corners_out > _CORNERS_OUT:
         out.append(f"{100.0 * corners_out:.0f} % of all corners fit no flat target of the stated form.")
-    P = len(fit.poses.parameters)
-    for i, axis in enumerate("xy"):
+    P = fit.poses.count
+    for i, axis in enumerate("" if wrong else "xy"):
         off = fit.state.shape[i] - (getattr(target.scale, axis) - 1.0)
         usual = np.hypot(target.scale.std, 0.5 * target.scale.std_apart)
         if abs(off) > _SCALE_SIGMAS * usual:

@@ -55,7 +55,7 @@ class PrintedTarget:
 
     def __post_init__(self) -> None:
         """Raises BadTable for a target that cannot be printed."""
-        least = 1 if self.kind in (TAG, ARUCO_GRID, APRIL_GRID) else 3
+        least = {CHARUCO: 3, CHESSBOARD: 4}.get(self.kind, 1)  # a chessboard is found by nine corners or more
         if not (least <= self.columns <= _LARGEST and least <= self.rows <= _LARGEST):
             said = f"has {self.columns} × {self.rows} squares, {least} to {_LARGEST} a side are allowed"
             raise BadTable(f"target {self.kind}", said, "count the squares, or markers, of the sheet")

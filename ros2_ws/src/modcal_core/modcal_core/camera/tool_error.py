@@ -3,7 +3,8 @@
 What counts is where the model has a point of the tool in the frame of the other half: the flange in the target's frame
 where the camera is carried, in the camera's where the target is. Errors over M postures are drawn from the fit's
 covariance; each draw has one RMS, and the interval is that of the draws. Of the nominal arm, camera and target placed
-by the same images, the same draws say what it is off by, so that the two can be compared draw by draw.
+by the same images, the same draws say what it is off by, so that the two can be compared draw by draw. What each image
+has of its own, joints that do not repeat and whatever no parameter describes, is part of both.
 """
 
 from __future__ import annotations
@@ -62,9 +63,12 @@ def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Gene
     error = np.einsum("mip,dp->dmi", J, draws)
     drawn, _ = nominal.poses.at_postures(q).tool_motions(nominal.state.values)
     apart = (se3.apply(drawn, point) - se3.apply(T, point))[None] - error
+    joints = at.joint_motions(fit.state.values, T)
+    throw = joints[:, :3] - np.cross(away[:, :, None], joints[:, 3:], axisa=1, axisb=1, axisc=1)
+    scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
     def rms(e: Array) -> Array:
-        return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1)))
+        return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1) + scatter))
 
     return ToolError(rms(error), rms(apart))
 
@@ -118,7 +122,7 @@ def postures_anywhere(chain: Chain, rng: np.random.Generator, count: int = _POST
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     """Whether the camera sees the front of the target at these postures (M, n), (M,) bool."""
     at = fit.poses.at_postures(q)
-    T = at.seen(at.model_at(fit.state.values).predict(q))
+    T = at.seen(at.tool_at(fit.state.values))
     points = _sheet(fit.table)
     X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
     ahead = X[:, :, 2] > 1e-3
@@ -126,7 +130,7 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     inside = ahead & ((pixels >= 0.0) & (pixels < np.array(fit.state.lens.size))).all(axis=2)
     # the side that the images show
     side = np.einsum("mi,mi->m", T[:, :3, 2], X.mean(axis=1))
-    seen = at.seen(fit.poses.model_at(fit.state.values).predict(fit.poses.q))
+    seen = fit.poses.seen(fit.poses.tool_at(fit.state.values))
     front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
     return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
 

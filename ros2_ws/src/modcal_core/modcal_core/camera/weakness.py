@@ -25,10 +25,8 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
     seen = fit.poses.seen(T)
     centre = fit.table.points.mean(axis=0)
-    at = se3.apply(seen, centre)
-    away = np.linalg.norm(at, axis=1)
-    cosine = np.abs(np.einsum("ni,ni->n", seen[:, :3, 2], at)) / np.maximum(away, 1e-9)
-    tilt = float(np.arccos(np.clip(cosine, 0.0, 1.0)).max())
+    tilts, away = tilt_and_distance(seen, centre)
+    tilt = float(tilts.max())
     if tilt < _TILT:
         out.append(
             f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
@@ -58,6 +56,14 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
             moved = f"{np.degrees(high - low):.0f}°" if turning else f"{1e3 * (high - low):.0f} mm"
             out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
     return tuple(out)
+
+
+def tilt_and_distance(seen: Array, centre: Array) -> tuple[Array, Array]:
+    """(tilt of the sheet against the line of sight [rad], its distance [m]) of T_camera_target (N, 4, 4), (N,) each."""
+    at = se3.apply(seen, centre)
+    away = np.linalg.norm(at, axis=1)
+    cosine = np.abs(np.einsum("ni,ni->n", seen[:, :3, 2], at)) / np.maximum(away, 1e-9)
+    return np.arccos(np.clip(cosine, 0.0, 1.0)), away
 
 
 def covered(table: CornerTable, size: tuple[int, int]) -> float:

@@ -95,16 +95,17 @@ class Scanner:
             members[1].append(together)
         self.banks = [Bank(tuple(e), keys, np.concatenate(n)) for keys, (e, n) in groups.items()]
         self.unit = independent_unit(drivers.samples)
-        self._last: tuple[Fit, _Space] | None = None
+        self._last: tuple[Fit, Space] | None = None
 
-    def _space(self, fit: Fit) -> _Space:
+    def space_of(self, fit: Fit) -> Space:
+        """The rows of this fit at the samples."""
         if self._last is None or self._last[0] is not fit:
-            self._last = (fit, _Space.of(fit, self.drivers))
+            self._last = (fit, Space.of(fit, self.drivers))
         return self._last[1]
 
     def evidence(self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS) -> Evidence:
         """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1)."""
-        space = self._space(fit)
+        space = self.space_of(fit)
         signs = np.ones((1, self.unit.max() + 1))
         if rng is not None:
             signs = np.concatenate([signs, rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))])
@@ -130,12 +131,12 @@ class Scanner:
 
     def enough(self, fit: Fit) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
-        return self._space(fit).freedom >= _LEAST_FREEDOM
+        return self.space_of(fit).freedom >= _LEAST_FREEDOM
 
     def amplitudes(self, fit: Fit, effect: Effect) -> Array:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
         keys, numbers = self._factor(effect)
-        space = self._space(fit)
+        space = self.space_of(fit)
         bank = Bank((effect,), keys, numbers[None])
         n, gram = self._products(bank, space, space.trials(np.ones((1, len(self.drivers))))), self._gram(bank, space)
         own = np.einsum("cii->ci", gram)[0]
@@ -159,13 +160,13 @@ class Scanner:
         self._composed[key] = [(t.place, t.direction, t.size) for t in terms[0]]
         return (key,), np.ones((1, len(self.drivers)))
 
-    def _column(self, key: Key, space: _Space) -> Array:
+    def _column(self, key: Key, space: Space) -> Array:
         if key not in space.columns:
             parts = self._composed.get(key) or [(key[0], int(key[1]), 1.0)]  # type: ignore[call-overload]
             space.columns[key] = np.sum([space.column(k, d) * share for k, d, share in parts], axis=0)
         return space.columns[key]
 
-    def _explained(self, bank: Bank, space: _Space, trials: _Trials) -> _Explained:
+    def _explained(self, bank: Bank, space: Space, trials: _Trials) -> _Explained:
         """What the candidates of a bank explain."""
         gram = self._gram(bank, space)
         own = np.einsum("caN,aN->ca", bank.numbers**2, self._squares(bank, space))
@@ -190,23 +191,23 @@ class Scanner:
                     np.maximum(so_far, explained[alike].max(axis=0), out=so_far)
         return _Explained(squares, sizes, most)
 
-    def _squares(self, bank: Bank, space: _Space) -> Array:
+    def _squares(self, bank: Bank, space: Space) -> Array:
         return np.stack([np.sum(self._column(key, space) ** 2, axis=0) for key in bank.keys])
 
-    def _against(self, key: Key, space: _Space) -> Array:
+    def _against(self, key: Key, space: Space) -> Array:
         """Contraction, sample by sample, of a column with the projector, (N, P)."""
         if key not in space.against:
             space.against[key] = np.einsum("cN,cNp->Np", self._column(key, space), space.Q)
         return space.against[key]
 
-    def _products(self, bank: Bank, space: _Space, trials: _Trials, rows: slice = slice(None)) -> Array:
+    def _products(self, bank: Bank, space: Space, trials: _Trials, rows: slice = slice(None)) -> Array:
         """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
         for key in bank.keys:
             if key not in trials.known:
                 trials.known[key] = trials.seen_by(self._column(key, space), self._against(key, space))
         return _contracted(bank.numbers[rows], [trials.known[key] for key in bank.keys])
 
-    def _gram(self, bank: Bank, space: _Space) -> Array:
+    def _gram(self, bank: Bank, space: Space) -> Array:
         """Products of each candidate's columns with each other (C, m, m), the fitted projected out."""
         m = len(bank.keys)
         projected = _contracted(bank.numbers, [self._against(key, space) for key in bank.keys])  # (C, m, P)
@@ -276,7 +277,7 @@ class _Trials:
 
 
 @dataclass(frozen=True)
-class _Space:
+class Space:
     """Weighted residual and columns, sample by sample: (6, N), rows 3 … 5 zero where there is no orientation.
 
     Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
@@ -292,7 +293,8 @@ class _Space:
     against: dict[Key, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, fit: Fit, drivers: Drivers) -> _Space:
+    def of(cls, fit: Fit, drivers: Drivers) -> Space:
+        """Those of a fit at these drivers' samples."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])

@@ -13,14 +13,19 @@ import numpy as np
 
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import NAMES
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
+from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
+from modcal_core.geometry import se3
 from modcal_core.report.as_json import FORMAT
 from modcal_core.report.contents import STAGES
+from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.report.trace import Trace
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import joint_origins
@@ -39,10 +44,9 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
         (p.name, float(v), float(s), p.unit)
         for p, v, s in zip(fit.poses.parameters, fit.state.values, std, strict=False)
     )
-    model = solution.model
     noise = NoiseModel(max(fit.sizes.shift, 1e-6), max(fit.sizes.joint, 1e-6))
     return Calibration(
-        *(solution.nominal_model, model, model, seen, table),
+        *(solution.nominal_model, solution.model, solution.geometric_model, seen, table),
         postures=fit.poses.q,
         noise=noise,
         converged=fit.converged,
@@ -54,7 +58,7 @@ def camera_files(solution: CameraSolution, robot: Robot, images: int, left_out: 
     """Names and texts of everything a calibration by camera leaves behind."""
     assert robot.description is not None
     calibration = camera_calibration(solution)
-    calibrated = calibration.calibrated.serial
+    calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
     return {
@@ -86,7 +90,7 @@ def camera_info(fit: CameraFit) -> dict[str, Any]:
 def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
     fit, decision = solution.fit, solution.decision
-    P = len(fit.poses.parameters)
+    P = fit.poses.count
     std = np.sqrt(np.diag(fit.covariance))
     values = np.r_[fit.state.values, fit.state.offset_s, fit.state.common]
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
@@ -105,8 +109,8 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
         "error_mm": dict.fromkeys(STAGES),
         "error_deg": dict.fromkeys(STAGES),
         "noise_floor_mm": None,
-        "effects": [],
-        "unexplained": None,
+        "effects": effect_entries(solution),
+        "unexplained": None if solution.left is None else _left(solution),
         "identifiability": None,
         "status": "open" if problems else "cannot_tell",
         "open_because": list(problems),
@@ -158,7 +162,11 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
 
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
-    out = list(solution.weak)
+    out = [f"{sentence}." for _, sentence in _named(solution)]
+    if solution.left is not None:
+        said = solution.left.effect.label
+        out.append(f"Something is left that goes along with {said}, and no effect was found that predicts it.")
+    out += solution.weak
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
         if whole - known > _WORTH * whole:
             out.append(
@@ -182,6 +190,66 @@ def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) ->
     out += [f"Left out: {name}: {why}." for name, why in (dict(left_out) | solution.left_out).items()]
     out += list(notes(solution))
     return [*out, f"{solution.decision.word.upper()}: {' '.join(solution.decision.because)}"]
+
+
+def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
+    """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
+    model, throw = solution.model, _throw(solution)
+    out = []
+    for (cause, sentence), i in zip(_named(solution), range(len(solution.causes)), strict=True):
+        effect = cause.effect
+        out.append(
+            {
+                "family": effect.family,
+                "place": effect.place,
+                "direction": effect.direction,
+                "driver": effect.public_driver,
+                "parameters": {
+                    name: {"value": value, "std": std, "unit": unit}
+                    for name, (value, std, unit) in parameters((effect,), model.chain).items()
+                },
+                "p_value": cause.p_value,
+                "rms_mm_before": 1e3 * throw * cause.before,
+                "rms_mm_after": 1e3 * throw * cause.after,
+                "rms_mm_at_tool": 1e3 * at_tool(model, [i], solution.fit.poses.drivers().samples),
+                "same_as": list(cause.same_as),
+                "sentence": sentence,
+            }
+        )
+    return out
+
+
+def _named(solution: CameraSolution) -> list[tuple[CameraCause, str]]:
+    out = []
+    for cause in solution.causes:
+        e = cause.effect
+        sizes = parameters((e,), solution.fit.poses.model.chain)
+        entry = ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)
+        out.append((cause, family(e.family).sentence(entry)))
+    return out
+
+
+def _throw(solution: CameraSolution) -> float:
+    """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
+    poses, values = solution.fit.poses, solution.fit.state.values
+    T = poses.tool_at(values)
+    joints = poses.joint_motions(values, T)
+    away = T[:, :3, :3] @ se3.inverse(poses.model_at(values).T_tip_tool)[:3, 3]
+    moved = joints[:, :3] - np.cross(away[:, :, None], joints[:, 3:], axisa=1, axisb=1, axisc=1)
+    return float(np.sqrt((moved**2).sum() / len(T)))
+
+
+def _left(solution: CameraSolution) -> dict[str, Any]:
+    choice = solution.left
+    assert choice is not None
+    return {
+        "place": choice.effect.place,
+        "direction": choice.effect.direction,
+        "driver": choice.effect.public_driver,
+        "size_mm": 1e3 * _throw(solution) * solution.fit.sizes.joint,
+        "p_value": choice.p_value,
+        "same_as": list(choice.same_as),
+    }
 
 
 def _line(where: str, error: ToolError) -> str:

@@ -21,7 +21,7 @@ from modcal_core.report.report import Report
 from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
-from modcal_nodes.cli.camera import calibrate_images, camera_options, require_bag, split_options
+from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.robot import arm_line, chain_line
@@ -152,12 +152,12 @@ def calibrate_command(
 ) -> int:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report.
 
-    With --images, --joints, --target and --urdf: from images of a printed target (docs/camera.md).
+    With --target: from images of a printed target, those in BAG, or of --images with --joints and --urdf
+    (docs/camera.md).
     """
     camera = split_options(options)
-    require_bag(ctx, bag, camera)
-    if bag is None:
-        return calibrate_images(camera, options, out, output)
+    if by_camera(ctx, bag, camera) or bag is None:
+        return calibrate_images(camera, options, bag, out, output)
     asked = Options(**options)
     said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
     with output.working() as watch:

@@ -1,34 +1,50 @@
-"""``modcal calibrate --images``: a folder of images, a table of joints and a printed target in place of a bag."""
+"""``modcal calibrate`` from images of a printed target: a folder with a table of joints, or those in a bag."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.files import write_folder
+from modcal_core.robot import Robot
+from modcal_msgs_py.choosing import Topics
+from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.console import Output, tell, written
-from modcal_nodes.cli.robot import arm_line
+from modcal_nodes.cli.robot import arm_line, described
+from modcal_nodes.io.progress import Watch
+from modcal_nodes.io.recorded import opened
+
+if TYPE_CHECKING:
+    from modcal_core.camera.beside import Beside
+    from modcal_core.camera.target import PrintedTarget
+    from modcal_nodes.vision.images import ImageFolder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_TOGETHER = ("images", "joints", "target", "camera_info", "intrinsics", "arm_mm", "mounting", "flat_target")
-_ALSO = ("urdf", "base", "tip", "fixed", "seed", "out", "as_json", "verbose", "bag")
+_OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
+_TOGETHER = (*_OF_IMAGES, "flat_target")
+_OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
+_ALSO = (*_OF_ALL, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
         "--images", type=click.Path(exists=True, file_okay=False, path_type=Path), default=None, metavar="FOLDER",
-        help="Images of a printed target, in place of BAG; with --joints, --target and --urdf.",
+        help="Images of a printed target, with --joints, --target and --urdf. Readings of BAG stand beside them.",
     ),
     click.option(
         "--joints", type=_EXISTING, default=None, metavar="FILE",
         help="CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
     ),
     click.option(
-        "--target", type=_EXISTING, default=None, metavar="FILE", help="target.yaml of modcal target, or Kalibr's."
+        "--target", type=_EXISTING, default=None, metavar="FILE",
+        help="target.yaml of modcal target, or Kalibr's: calibrate from the images in BAG, or from --images.",
+    ),
+    click.option(
+        "--image-topic", default=None, metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
     ),
     click.option(
         "--camera-info", type=_EXISTING, default=None, metavar="FILE", help="Intrinsics. Default: from the images."
@@ -60,39 +76,51 @@ def split_options(options: dict[str, Any]) -> dict[str, Any]:
     return {name: options.pop(name) for name in _TOGETHER}
 
 
-def require_bag(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> None:
-    """Raises click.UsageError unless there is either a bag or images with all that they need, and nothing else."""
+def by_camera(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> bool:
+    """Whether a call is about images, of a folder or in the bag.
+
+    Raises click.UsageError unless there is a bag, or images with all that they need, and nothing that does not go
+    with them.
+    """
     given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
-    if camera["images"] is None:
+    if camera["images"] is None and camera["target"] is None:
         if bag is None:
             raise click.UsageError("Missing argument 'BAG'.", ctx)
         if alone := given & set(_TOGETHER):
-            raise click.UsageError(f"{_option(min(alone))} needs --images.", ctx)
-        return
-    if bag is not None:
-        raise click.UsageError("--images stands in place of BAG.", ctx)
-    if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
-        raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
+            raise click.UsageError(f"{_option(min(alone))} needs --images, or --target and a bag with images.", ctx)
+        return False
+    if camera["images"] is None:
+        if bag is None:
+            raise click.UsageError("--target needs a bag with images, or --images.", ctx)
+        if camera["joints"] is not None:
+            raise click.UsageError("--joints needs --images: a bag has joint states.", ctx)
+    else:
+        if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
+            raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
+        if "image_topic" in given:
+            raise click.UsageError("--image-topic is of a bag: leave out --images.", ctx)
     if other := given - set(_TOGETHER) - set(_ALSO):
-        raise click.UsageError(f"{_option(min(other))} does not work with --images.", ctx)
+        raise click.UsageError(f"{_option(min(other))} does not work with images.", ctx)
+    return True
 
 
-def calibrate_images(camera: dict[str, Any], options: dict[str, Any], out: Path | None, output: Output) -> int:
-    """Calibrate the arm of the URDF from the images, write the results, and say them."""
+def calibrate_images(
+    camera: dict[str, Any], options: dict[str, Any], bag: Path | None, out: Path | None, output: Output
+) -> int:
+    """Calibrate the arm from images, of a folder or in the bag, write the results, and say them."""
     # OpenCV, which other verbs can do without
     from modcal_core.camera.solve import solve_camera
     from modcal_core.camera.target_file import read_target
     from modcal_core.report.camera import camera_files, camera_report, lines
-    from modcal_core.robot import Robot
-    from modcal_nodes.vision.images import read_camera_info, read_images, require_size
+    from modcal_nodes.vision.images import read_camera_info, require_size
 
     target = read_target(camera["target"])
-    robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], _columns(camera["joints"]))
-    lens = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
+    stated = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
     with output.working() as watch:
-        found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
+        robot, found, others = _read(camera, options, target, bag, watch)
+        lens, source = (stated, str(camera["camera_info"])) if stated is not None else (found.lens, found.lens_of)
         if lens is not None:
-            require_size(lens, found.size, str(camera["camera_info"]))
+            require_size(lens, found.size, source)
         solution = solve_camera(
             robot.chain,
             found.q,
@@ -108,15 +136,50 @@ def calibrate_images(camera: dict[str, Any], options: dict[str, Any], out: Path 
             flat=camera["flat_target"],
             fixed=options["fixed"],
             progress=watch,
+            moments=found.moments,
+            inertias=robot.inertias,
+            beside=others,
+            look_for_effects=not options["geometry_only"],
         )
     images = len(found.views) + len(found.left_out)
-    out = out or Path(f"{camera['images'].resolve().name}_calibration")
+    out = out or Path(f"{(camera['images'] or bag).resolve().stem}_calibration")
     files = camera_files(solution, robot, images, found.left_out)
     write_folder(out, files)
     data = camera_report(solution, robot, images, found.left_out)
     said = [arm_line(robot), *lines(solution, images, found.left_out)]
     output.result(data, partial(tell, said), written(out, files, first="report.json"))
     return 0
+
+
+def _read(
+    camera: dict[str, Any], options: dict[str, Any], target: PrintedTarget, bag: Path | None, watch: Watch
+) -> tuple[Robot, ImageFolder, Beside | None]:
+    """The robot, the images with their joints, and readings of other instruments in the bag, None where it has none."""
+    from modcal_core.camera.beside import beside
+    from modcal_nodes.vision.bag import read_bag_images
+    from modcal_nodes.vision.images import read_images
+
+    recording = None
+    if bag is not None:
+        recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
+    if camera["images"] is not None:
+        columns = _columns(camera["joints"])
+        robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
+        found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
+    else:
+        assert bag is not None
+        assert recording is not None
+        urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
+        robot = described(recording, None, urdf, options["base"], options["tip"])
+        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch)
+    if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
+        return robot, found, None
+    watch("reading other instruments")
+    # poses that nobody called a tracker's may be made from these very images
+    guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
+    topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
+    samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
+    return robot, found, beside(robot.chain, samples, robot.inertias)
 
 
 def camera_urdf(path: Path) -> Path:

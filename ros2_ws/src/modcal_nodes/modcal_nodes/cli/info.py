@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from rich.table import Table
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.inspection import inspect
+from modcal_core.measurements.recording import Recording
 from modcal_core.robot import Robot
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
@@ -20,6 +22,7 @@ from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.robot import chain_line, described
 from modcal_nodes.cli.topics import topic_options
 
+_LEAST_IMAGES = 4  # with the target, that a calibration can be made from
 _EXISTING = click.Path(exists=True, path_type=Path)
 
 
@@ -29,6 +32,8 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 @click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
 @click.option("--base", default=None, metavar="LINK")
 @click.option("--tip", default=None, metavar="LINK")
+@click.option("--target", type=_EXISTING, default=None, help="Printed target: say what the images are good for.")
+@click.option("--image-topic", default=None, metavar="TOPIC", help="Images. Default: the only ones there are.")
 @topic_options
 @speaking
 def info_command(
@@ -37,6 +42,8 @@ def info_command(
     delta: Path | None,
     base: str | None,
     tip: str | None,
+    target: Path | None,
+    image_topic: str | None,
     topic: tuple[str, ...],
     ignore: tuple[str, ...],
     tf: str | None,
@@ -52,6 +59,8 @@ def info_command(
             raise
         robot, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, None if robot is None else robot.mechanism)
+    images, uses = _images(bag, recording, target, image_topic, () if robot is None else robot.names)
+    findings = (*findings, *images.get("findings", ()))
     data = {
         "bag": str(bag),
         "duration_s": recording.duration,
@@ -60,10 +69,32 @@ def info_command(
         "robot": None
         if robot is None
         else {"base": robot.base, "tip": robot.tip, "joints": list(robot.names), "other_tips": list(robot.other_tips)},
-        "uses": list(seen.uses),
+        "uses": [*seen.uses, *uses],
+        "images": images or None,
         "findings": [*findings, *seen.findings],
     }
     output.result(data, partial(_show, data))
+
+
+def _images(
+    bag: Path, recording: Recording, target: Path | None, topic: str | None, names: Sequence[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """(what is known of the images, what they can be used for)."""
+    from modcal_msgs_py.images import image_topics
+
+    found = image_topics(recording.listed)
+    if target is None:
+        if not found:
+            return {}, []
+        there = ", ".join(f"{one.count} of {one.topic}" for one in found)
+        return {"topics": [one.topic for one in found]}, [f"a calibration by camera ({there}): see with --target FILE"]
+    # OpenCV, which other bags can do without
+    from modcal_core.camera.target_file import read_target
+    from modcal_nodes.vision.worth import images_worth, worth_line
+
+    worth = images_worth(bag, recording, read_target(target), topic, names)
+    use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _LEAST_IMAGES else []
+    return {**worth.data, "line": worth_line(worth)}, use
 
 
 def _show(data: dict[str, Any], console: Console) -> None:

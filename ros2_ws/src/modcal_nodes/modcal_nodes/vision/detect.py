@@ -23,6 +23,7 @@ _MOST_WINDOW, _LEAST_WINDOW = 11, 2  # px, half side of the windows in which cor
 _SMALLEST_GREY = 12.0  # grey levels between black and white
 _FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
 _MIN_QUADS = 4  # markers that the image shows, none of them of the target, before another board is suspected
+_ALTERNATES = 0.4  # of the contrast, of the image and of the board, that squares and those beyond its edge differ by
 _GAP = 6.0  # square sides between corners of one board and those of another
 
 
@@ -45,6 +46,8 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
     if not enough_corners(target.points[ids]):
         said = f"shows {len(ids)} corners of the target, {LEAST_CORNERS} not on one line are needed"
         return Detection(None, said, "bring more of the target into view")
+    if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
+        return strange
     miss = _misfit(target, ids, pixels)
     extent = float(np.ptp(pixels, axis=0).max())
     if miss > max(_FITS_PX, _FITS_SHARE * extent):
@@ -142,6 +145,39 @@ def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Ar
 
     turned = grid[::-1, ::-1]
     return np.ascontiguousarray(min((grid, turned), key=first_square)).reshape(-1, 2)
+
+
+def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
+    """Why a grid of corners is no chessboard of so many squares: its own do not alternate, or those beyond it do."""
+    H = homography(target.points[ids, :2], pixels)
+    c, r = target.columns, target.rows
+    own = [(i, j) for i in range(c) for j in range(r)]
+    inside, black = _greys(grey, H, target, own), np.array([(i + j) % 2 == 0 for i, j in own])
+    seen = [values[np.isfinite(values)] for values in (inside[black], inside[~black])]
+    contrast = float(np.median(seen[1]) - np.median(seen[0])) if min(map(len, seen)) else 0.0
+    if abs(contrast) < _ALTERNATES * float(np.percentile(grey, 99) - np.percentile(grey, 1)):
+        return _why_not(grey, target)
+    for squares in (
+        *([(i, j) for j in range(r)] for i in (-1, c)),
+        *([(i, j) for i in range(c)] for j in (-1, r)),
+    ):
+        beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
+        if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
+            continue
+        if float(np.nanmin(beyond[~dark]) - np.nanmax(beyond[dark])) > _ALTERNATES * abs(contrast):
+            return Detection(None, f"shows more squares than a {target.label}", "count the squares of the board")
+    return None
+
+
+def _greys(grey: np.ndarray, H: Array, target: PrintedTarget, squares: Sequence[tuple[int, int]]) -> Array:
+    """Grey values in the middle of squares (column, row), NaN outside the image."""
+    first = target.points[0, :2] - target.square
+    at = np.c_[first + (np.array(squares) + 0.5) * target.square, np.ones(len(squares))] @ H.T
+    xy = np.rint(at[:, :2] / at[:, 2:]).astype(int)
+    ok = ((xy >= 0) & (xy < np.array(grey.shape)[::-1])).all(axis=1)
+    out = np.full(len(squares), np.nan)
+    out[ok] = grey[xy[ok, 1], xy[ok, 0]]
+    return out
 
 
 def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:

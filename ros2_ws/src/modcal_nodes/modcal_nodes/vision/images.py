@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.moments import NOTHING_KNOWN, Moments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
@@ -33,7 +34,8 @@ _GAP_S = 0.2  # between joint states around an image, beyond which they do not s
 @dataclass(frozen=True)
 class ImageFolder:
     """views: of the target, in the order of the images' names. q, velocity: of the joints at each, (N, n). size: of the
-    images [px]. left_out: images by reason, each with its remedy.
+    images [px]. left_out: images by reason, each with its remedy. lens, lens_of: what was recorded with them says of
+    the lens, None where nothing does, and where. moments: what effects may depend on.
     """
 
     views: tuple[BoardView, ...]
@@ -41,6 +43,9 @@ class ImageFolder:
     velocity: Array
     size: tuple[int, int]
     left_out: dict[str, str]
+    lens: Lens | None = None
+    lens_of: str = ""
+    moments: Moments = NOTHING_KNOWN
 
 
 def read_images(

@@ -1,0 +1,115 @@
+"""Which of the values that somebody stated the images contradict: the sheet's size, its flatness, the lens, the arm.
+
+A stated value that is wrong does not show in the residuals where the arm can take it up: a sheet 2 % larger than
+stated looks like an arm whose links are all 2 % shorter. What gives it away is that no arm is faulty like that. So each
+statement in turn is widened until it says next to nothing, all else stays, and the sizes of all errors are found again:
+where the data are likelier by far, everything integrated out, the statement is what is wrong, or the arm is built
+to another scale, which is said too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.camera.corners import COMMON
+from modcal_core.camera.equations import Equations
+from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.priors import FIXED, CommonPrior, common_prior
+from modcal_core.camera.sizes import likeliest, usual
+from modcal_core.camera.target import PrintScale
+
+# Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
+# (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
+_GAIN = 6.0
+_SCREEN = 2.0  # the same at the state of the fit, which is a unit or two off; below it no second fit is worth its time
+_ANY_SIZE, _ANY_SHAPE = 0.05, 0.01  # of a sheet whose size is not known: fitted to the page, another printer's
+_ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
+_NAMES = ("focal length", "focal length", "centre", "centre", "k1", "k2", "p1", "p2", "k3")
+
+
+def contradictions(
+    fit: CameraFit, lens: Lens, scale: PrintScale, stated: str | None, arm: float | None
+) -> tuple[str, ...]:
+    """What the images contradict of what was stated, in sentences. lens, scale: as stated. stated: what became of the
+    lens's values, None where nobody stated any. arm: as in the fit.
+    """
+    out = []
+    plain = fit.misfit
+    for what, prior in _wider(fit.prior, lens, stated).items():
+        if _screened(fit, prior, arm) < plain - _SCREEN:
+            other = fit_camera(fit.table, fit.poses, fit.state.lens, prior, fit.sizes, arm)
+            if other.converged and other.misfit < plain - _GAIN:
+                out.append(_said(what, other, lens, scale))
+    if arm is not None and fit.poses.of_arm.any():
+        free = likeliest(fit.equations, fit.sizes)
+        if free.arm > arm and fit.equations.solve(free).misfit() + usual(free) < plain - _GAIN:
+            out.append(
+                f"The arm is some {free.arm / arm:.1f} times as far off as --arm-mm states: state what you know of it, "
+                "or check the square's size."
+            )
+    return tuple(out)
+
+
+def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, CommonPrior]:
+    """The prior with each of the statements taken back, by what it is about."""
+    size = prior.information.copy()
+    both, apart = _ANY_SIZE**2, (0.5 * _ANY_SHAPE) ** 2
+    cov = np.array([[both + apart, both - apart], [both - apart, both + apart]])
+    size[LENS : LENS + 2, LENS : LENS + 2] = np.linalg.inv(cov)
+    bow = prior.information.copy()
+    bow[LENS + 2 :, LENS + 2 :] = np.eye(COMMON - LENS - 2) / _ANY_BOW_M**2
+    free = prior.free.copy()
+    free[LENS + 2 :] = True
+    out = {"size": replace(prior, information=size), "bow": replace(prior, information=bow, free=free)}
+    if stated is not None:
+        unknown = common_prior(lens, PrintScale(), None)
+        information, open_ = prior.information.copy(), prior.free.copy()
+        information[:LENS, :LENS] = unknown.information[:LENS, :LENS]
+        open_[:LENS] = True
+        mean = np.r_[unknown.mean[:LENS], prior.mean[LENS:]]
+        out["lens"] = CommonPrior(mean, information, open_)
+    return out
+
+
+def _screened(fit: CameraFit, prior: CommonPrior, arm: float | None) -> float:
+    """−2 log likelihood with another prior, at the state of the fit."""
+    count = len(fit.equations.offset) - COMMON
+    information = fit.equations.information.copy()
+    information[count:, count:] = prior.information
+    offset = np.r_[fit.equations.offset[:count], fit.state.common - prior.mean]
+    free = np.r_[fit.equations.free[:count], prior.free]
+    there: Equations = replace(fit.equations, information=information, offset=offset, free=free)
+    sizes = likeliest(there, fit.sizes, arm)
+    return there.solve(sizes).misfit() + usual(sizes)
+
+
+def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
+    P = other.poses.count
+    std = np.sqrt(np.diag(other.covariance))[P + 1 :]
+    shape = other.state.shape
+    if what == "size":
+        x, y = shape[0] + 1.0, shape[1] + 1.0
+        off = [100.0 * (x / scale.x - 1.0), 100.0 * (y / scale.y - 1.0)]
+        return (
+            f"The sheet is {off[0]:+.1f} % (x) and {off[1]:+.1f} % (y) off its stated size, ± "
+            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure a square, "
+            "and check the target file."
+        )
+    if what == "bow":
+        worst = float(np.abs(shape[2:]).max())
+        return f"The sheet is bent by {1e3 * worst:.1f} mm at its corners: glue it to something flat."
+    off_by = np.abs(other.state.lens.values - lens.values) / np.maximum(std[:LENS], 1e-9)
+    i = int(np.argmax(off_by))
+    return (
+        f"The images contradict the stated lens: {_NAMES[i]} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
+        f"{lens.values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
+    )
+
+
+def is_stated(lens: Lens | None, stated: str) -> str | None:
+    """What became of stated intrinsics, None where they were a start only."""
+    return stated if lens is not None and stated in ("tolerance", FIXED) else None

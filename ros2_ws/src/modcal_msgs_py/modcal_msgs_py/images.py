@@ -1,0 +1,150 @@
+"""Images in bags: raw and compressed ones, and what a camera says of its lens, one message at a time.
+
+A bag may hold hours of images, so none is decoded here: what comes back has the bytes as they were sent.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import Listed
+from modcal_msgs_py.bag_files import bag_files
+from modcal_msgs_py.bag_open import bag_file, message_unpacked, unpacked
+from modcal_msgs_py.types import store_with
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMAGES = (IMAGE, COMPRESSED)
+_MOST_BYTES = 1 << 28  # of one image
+_LARGEST = 1 << 15  # px a side
+
+
+@dataclass(frozen=True)
+class RawImage:
+    """An image as it was sent. stamp: [s]. encoding: of a raw one as ROS names it, of a compressed one its format, with
+    ``compressed`` set. data: bytes, rows of ``step`` bytes of a raw one.
+    """
+
+    stamp: float
+    encoding: str
+    width: int
+    height: int
+    step: int
+    bigendian: bool
+    data: NDArray[np.uint8]
+    compressed: bool = False
+    frame: str = ""
+
+
+def image_topics(listed: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The topics with images, among those of a recording; depth left out as far as names tell."""
+    return tuple(one for one in listed if one.type_name in IMAGES and one.count and "depth" not in one.topic.lower())
+
+
+def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str) -> Listed:
+    """The topic with the images to use. Raises BadRecording where there is none, or several and none was asked for."""
+    found = image_topics(listed)
+    if asked is not None:
+        for one in found:
+            if one.topic.strip("/") == asked.strip("/"):
+                return one
+        said = f"holds no images of topic {asked}"
+        there = ", ".join(one.topic for one in found)
+        raise BadRecording(source, said, f"give one of {there}" if there else "record sensor_msgs/msg/Image")
+    if not found:
+        raise BadRecording(
+            source, "holds no images", "record sensor_msgs/msg/Image or CompressedImage, or leave out --target"
+        )
+    if len(found) > 1:
+        # one camera often sends the same image raw and compressed
+        roots = {one.topic.removesuffix("/compressed") for one in found}
+        if len(roots) == 1:
+            return min(found, key=lambda one: one.type_name == COMPRESSED)
+        said = f"holds images of {len(found)} topics: {', '.join(one.topic for one in found)}"
+        raise BadRecording(source, said, "choose one with --image-topic")
+    return found[0]
+
+
+def info_topic(listed: tuple[Listed, ...], topic: str) -> str | None:
+    """The topic of camera_info that goes with a topic of images: the one beside it."""
+    beside = topic.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
+    return next((one.topic for one in listed if one.type_name == CAMERA_INFO and one.topic == beside), None)
+
+
+def stamps_of(path: Path, topic: str) -> NDArray[np.float64]:
+    """Stamps of all messages of a topic that begin with a header, in order [s]; when received, where they have none."""
+    out = []
+    for received, _, data in _packed(path, topic):
+        if len(data) >= 12:
+            out.append(_stamp(*struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4), received))
+    return np.unique(np.array(out, dtype=float))
+
+
+def read_messages(path: Path, topic: str) -> Iterator[tuple[float, Any]]:
+    """(when received [s], message) of one topic of a bag; what cannot be decoded is passed over.
+
+    Raises BadRecording for what is no bag.
+    """
+    for received, (type_name, schema), data in _packed(path, topic):
+        try:
+            yield received, store_with(type_name, schema).deserialize_cdr(data, type_name)
+        except Exception:  # the decoder raises whatever the bytes lead it to
+            continue
+
+
+def _packed(path: Path, topic: str) -> Iterator[tuple[float, tuple[str, str], bytes]]:
+    """(when received [s], type and its definition, bytes) of every message of a topic."""
+    with unpacked(bag_files(path)[0]) as files:
+        for name in files:
+            file = bag_file(name)
+            for block in file.blocks():
+                block, _ = message_unpacked(block)
+                for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True):
+                    channel, type_name = file.known[int(head["channel"])]
+                    if channel == topic:
+                        schema = file.schemas.get(type_name, "")
+                        yield 1e-9 * int(head["received"]), (type_name, schema), bytes(block.content[start:stop])
+
+
+def _stamp(seconds: int, nanoseconds: int, received: float) -> float:
+    """Of a header [s]; when it was received, where nobody set it."""
+    return float(seconds) + 1e-9 * float(nanoseconds) if seconds or nanoseconds else received
+
+
+def raw_image(message: Any, received: float = 0.0) -> RawImage | None:
+    """The image in a message, None where it cannot be one. received: when [s], for headers without a stamp."""
+    stamp = _stamp(int(message.header.stamp.sec), int(message.header.stamp.nanosec), received)
+    data = message.data if isinstance(message.data, np.ndarray) else np.frombuffer(bytes(message.data), np.uint8)
+    data = np.asarray(data, dtype=np.uint8)
+    frame = str(message.header.frame_id)
+    if len(data) > _MOST_BYTES:
+        return None
+    if hasattr(message, "format"):
+        return RawImage(stamp, str(message.format), 0, 0, 0, False, data, True, frame)
+    w, h, step = int(message.width), int(message.height), int(message.step)
+    if not (0 < w <= _LARGEST and 0 < h <= _LARGEST) or step < w or len(data) < step * (h - 1) + w:
+        return None
+    return RawImage(stamp, str(message.encoding), w, h, step, bool(message.is_bigendian), data, False, frame)
+
+
+def lens_data(message: Any) -> dict[str, Any] | None:
+    """A camera_info message as its YAML file has it; None where the camera was never calibrated (all zero)."""
+    K = [float(x) for x in (message.k if hasattr(message, "k") else message.K)]
+    if not np.isfinite(K).all() or K[0] <= 0.0:
+        return None
+    d = [float(x) for x in (message.d if hasattr(message, "d") else message.D)]
+    return {
+        "image_width": int(message.width),
+        "image_height": int(message.height),
+        "distortion_model": str(message.distortion_model),
+        "camera_matrix": {"rows": 3, "cols": 3, "data": K},
+        "distortion_coefficients": {"rows": 1, "cols": len(d), "data": d},
+    }

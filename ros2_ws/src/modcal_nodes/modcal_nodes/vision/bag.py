@@ -1,0 +1,196 @@
+"""Images of a bag with joint states: which of them to use, where the arm was, and the target in each.
+
+Where the arm stops, one image of each stop is used, from its middle, so that nothing moves any more and clocks do not
+matter; where it never does, images are spread over the recording, and their clock is fitted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.moments import Moments
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import Approach
+from modcal_core.measurements.recording import Listed, Recording
+from modcal_msgs_py.images import (
+    RawImage,
+    chosen_topic,
+    info_topic,
+    lens_data,
+    raw_image,
+    read_messages,
+    stamps_of,
+)
+from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.grey import grey_of
+from modcal_nodes.vision.images import ImageFolder, lens_from_data
+
+_MOST = 200  # images that are looked at
+_STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
+_SETTLED = 0.15  # s after a stop before images of it are used
+_BEFORE = 0.05  # s on either side of an image, over which speeds are taken
+_GAP = 0.2  # s between joint states around an image, beyond which they do not say where the arm was
+_LEAST_STOPS = 4  # below, the arm is taken for one that moves
+
+
+def read_bag_images(
+    bag: Path,
+    recording: Recording,
+    names: Sequence[str],
+    target: PrintedTarget,
+    asked: str | None = None,
+    progress: Callable[[str, float | None], None] = lambda stage, share: None,
+) -> ImageFolder:
+    """The target in images of a bag, and where the arm's joints were. recording: the same bag's joint states.
+
+    names: of the robot's joints. asked: the topic with the images. Raises ModcalError where nothing can be used.
+    """
+    topic = chosen_topic(recording.listed, asked, recording.source)
+    log = JointLog.of(recording, names)
+    stamps = stamps_of(bag, topic.topic)
+    wanted, moving = chosen_stamps(stamps, log)
+    if not len(wanted):
+        said = f"none of {len(stamps)} images has joint states around it"
+        raise BadRecording(f"{recording.source}: {topic.topic}", said, "record both on one clock")
+    views: list[BoardView] = []
+    sizes: list[tuple[int, int]] = []
+    left_out: dict[str, str] = {}
+    keep = set(wanted.tolist())
+    done = 0
+    for image in _images(bag, topic):
+        if image.stamp not in keep:
+            continue
+        keep.discard(image.stamp)
+        done += 1
+        progress("finding the target", done / len(wanted))
+        name = f"{image.stamp:.6f}"
+        grey, why = grey_of(image)
+        if grey is None:
+            left_out[name] = why
+            continue
+        found = detect(grey, target, name)
+        if found.view is None:
+            left_out[name] = f"{found.reason}: {found.remedy}"
+            continue
+        views.append(replace(found.view, stamp=image.stamp))
+        sizes.append((grey.shape[1], grey.shape[0]))
+    if not views:
+        name, why = next(iter(left_out.items()))
+        reason, _, remedy = why.partition(": ")
+        source = f"{recording.source}: {topic.topic}"
+        raise NotEnoughData(source, f"none of {len(wanted)} images can be used; the one at {name} s {reason}", remedy)
+    size = Counter(sizes).most_common(1)[0][0]
+    for view, own in zip(views, sizes, strict=True):
+        if own != size:
+            left_out[view.name] = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
+    views = [view for view, own in zip(views, sizes, strict=True) if own == size]
+    at = np.array([view.stamp for view in views])
+    q, velocity = log.at(at)
+    moments = Moments(at, log.approach(at), log.effort(at), recording.signals)
+    velocity = velocity if moving else np.zeros_like(q)
+    lens, lens_of = _lens(bag, recording, topic)
+    return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments)
+
+
+@dataclass(frozen=True)
+class JointLog:
+    """Joint states of an arm as one table. stamps: increasing (m,) [s]. q, efforts: (m, n), NaN where unknown."""
+
+    stamps: Array
+    q: Array
+    efforts: Array
+
+    @classmethod
+    def of(cls, recording: Recording, names: Sequence[str]) -> JointLog:
+        """Those of these joints in a recording. Raises BadRecording where one was not recorded."""
+        tracks = {name: track for track in recording.joints for name in track.names}
+        for name in names:
+            if name not in tracks:
+                raise BadRecording(recording.source, f"holds no joint {name}", "record its joint states, or give --tip")
+        first = tracks[names[0]]
+        stamps = np.unique(first.stamps[np.isfinite(first.stamps)])
+        columns, efforts = [], []
+        for name in names:
+            track = tracks[name]
+            order = np.argsort(track.stamps, kind="stable")
+            j = track.names.index(name)
+            columns.append(np.interp(stamps, track.stamps[order], track.position[order, j]))
+            efforts.append(np.interp(stamps, track.stamps[order], track.effort[order, j]))
+        return cls(stamps, np.stack(columns, axis=1), np.stack(efforts, axis=1))
+
+    def known(self, at: Array) -> np.ndarray:
+        """Whether joint states stand close around these stamps, (k,)."""
+        i = np.searchsorted(self.stamps, at)
+        inside = (i > 0) & (i < len(self.stamps))
+        i = np.clip(i, 1, max(len(self.stamps) - 1, 1))
+        return np.asarray(inside & (self.stamps[i] - self.stamps[i - 1] <= _GAP)) if len(self.stamps) > 1 else inside
+
+    def at(self, at: Array) -> tuple[Array, Array]:
+        """(positions, velocities) at these stamps, (k, n) each."""
+
+        def sampled(t: Array) -> Array:
+            return np.stack([np.interp(t, self.stamps, column) for column in self.q.T], axis=1)
+
+        return sampled(at), (sampled(at + _BEFORE) - sampled(at - _BEFORE)) / (2.0 * _BEFORE)
+
+    def effort(self, at: Array) -> Array:
+        """Efforts at these stamps, (k, n)."""
+        return np.stack([np.interp(at, self.stamps, column) for column in self.efforts.T], axis=1)
+
+    def approach(self, at: Array) -> Array:
+        """The direction each joint last moved in at these stamps, (k, n)."""
+        memory, out = Approach(), np.zeros((len(at), self.q.shape[1]))
+        order, i = np.argsort(at), 0
+        for k in order:
+            while i < len(self.stamps) and self.stamps[i] <= at[k]:
+                memory.update(self.q[i])
+                i += 1
+            out[k] = memory.direction if len(memory.direction) else 0.0
+        return out
+
+
+def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
+    """(stamps of the images to look at, whether the arm moved at them)."""
+    stamps = stamps[log.known(stamps)]
+    if not len(stamps):
+        return stamps, False
+    _, velocity = log.at(stamps)
+    _, just_before = log.at(stamps - _SETTLED)
+    standing = (np.abs(velocity).max(axis=1) < _STANDING) & (np.abs(just_before).max(axis=1) < _STANDING)
+    stops = np.split(np.arange(len(stamps)), np.flatnonzero(np.diff(standing.astype(int))) + 1)
+    middle = [part[len(part) // 2] for part in stops if standing[part[0]]]
+    if len(middle) >= _LEAST_STOPS:
+        return stamps[_evenly(np.array(middle))], False
+    return stamps[_evenly(np.arange(len(stamps)))], True
+
+
+def _evenly(rows: np.ndarray) -> np.ndarray:
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+
+
+def _images(bag: Path, topic: Listed) -> Iterator[RawImage]:
+    for received, message in read_messages(bag, topic.topic):
+        image = raw_image(message, received)
+        if image is not None:
+            yield image
+
+
+def _lens(bag: Path, recording: Recording, topic: Listed) -> tuple[Lens | None, str]:
+    """What camera_info says of the lens, and where; None where there is none, or the camera was never calibrated."""
+    name = info_topic(recording.listed, topic.topic)
+    if name is None:
+        return None, ""
+    source = f"{recording.source}: {name}"
+    for _, message in read_messages(bag, name):
+        data = lens_data(message)
+        return (None, "") if data is None else (lens_from_data(data, source), source)
+    return None, ""

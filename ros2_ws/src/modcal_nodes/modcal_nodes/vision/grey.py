@@ -1,0 +1,85 @@
+"""Grey images of 8 bits from messages, raw or compressed; what cannot be used is said in words."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from modcal_msgs_py.images import RawImage
+from modcal_nodes.vision.images import is_mosaic
+
+_COLOURS = {
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "8UC3": cv2.COLOR_BGR2GRAY,
+    "8UC4": cv2.COLOR_BGRA2GRAY,
+}
+_BAYER = {  # as ROS names the first two pixels of the first two rows; OpenCV names the second ones
+    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY,
+    "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY,
+    "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
+}
+_YUV = {
+    "yuv422": cv2.COLOR_YUV2GRAY_UYVY,
+    "uyvy": cv2.COLOR_YUV2GRAY_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2GRAY_YUY2,
+    "yuyv": cv2.COLOR_YUV2GRAY_YUY2,
+}
+_GREY = ("mono8", "8UC1")
+
+
+def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
+    """(grey image (h, w) of 8 bits, "") or (None, why not and what to do)."""
+    if image.compressed:
+        return _unpacked(image)
+    encoding = image.encoding
+    if "16" in encoding or "32" in encoding:
+        return None, f"is of encoding {encoding}, 8 bits a channel are read: publish mono8 or rgb8"
+    channels = _channels(encoding)
+    if not channels:
+        return None, f"is of encoding {encoding[:30]}, which is not read: publish mono8 or rgb8"
+    if image.step < image.width * channels or len(image.data) < image.step * image.height:
+        return None, "has fewer bytes than its size says: record it again"
+    rows = image.data[: image.step * image.height].reshape(image.height, image.step)
+    pixels = np.ascontiguousarray(rows[:, : image.width * channels])
+    if channels > 1:
+        pixels = pixels.reshape(image.height, image.width, channels)
+    if encoding in _GREY:
+        if is_mosaic(pixels):
+            return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
+        return pixels, ""
+    code = {**_COLOURS, **_BAYER, **_YUV}[encoding]
+    return np.asarray(cv2.cvtColor(pixels, code)), ""
+
+
+def _channels(encoding: str) -> int:
+    """Bytes a pixel, 0 for an encoding that is not read."""
+    if encoding in _GREY or encoding in _BAYER:
+        return 1
+    if encoding in _YUV:
+        return 2
+    if encoding in _COLOURS:
+        return 4 if "a8" in encoding or encoding == "8UC4" else 3
+    return 0
+
+
+def _unpacked(image: RawImage) -> tuple[np.ndarray | None, str]:
+    if "compressedDepth" in image.encoding:
+        return None, "is a depth image: choose the camera's own topic with --image-topic"
+    try:
+        found = cv2.imdecode(image.data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        found = None
+    if found is None:
+        return None, "cannot be unpacked: record it again"
+    if found.dtype != np.uint8:
+        return None, f"has {8 * found.dtype.itemsize} bits a channel: publish 8 bits"
+    if found.ndim == 3:
+        code = cv2.COLOR_BGRA2GRAY if found.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+        return np.asarray(cv2.cvtColor(found, code)) if found.shape[2] >= 3 else found[:, :, 0], ""
+    if is_mosaic(found):
+        return None, "is a raw Bayer mosaic: debayer it first"
+    return found, ""

@@ -1,0 +1,270 @@
+"""Bags with images: the same result as from a folder, tracker readings beside them, and every kind of image."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from camera.boards import BOARD
+from camera.render import render
+from camera.scenes import PANDA, CameraScene, scene
+from camera.test_effects_and_mixes import BALL, TRACKER
+from camera.test_images_verb import VGA
+
+from modcal_core.errors import ModcalError
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import Listed
+from modcal_msgs_py.images import CAMERA_INFO, COMPRESSED, IMAGE, RawImage, chosen_topic
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.types import message_class
+from modcal_nodes.cli.main import run
+from modcal_nodes.vision.bag import JointLog, chosen_stamps
+from modcal_nodes.vision.grey import grey_of
+
+START = 1_700_000_000.0
+STAY, GO = 1.0, 1.0  # s, at a posture and to the next
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A bag, and the scene that it shows."""
+
+    bag: Path
+    scene: CameraScene
+    pictures: list[np.ndarray]
+
+
+def header(stamp: float, frame: str = "") -> Any:
+    time = message_class("builtin_interfaces/msg/Time")(sec=int(stamp), nanosec=round(1e9 * (stamp % 1.0)))
+    return message_class("std_msgs/msg/Header")(stamp=time, frame_id=frame)
+
+
+def raw(stamp: float, pixels: Array, encoding: str = "mono8") -> Any:
+    return message_class(IMAGE)(
+        header=header(stamp, "camera"),
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=pixels.strides[0],
+        data=np.ascontiguousarray(pixels).view(np.uint8).ravel(),
+    )
+
+
+def camera_info(stamp: float, size: tuple[int, int], K: Array, d: Array) -> Any:
+    roi = message_class("sensor_msgs/msg/RegionOfInterest")(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    return message_class(CAMERA_INFO)(
+        header=header(stamp, "camera"),
+        height=size[1],
+        width=size[0],
+        distortion_model="plumb_bob",
+        d=np.asarray(d, dtype=float),
+        k=np.asarray(K, dtype=float).ravel(),
+        r=np.eye(3).ravel(),
+        p=np.c_[K, np.zeros(3)].ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=roi,
+    )
+
+
+def write_cell(folder: Path, s: CameraScene, pictures: Sequence[np.ndarray], lens_of: tuple[int, int] | None) -> Path:
+    """A bag of an arm that stops at each posture, one image and one reading of a ball at every stop."""
+    joint_state, point = message_class("sensor_msgs/msg/JointState"), message_class("geometry_msgs/msg/PointStamped")
+    at_point = message_class("geometry_msgs/msg/Point")
+    nothing = np.empty(0)
+    out: list[tuple[float, str, str, Any]] = []
+    t = START
+    rng = np.random.default_rng(2)
+    ball = se3.apply(TRACKER @ s.T, BALL) + 5e-5 * rng.standard_normal((len(s.q), 3))
+    for k, (q, picture) in enumerate(zip(s.q, pictures, strict=True)):
+        for share in np.linspace(0.0, 1.0, 50, endpoint=False) if k else ():
+            ease = share * share * (3.0 - 2.0 * share)
+            now = s.q[k - 1] + ease * (q - s.q[k - 1])
+            state = joint_state(header(t), list(s.chain.names), now, nothing, nothing)
+            out.append((t, "/joint_states", "sensor_msgs/msg/JointState", state))
+            t += GO / 50
+        for j in range(50):
+            state = joint_state(header(t), list(s.chain.names), q, nothing, nothing)
+            out.append((t, "/joint_states", "sensor_msgs/msg/JointState", state))
+            if j == 25:
+                name = f"{t:.6f}"
+                packed = cv2.imencode(".png", picture)[1].ravel()
+                image = message_class(COMPRESSED)(header=header(t, "camera"), format="png", data=packed)
+                out.append((t, "/camera/image_raw/compressed", COMPRESSED, image))
+                assert float(name) > 0.0
+            if 10 <= j < 40:
+                seen = at_point(*(float(x) for x in ball[k] + 2e-5 * rng.standard_normal(3)))
+                out.append((t, "/tracker/point", "geometry_msgs/msg/PointStamped", point(header(t, "tracker"), seen)))
+            t += STAY / 50
+    with BagWriter(folder) as bag:
+        String = message_class("std_msgs/msg/String")
+        bag.write("/robot_description", "std_msgs/msg/String", String(data=PANDA.read_text()), int(1e9 * START))
+        if lens_of is not None:
+            info = camera_info(START, lens_of, VGA.K, VGA.values[4:])
+            bag.write("/camera/camera_info", CAMERA_INFO, info, int(1e9 * START))
+        for stamp, topic, type_name, message in out:
+            bag.write(topic, type_name, message, int(1e9 * stamp))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Ten stops of an arm with a camera on its tip, rendered once."""
+    s = scene(11, True, count=10, lens=VGA)
+    rng = np.random.default_rng(0)
+    pictures = [render(T, VGA, BOARD, rng) for T in se3.inverse(s.T)]
+    where = tmp_path_factory.mktemp("bags")
+    bag = write_cell(where / "cell", s, pictures, None)
+    assert run(["target", "--charuco", "7x5", "--square", "30mm", "--marker", "22mm", "--out", str(where / "t")]) == 0
+    return Recorded(bag, s, pictures)
+
+
+def target(recorded: Recorded) -> str:
+    return str(recorded.bag.parent / "t" / "target.yaml")
+
+
+@pytest.mark.slow
+def test_images_and_a_tracker_in_one_bag(
+    recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An unmeasured sheet and a few tracker points in the same bag: apply, to what is stated."""
+    call = ["calibrate", str(recorded.bag), "--target", target(recorded), "--tip", "panda_link8"]
+    assert run([*call, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["camera"]["images"]["used"] == len(recorded.scene.q)
+    assert report["camera"]["metric"] == ["readings of point in tracker"]
+    assert report["camera"]["decision"] == "apply", said
+    assert report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"] < 5.0
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--image-topic", "/other"], "holds no images of topic /other"),
+        (["--joints", "J"], "--joints needs --images"),
+        (["--tolerance-mm", "1"], "--tolerance-mm does not work with images"),
+    ],
+)
+def test_calls_that_cannot_be_done(
+    recorded: Recorded, more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "j.csv").write_text("image,a\n")
+    given = [str(tmp_path / "j.csv") if word == "J" else word for word in more]
+    call = ["calibrate", str(recorded.bag), "--target", target(recorded), "--tip", "panda_link8", *given]
+    assert run([*call, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_image_of_each_stop(recorded: Recorded) -> None:
+    recording = read_bag(recorded.bag)
+    log = JointLog.of(recording, recorded.scene.chain.names)
+    every = np.arange(START, START + 19.0, 0.04)
+    wanted, moving = chosen_stamps(every, log)
+    assert not moving
+    assert len(wanted) == 10
+    q, velocity = log.at(wanted)
+    assert np.abs(q - recorded.scene.q).max() < 1e-9
+    assert np.abs(velocity).max() < 1e-9
+    came = log.approach(wanted)
+    assert (came[1:] == np.sign(np.diff(recorded.scene.q, axis=0))).mean() > 0.95
+    # an arm that never stops
+    going = replace(log, q=log.q + 0.2 * np.sin(log.stamps)[:, None])
+    assert chosen_stamps(every, going)[1]
+    assert len(chosen_stamps(np.arange(0.0, 10.0, 0.1), log)[0]) == 0
+
+
+def image_of(pixels: np.ndarray, encoding: str, step: int | None = None) -> RawImage:
+    data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
+    return RawImage(0.0, encoding, pixels.shape[1], pixels.shape[0], step or pixels.strides[0], False, data)
+
+
+def mosaic(colour: np.ndarray, order: str) -> np.ndarray:
+    """The colour filter's pattern over an image with channels r, g, b."""
+    out = np.empty(colour.shape[:2], np.uint8)
+    for i, c in enumerate(order):
+        y, x = divmod(i, 2)
+        out[y::2, x::2] = colour[y::2, x::2, "rgb".index(c)]
+    return out
+
+
+@pytest.mark.parametrize("order", ["rggb", "bggr", "gbrg", "grbg"])
+def test_every_order_of_bayer_is_the_same_picture(order: str) -> None:
+    y, x = np.mgrid[0:60, 0:80]
+    colour = np.stack([60.0 + x, 90.0 + y, 200.0 - x], axis=2).astype(np.uint8)
+    grey, why = grey_of(image_of(mosaic(colour, order), f"bayer_{order}8"))
+    assert grey is not None, why
+    expected = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY).astype(int)
+    assert np.abs(grey.astype(int) - expected)[4:-4, 4:-4].max() <= 3
+
+
+def test_encodings() -> None:
+    colour = np.random.default_rng(0).integers(0, 255, (12, 16, 3)).astype(np.uint8)
+    one, two = grey_of(image_of(colour, "rgb8"))[0], grey_of(image_of(colour[:, :, ::-1].copy(), "bgr8"))[0]
+    assert one is not None
+    assert two is not None
+    assert (one == two).all()
+    flat = np.full((12, 20), 90, np.uint8)
+    padded = grey_of(replace(image_of(flat, "mono8"), width=16))[0]
+    assert padded is not None
+    assert padded.shape == (12, 16)
+    refused = {
+        "mono16": image_of(np.zeros((4, 4), np.uint16), "mono16"),
+        "which is not read": image_of(flat, "jpeg2000"),
+        "fewer bytes": replace(image_of(flat, "mono8"), height=40),
+        "Bayer": image_of(mosaic(np.dstack([flat, flat // 2, flat // 3]), "rggb"), "mono8"),
+        "unpacked": replace(image_of(flat, "jpeg"), compressed=True),
+        "depth": replace(image_of(flat, "16UC1; compressedDepth"), compressed=True),
+    }
+    for words, image in refused.items():
+        grey, why = grey_of(image)
+        assert grey is None
+        assert words in why
+        assert ": " in why
+
+
+def test_which_topic() -> None:
+    raw_, packed = Listed("/c/image", IMAGE, 5), Listed("/c/image/compressed", COMPRESSED, 5)
+    other, depth = Listed("/d/image", IMAGE, 5), Listed("/depth/image", IMAGE, 5)
+    assert chosen_topic((packed, raw_, depth), None, "bag") == raw_
+    assert chosen_topic((raw_, other), "d/image", "bag") == other
+    for listed, words in ((((raw_, other)), "choose one"), (((depth,)), "holds no images")):
+        with pytest.raises(ModcalError, match=words):
+            chosen_topic(listed, None, "bag")
+
+
+def test_camera_info_of_another_resolution(
+    recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_cell(tmp_path / "bag", recorded.scene, recorded.pictures, (1280, 960))
+    call = ["calibrate", str(bag), "--target", target(recorded), "--tip", "panda_link8", "--ignore", "/tracker/point"]
+    assert run([*call, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert "is of images of 1280 × 960, these are 640 × 480: give the camera_info of this resolution" in err
+    assert err.count("\n") == 1
+
+
+def test_info_says_what_images_are_good_for(recorded: Recorded, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(recorded.bag), "--tip", "panda_link8"]) == 0
+    assert "a calibration by camera (10 of /camera/image_raw/compressed)" in " ".join(capsys.readouterr().out.split())
+    call = ["info", str(recorded.bag), "--tip", "panda_link8", "--target", target(recorded), "--json"]
+    assert run(call) == 0
+    images = json.loads(capsys.readouterr().out)["images"]
+    assert images["found"] == images["looked_at"] == 10
+    assert 1.0 < images["edges_px"] < 3.0
+    low, high = images["tilt_deg"]
+    assert 0.0 <= low < 20.0 < high < 60.0
+    assert images["distance_m"][0] == pytest.approx(0.35, abs=0.1)
+    assert any("take 25 to 30" in said for said in images["findings"])
