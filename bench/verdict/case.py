@@ -56,7 +56,18 @@ Maker = Callable[[Works, np.random.Generator], Case]
 KINDS: dict[str, dict[str, Maker]] = {
     name: {}
     for name in (
-        *("main", "later", "fresh", "fresh_again", "fresh_third", "fresh_fourth", "nearby", "fresh_fifth", "real"),
+        *(
+            "main",
+            "later",
+            "fresh",
+            "fresh_again",
+            "fresh_third",
+            "fresh_fourth",
+            "nearby",
+            "fresh_fifth",
+            "fresh_sixth",
+        ),
+        "real",
         *("good", "good_fifth"),
     )
 }

@@ -33,7 +33,7 @@ def watch(
 def test_a_clean_door_is_at_no_moment_trusted_as_a_screw(radius: float) -> None:
     """A new guess of a hinge used to displace a better one, for it was weighed on more poses; then a screw won."""
     rng = np.random.default_rng(0)
-    seen = noisy(ideal("revolute", np.linspace(0.0, 0.156 / radius, 260), rng, radius), rng, 1e-4, 0.02 * DEGREE)
+    seen = noisy(ideal("revolute", np.linspace(0.0, 0.25 / radius, 416), rng, radius), rng, 1e-4, 0.02 * DEGREE)
     states = watch(Tracker(), seen)
     assert states[-1].trusted
     assert {s.kind for s in states if s.trusted} == {"revolute"}

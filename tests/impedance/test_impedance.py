@@ -117,6 +117,8 @@ def test_another_expected_pose_moves_nothing(rng: np.random.Generator) -> None:
         {"mass": (0.0, 1.0)},
         {"mass": (1.0, -1.0)},
         {"damping": (np.nan, 1.0)},
+        {"damping": (0.0, 1.0)},
+        {"damping": (1000.0, 0.0)},
         {"stiffness": (-1.0, 1.0)},
         {"stiffness": (1.0, 2.0, 3.0)},
         {"task": 2.0 * np.eye(3)},

@@ -109,6 +109,37 @@ def test_a_hard_stop_is_met_below_the_limit(delay: int) -> None:
     assert_smooth(done)
 
 
+@pytest.mark.parametrize("stuck", [2.0, 15.0, 25.0])
+def test_a_force_sensor_that_is_stuck_does_not_tear_at_what_is_locked(stuck: float) -> None:
+    """The setpoint runs on, the hand does not, the wrench comes with fresh stamps and never changes."""
+    done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, LIMITS), stuck=stuck)
+    assert done.stop is not None
+    assert "wrench" in done.stop.why
+    assert done.forces.max() < ABORT
+    assert done.forces[-1] < 5.0
+    assert_smooth(done)
+
+
+@pytest.mark.parametrize("delay", [2, 20])
+def test_a_force_sensor_that_hangs_beside_what_is_held_is_found_out_by_the_lead(delay: int) -> None:
+    """It hears its own noise and nothing of the contact: nothing repeats itself, and nothing is felt."""
+    done = pull(Toy(door(), locked=True, delay=delay), Operation(PANDA, TASK, LIMITS), deaf=1.0)
+    assert done.stop is not None
+    assert "the setpoint leads the tool" in done.stop.why
+    assert done.forces.max() < ABORT
+    assert done.forces[-1] < 5.0
+    assert_smooth(done)
+
+
+def test_a_stuck_sensor_lets_go_in_the_expected_mode_as_well() -> None:
+    soft = Toy(door(), locked=True, stiffness=np.array([1000.0] * 3 + [30.0] * 3))
+    done = pull(soft, Operation(PANDA, replace(TASK, mode="expected"), limits(displacement=0.15)), deaf=1.0)
+    assert done.stop is not None
+    assert "the setpoint leads the tool" in done.stop.why
+    assert done.forces.max() < ABORT
+    assert done.forces[-1] < 5.0
+
+
 def test_a_force_beyond_the_limit_is_let_go_and_not_left_standing() -> None:
     """Of a limit below what the object takes: the spring between setpoint and tool is unwound before the end."""
     done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, limits(force=20.0)))

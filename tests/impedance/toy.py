@@ -6,6 +6,7 @@ It knows the chain's kinematics, and of the object only its twist; what is pulle
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -142,30 +143,37 @@ def pull(
     revise: float = 0.0,
     rng: np.random.Generator | None = None,
     numb: float = np.inf,
+    stuck: float = np.inf,
+    deaf: float = 0.0,
+    meanwhile: Callable[[float, Operation], None] = lambda now, operation: None,
 ) -> Pulled:
     """Pull until it says stop. trusts: configuration from which the model (default: the truth) is trusted.
 
-    numb: force in the hand [N] from which nothing is heard of the wrench any more. revise: deviation of the point and the axis of the model, anew five times a second [m, rad].
+    numb: force in the hand [N] from which nothing is heard of the wrench any more. stuck: force from which the sensor says
+    the same for ever, with fresh stamps. deaf: share of the contact's force that it never says. meanwhile: is called before each tick. revise: deviation of the point and the axis of the model, anew five times a second [m, rad].
     """
     sensor, belief = WrenchSensor([(PANDA.tip, np.eye(4))]), Belief()
     forces, moments, setpoints, phases = [], [], [], []
     late: deque[tuple[float, Array, Array]] = deque()
-    stop = None
+    stop, last = None, None
     given = toy.truth if model is None else model
     for k in range(int(seconds / PERIOD)):
         now = 100.0 + k * PERIOD
         q, w = toy.reading()
-        late.append((now, q, w))
+        late.append((now, q, w - deaf * toy.contact))
         if len(late) <= toy.delay:
             toy.step()
             continue
         stamp, q, w = late.popleft()
+        last = w if toy.peak < stuck or last is None else last
+        w = last
         if toy.peak < numb:
             sensor.receive(PANDA.tip, w, stamp, now, 0.1)
         if toy.a >= trusts:
             belief.trusted = True
             if belief.model is None or (revise and rng is not None and k % 50 == 0):
                 belief.model = _revised(given, revise, rng) if revise and rng is not None else given
+        meanwhile(now, operation)
         answer = operation.tick(now, posture_frames(PANDA, q)[1], sensor, JointPositions(q, stamp), belief)
         phases.append(operation.phase)
         if isinstance(answer, Stop):

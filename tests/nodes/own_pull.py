@@ -5,10 +5,13 @@ The nodes' rates and parameters, but none of the delays of DDS: what a pull owes
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from nodes.plain_pulls import Pull
 
 from modcal_core.articulation.online import Tracker
+from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_core.impedance.task import JointPositions, Stop
@@ -23,9 +26,12 @@ _LONGEST = 60.0  # s
 _STALE = 0.1  # s
 
 
-def pull(world: Pulling, urdf: str) -> Pull:
-    """Pull with the nodes' default parameters until it says that it is over."""
-    chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()}
+def pull(world: Pulling, urdf: str, sensed: Callable[[Array], Array] = lambda w: w, **other: object) -> Pull:
+    """Pull with the nodes' default parameters, or others, until it says that it is over.
+
+    sensed: what the force sensor makes of the wrench (6,) at its place.
+    """
+    chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()} | other
     arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
     operation, tracker, state = Operation(arm.chain, task(chosen), limits(arm.chain, chosen)), Tracker(), None
@@ -34,7 +40,7 @@ def pull(world: Pulling, urdf: str) -> Pull:
         world.advance(period)
         now, (q, _) = world.time, world.joints()
         T = forward(arm.chain, q)
-        arm.sensor.receive(arm.chain.tip, world.wrench(), now, now, _STALE)
+        arm.sensor.receive(arm.chain.tip, sensed(world.wrench()), now, now, _STALE)
         if k % _EVERY == 0 or state is None:
             pulled = float(np.linalg.norm(operation.force[:3])) > ARTICULATION_ESTIMATOR["pull_n"].default
             state = tracker.update(T[:3, 3], T[:3, :3], now, pulled)

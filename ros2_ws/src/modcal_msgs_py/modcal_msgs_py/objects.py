@@ -67,6 +67,7 @@ def status_values(state: TrackerState) -> dict[str, str]:
         "ahead_m": f"{state.ahead_m:.6f}",
         "off_m": f"{state.off_m:.6f}",
         "samples": str(state.samples),
+        "apart_m": f"{state.apart_m:.6f}",
         "rotations": "handle" if state.follows else "grasp",
         **{f"probability_{kind}": f"{p:.4f}" for kind, p in state.probabilities.items()},
     }

@@ -57,13 +57,17 @@ def fill_point(message: Any, setpoint: ArmSetpoint, after: float, with_speed: bo
 class ObjectInput:
     """What is believed of the object: ``model``, ``trusted``, ``event``, from the messages that tell of it.
 
-    A description alone is not trusted: its status must say so, and be no older than ``stale`` [s].
+    A description alone is not trusted: its status must say so, and be no older than ``stale`` [s]. One in another frame
+    than the arm's base is no model: the numbers would be followed at another place.
     """
 
-    def __init__(self, read: Callable[[str], JointModel], stale: float = 1.0) -> None:
-        """read: the model of a URDF text; may raise ModcalError."""
-        self._read, self._stale = read, stale
-        self.model: JointModel | None = None
+    def __init__(
+        self, read: Callable[[str], JointModel], frames: Callable[[str], tuple[str, str]], stale: float = 1.0
+    ) -> None:
+        """read, frames: the model of a URDF text, and its first link and last; may raise ModcalError."""
+        self._read, self._frames, self._stale = read, frames, stale
+        self._model: JointModel | None = None
+        self._frame, self._base = "", ""
         self.kind = ""
         self.event: str | None = None
         self._trusted, self._stamp, self._now = False, -math.inf, 0.0
@@ -74,17 +78,36 @@ class ObjectInput:
         text = str(message.data)
         if text == self._text:
             return
-        self._text, self.model = text, None
+        self._text, self._model = text, None
         if not text:
             return
         if len(text) > _LONGEST_URDF:
             raise BadCommand("object_description", f"has {len(text)} characters", "publish a URDF of one joint")
         try:
-            self.model = self._read(text)
+            self._frame = self._frames(text)[0]
+            self._model = self._read(text)
         except ModcalError:
             raise
         except (ValueError, KeyError, TypeError) as error:
             raise BadCommand("object_description", f"cannot be read ({error})", "publish a URDF of one joint") from None
+        if self.elsewhere:
+            raise BadCommand("object_description", self.elsewhere, "track the handle in the arm's base link")
+
+    def in_base(self, base: str) -> None:
+        """Believe from now on only in what is described in this link."""
+        self._base = base
+
+    @property
+    def model(self) -> JointModel | None:
+        """How the tool moves, in the arm's base; None where that is not known."""
+        return None if self.elsewhere else self._model
+
+    @property
+    def elsewhere(self) -> str:
+        """For a person, that what was described is in another frame than the arm's base; empty where it is not."""
+        if self._model is None or not self._base or self._frame == self._base:
+            return ""
+        return f"is in frame '{self._frame}', the arm begins at '{self._base}'"
 
     def hear_status(self, message: Any, now: float) -> None:
         """Take a DiagnosticArray that tells whether the model is trusted, and what happened to the object."""

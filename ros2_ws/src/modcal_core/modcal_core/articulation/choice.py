@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.held_out import predicted
-from modcal_core.articulation.misfit import Misfit, misfit, scales
+from modcal_core.articulation.misfit import NONE, Misfit, misfit, scales
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
@@ -29,7 +29,6 @@ from modcal_core.geometry.so3 import Array
 
 _GROSS = 4.0  # times noise, or the usual play of furniture: Gaussian noise across a line does so once in 3000
 SURE = 0.95  # probability from which a kind is said
-NONE: Kind = "none"  # of what moves as no joint type does
 
 
 @dataclass(frozen=True)

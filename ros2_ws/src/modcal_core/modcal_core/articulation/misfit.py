@@ -14,10 +14,12 @@ import numpy as np
 
 from modcal_core.articulation.fit import JointFit
 from modcal_core.articulation.furniture import PLAY, SWAY
+from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
+NONE: Kind = "none"  # of what moves as no joint type does
 MUCH = 4.0  # times the usual play or sway
 _NOISE = 3.0  # deviations of white noise beside it
 _COUNTED = 0.9  # of the samples, those that fit best
@@ -43,7 +45,7 @@ class Misfit:
     @property
     def fails(self) -> bool:
         """Whether this is no such joint."""
-        return self.position > self.much[0] or self.rotation > self.much[1] or self.off > _GROSS
+        return too_much(self.position, self.rotation, self.white) or self.off > _GROSS
 
     @property
     def said(self) -> str:
@@ -60,22 +62,34 @@ class Misfit:
         return f"leaves {left} where {much} would be much{where}"
 
 
+def limits(noise: tuple[float, float]) -> tuple[float, float]:
+    """What would be too much to leave (m, rad), beside white noise of one sample (m, rad)."""
+    usual = float(np.exp(PLAY[0])), float(np.exp(SWAY[0]))
+    shift, turn = (float(np.hypot(MUCH * u, _NOISE * n)) for u, n in zip(usual, noise, strict=True))
+    return shift, turn
+
+
+def too_much(position: float, rotation: float, noise: tuple[float, float]) -> bool:
+    """Whether a joint type that leaves so much [m, rad; nan where nothing was seen] is none."""
+    shift, turn = limits(noise)
+    return position > shift or rotation > turn
+
+
 def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
     """What a fit leaves of a track that has no outliers and no rests. noise: white, of one sample [m, rad]."""
     e = found.motion.residuals(track, found.motion.configurations(track, scales(found)))
     shift = np.linalg.norm(e[:, :3], axis=1)
     turn = np.linalg.norm(e[:, 3:], axis=1) if e.shape[1] == 6 else None
-    usual = float(np.exp(PLAY[0])), float(np.exp(SWAY[0]))
-    much = tuple(float(np.hypot(MUCH * u, _NOISE * n)) for u, n in zip(usual, noise, strict=True))
+    much = limits(noise)
     beyond = shift > much[0] if turn is None else (shift > much[0]) | (turn > much[1])
     smooth = _median(shift) > much[0]
     if turn is not None:
         smooth |= _median(turn) > much[1]
     way = travelled(track)[smooth]
     return Misfit(
-        _rms(shift),
-        np.nan if turn is None else _rms(turn),
-        (much[0], much[1]),
+        rms(shift),
+        np.nan if turn is None else rms(turn),
+        much,
         float(beyond.mean()),
         (float(way.min()), float(way.max())) if len(way) else None,
         noise,
@@ -87,7 +101,8 @@ def scales(found: JointFit) -> tuple[float, float]:
     return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
 
 
-def _rms(sizes: Array) -> float:
+def rms(sizes: Array) -> float:
+    """Of the nine tenths of sizes (n,) that are smallest."""
     best = np.sort(sizes)[: max(1, int(np.ceil(_COUNTED * len(sizes))))]
     return float(np.sqrt(np.mean(best**2)))
 

@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.misfit import NONE, rms, too_much
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
-from modcal_core.articulation.track import FARTHEST, RIGID, Track
+from modcal_core.articulation.track import FARTHEST, FEWEST, RIGID, Track
+from modcal_core.articulation.travel import Travel
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.single import posed
 from modcal_core.geometry.so3 import Array
@@ -48,13 +50,16 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What is believed after a pose. kind, probabilities: of the joint. model: None until something has moved.
+    """What is believed after a pose. kind, probabilities: of the joint; the kind is "none" where the best one leaves
+    too much of the path so far. model: None until something has moved, and of none.
 
     configuration: of this pose [rad or m], 0 where the handle began. trusted: whether the model has predicted well.
     ahead_m: error of the last prediction that could be checked [m], nan before. off_m: distance of this pose from the
     model's path [m]. event: locked (pulled and never moved), jammed (pulled and moves no more), changed (left the
     path).
-    follows: whether rotations are the object's; else they are the grasp's.
+    follows: whether rotations are the object's; else they are the grasp's. apart_m: way from one pose to the next, the
+    usual one [m]; sparse: whether that is too much to learn from. left: what the best kind leaves of the path so far
+    (m, rad), nan before it is known.
     """
 
     kind: Kind
@@ -67,14 +72,19 @@ class TrackerState:
     event: Event | None
     samples: int
     follows: bool = True
+    apart_m: float = 0.0
+    sparse: bool = False
+    left: tuple[float, float] = (math.nan, math.nan)
 
 
 _EYE = np.eye(3)
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
+_FASTER = 2.5  # times the usual step from pose to pose is a jump as well, where poses come seldom
 _AT_ONE_PATH = 0.05  # m; residuals farther off are no noise of one path
 _WIDE = (2.0, 6.0)  # times the tolerance, and deviations of noise, beyond which a pose lies beside the path
 _TURN_OF_TWO = 0.1  # rad; by so much more may the second of two poses after a leap be turned
 _ON_THE_WAY = 0.7  # of two leaps, at most so much has either; two outliers seldom lie so
+_SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than two poses on what is predicted
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
@@ -89,13 +99,14 @@ class Tracker:
         self._wanted = oriented
         self.reset()
 
-    def reset(self) -> None:
-        """Forget everything."""
-        chosen = self.settings
+    def reset(self, changes: int = 0) -> None:
+        """Forget everything. changes: how often the path was left before, for which trust is earned more slowly."""
+        chosen, self._changes = self.settings, changes
         self._oriented = self._wanted
         self._nodes: Nodes | None = None
         self._selector = ModelSelector()
-        self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m)
+        self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
+        self._travel = Travel()
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -109,6 +120,8 @@ class Tracker:
         self._beside = 0
         self._credit = 0
         self._doubt: int | None = None
+        self._left = (math.nan, math.nan)
+        self._judged = 0
 
     def update(
         self, position: ArrayLike, rotation: ArrayLike | None, stamp: float, pulled: bool = False
@@ -131,9 +144,13 @@ class Tracker:
             self._check.look(motion, a, p)  # not with a gross outlier: no model predicts where that lies
         for q, S in accepted:
             self._moved = max(self._moved, math.dist(q, self._first))
-            pooled_again = self._nodes.add(q, S)  # enough for one pose
-            if not pooled_again and self._selector.think(self._nodes):
-                self._check.begin(*self._reached())
+            self._travel.come(q, self._selector.scale[0])
+            if self._nodes.add(q, S):
+                continue  # pooled again, which is enough for one pose
+            for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
+                if self._selector.think(self._nodes):
+                    self._check.begin(*self._reached())
+        self._judge()
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
@@ -192,21 +209,24 @@ class Tracker:
         along = self._selector.motion is not None and self._selector.kind != STILL.name
         on_path = along and off < _JUMP[0] and twisted < _JUMP[1]
         here = (p, R)
-        if self._known is not None and not on_path:
+        if self._known is not None:
             far, turn = _between(*self._known, p, R)
-            if far > _JUMP[0] or turn > _JUMP[1]:
+            leap, fling = (max(j, _FASTER * usual) for j, usual in zip(_JUMP, self._travel.step, strict=True))
+            if not on_path and (far > leap or turn > fling):
                 waiting, self._waiting = self._waiting, here
                 if waiting is None or not _went_on(self._known, waiting, here):
                     return []
+                self._travel.stepped(*_between(*waiting, p, R))
                 self._known, self._waiting = here, None
                 return [waiting, here]
+            self._travel.stepped(far, turn)
         self._known, self._waiting = here, None
         return [here]
 
     def _forget(self) -> None:
-        """Begin anew from here: what came before was another object, or another grasp."""
+        """Begin anew from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
-        self.reset()
+        self.reset(self._changes + 1)
         self._samples, self._stamp, self._oriented = samples, stamp, oriented
         self._recent.extend(latest)
         self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
@@ -223,6 +243,25 @@ class Tracker:
             return None
         return "locked" if self._moved < _UNMOVED * self.settings.still_m else "jammed"
 
+    def _judge(self) -> None:
+        """Once a round: what the best motion leaves of the path so far. Where that is much, nothing is trusted."""
+        motion, nodes, rounds = self._selector.motion, self._nodes, self._selector.rounds
+        if motion is None or nodes is None or rounds == self._judged or (track := nodes.track()) is None:
+            return
+        self._judged = rounds
+        follows = self._selector.follows
+        seen = track if follows else Track.trusted(track.positions)
+        e = motion.residuals(seen, motion.configurations(seen, (1e-2, 0.05 if follows else 1e9)))
+        turn = rms(np.linalg.norm(e[:, 3:], axis=1)) if e.shape[1] == 6 else math.nan
+        self._left = rms(np.linalg.norm(e[:, :3], axis=1)), turn
+        if self._none:
+            self._check.lose()
+
+    @property
+    def _none(self) -> bool:
+        """Whether the best kind is none."""
+        return too_much(*self._left, self._selector.scale)
+
     def _reached(self) -> tuple[float, float]:
         """Path [m] that the nodes have reached, in the believed motion's configuration."""
         motion, nodes = self._selector.motion, self._nodes
@@ -235,8 +274,15 @@ class Tracker:
         selector, ahead = self._selector, self._check.error
         probabilities = dict(selector.probabilities)
         motion = selector.motion
+        left = self._left
+        apart = self._travel.step[0]
+        sparse = apart > _SPARSE * self.settings.ahead_m
         if motion is None or selector.kind == STILL.name:
-            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples)
+            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
+                         apart_m=apart, sparse=sparse, left=left)  # fmt: skip
+        if self._none:
+            return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
+                         selector.follows, apart, sparse, left)  # fmt: skip
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -247,7 +293,7 @@ class Tracker:
         trusted = self._check.trusted
         a = float(model.configuration(seen))
         return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
-                     selector.follows)  # fmt: skip
+                     selector.follows, apart, sparse, left)  # fmt: skip
 
 
 def _went_on(

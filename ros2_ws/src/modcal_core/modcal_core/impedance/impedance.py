@@ -39,7 +39,8 @@ class Gains:
     """mass [kg, kg m²], damping [N s/m, N m s/rad], stiffness [N/m, N m/rad], each (6,), or (2,): way and turning.
 
     Along and about the axes of ``task`` (3, 3), a rotation whose columns are seen from the tool: the first is the way
-    something opens. Raises BadCommand for gains that are not finite, masses that are not positive, others below zero.
+    something opens. Raises BadCommand for gains that are not finite, for masses and damping that are not positive and
+    stiffness below zero.
 
     Against a stiff position servo that follows with a lag τ, what is damped is the servo's stiffness acting a lag late:
     damping below stiffness_of_servo · τ limit-cycles, whatever M and K say (hence defaults far above critical).
@@ -64,7 +65,7 @@ class Gains:
             raise BadCommand("axes of the gains", "are not a rotation", "give three orthogonal unit axes")
         R.flags.writeable = False
         least = 1e-3
-        return cls(_pair("mass", mass, least), _pair("damping", damping, 0.0), _pair("stiffness", stiffness, 0.0), R)
+        return cls(_pair("mass", mass, least), _pair("damping", damping, least), _pair("stiffness", stiffness, 0.0), R)
 
     def matrices(self) -> Array:
         """M, B and K in the axes of the tool, (3, 6, 6)."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Impedance
+from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
@@ -37,6 +39,7 @@ _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely 
 _STAND_PATIENCE = 2.0  # s
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RELEASE = 0.6  # s in which the force is let go
+_MOVING = ("explore", "check", "follow")  # phases in which the hand is led
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
 
@@ -52,11 +55,12 @@ class Operation:
         self.setpoint_filter = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
         self.governor = SpeedGovernor(task.governor)
+        self.lead_check = LeadCheck(_stiffness(task))
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
         self._delay = 0.0  # s from a touch until the arm begins to brake
-        self.expected = np.eye(4)
+        self.expected = self._measured = np.eye(4)
         self._pull: Exploration | None = None
         self._tare = Tare(task.tare_s)
         self._path_check: tuple[PathCheck, Array] | None = None
@@ -91,6 +95,31 @@ class Operation:
             self.stop(why)
         elif self.phase != "release" and self._stop is None:
             self._let_go(why, now)
+
+    def restrict(self, task: ImpedanceTask, limits: Limits, now: float) -> None:
+        """Keep to other limits and speeds from time ``now`` [s] on; of the task, nothing else changes.
+
+        What is too fast for them brakes. A hand that they do not allow to be where it is lets go, by those of before.
+        """
+        self.task = replace(
+            self.task, speed=task.speed, exploration_speed=task.exploration_speed, governor=task.governor
+        )
+        self.governor.settings = task.governor
+        self.lead_check.stiffness = _stiffness(self.task)
+        lead, turned = speeds(self._measured, self.setpoint_filter.pose) if self.phase != "tare" else (0.0, 0.0)
+        why = ""
+        if lead > limits.displacement or turned > limits.rotation:
+            why = f"the setpoint is {1e3 * lead:.0f} mm and {math.degrees(turned):.0f}° from the tool"
+        elif self.phase != "tare" and self.monitor.gain_at(self.setpoint_filter.q) < limits.gain:
+            why = "the posture is next to singular"
+        if why:
+            kept = self.limits
+            limits = replace(limits, displacement=kept.displacement, rotation=kept.rotation, gain=kept.gain)
+        self.limits = limits
+        self.monitor.restrict(limits, now)
+        self.setpoint_filter.limits = limits
+        if why and self.phase != "release":
+            self._let_go(f"limits were changed: {why}", now)
 
     def tick(
         self, now: float, T_base_tool: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
@@ -171,12 +200,17 @@ class Operation:
             self.impedance.halt()
             self.governor.stand(now)
             h = self.limits.period
+        self._measured = T
         age = max(now - joints.stamp, now - sensor.stamp)
         self._heed(age, h)
         self.force = sensor.on_tool(T, self.task.gravity)
         self._delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + self.task.servo_lag
         self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.governor.braking)
         refused = self.monitor.overload(self.force)
+        self.lead_check.felt(sensor.raw, sensor.stamp)
+        if refused is None and self.phase in _MOVING:
+            felt = math.sqrt(self.force[:3] @ self.force[:3])
+            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force)
         if refused is not None and self.phase != "release":
             self._let_go(str(refused), now)
         self._tell[self.phase](h, T, state)
@@ -191,6 +225,7 @@ class Operation:
         else:
             goal = self.expected
         self.setpoint_filter.step(goal, h, self._posture())
+        self.lead_check.sent(self.setpoint_filter.pose[:3, 3], now)
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
         heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
@@ -360,3 +395,10 @@ class Operation:
 
     def _pushed(self) -> str:
         return f"{math.sqrt(self.force[:3] @ self.force[:3]):.0f} N"
+
+
+def _stiffness(task: ImpedanceTask) -> Stiffness:
+    """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
+    if task.mode == "admittance":
+        return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag)
+    return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)

@@ -32,6 +32,7 @@ _I = np.eye(3)
 _PAUSE = 5.0  # periods without a setpoint, after which the arm counts as standing
 _LETTING_GO = 1.0  # s
 _BRAKES = 0.25  # share of the accelerations allowed with which a setpoint turns back, at least
+_SLOWS = 0.5  # s in which what was faster than a new limit brakes: it may not become faster meanwhile
 _AT_TOOL = 1e-3, 2e-3  # m, rad between setpoint and tool, within which neither can be told from where the other comes
 
 
@@ -120,6 +121,19 @@ class SafetyMonitor:
         self._last: _Last | None = None
         self._now = -math.inf
         self._let_go = math.nan
+        self._slows_until = -math.inf
+
+    def restrict(self, limits: Limits, now: float) -> None:
+        """Other limits from ``now`` [s] on. What is faster than they allow has half a second to brake."""
+        self.limits, self._least = limits, limits.gain**2 * np.eye(6)
+        self._slows_until = now + _SLOWS
+
+    def gain_at(self, q: Array) -> float:
+        """The smallest singular value of the Jacobian at joints (n,); infinite for arms with fewer than six."""
+        if self.chain.n < 6:
+            return math.inf
+        J = pose_and_jacobian(self.chain, q)[1]
+        return math.sqrt(max(float(np.linalg.eigvalsh(J @ J.T)[0]), 0.0))
 
     def open(self, pose: Array, q: Array, now: float) -> None:
         """Let setpoints through that follow from a pose (4, 4) and joints (n,) at which the arm stands. Or raise."""
@@ -245,13 +259,15 @@ class SafetyMonitor:
             _turn(last.pose, setpoint.pose) / dt,
             (setpoint.q - last.q) / dt,
         )
+        slows = now <= self._slows_until
+        fastest = np.maximum(limits.joint_speed, np.abs(rates[2])) if slows else limits.joint_speed
         # neither over this step nor over the middle of two
         span = min(dt, 0.5 * (dt + before))
         for what, now_, then, speed, change in (
             ("tool", new[0], rates[0], limits.speed, limits.acceleration),
             ("turning tool", new[1], rates[1], limits.angular_speed, limits.angular_acceleration),
         ):
-            _require_most(f"speed of the {what}", _norm(now_), speed)
+            _require_most(f"speed of the {what}", _norm(now_), max(speed, _norm(then)) if slows else speed)
             _require_most(f"acceleration of the {what}", _norm(now_ - then) / span, change)
         if not math.isnan(self._let_go):
             T, way, turning = sensors.T_base_tool, limits.acceleration, limits.angular_acceleration
@@ -259,8 +275,8 @@ class SafetyMonitor:
             _require_back("setpoint", lead, new[0], rates[0], _AT_TOOL[0], brake * way)
             _require_back("turn of the setpoint", _turn(T, last.pose), new[1], rates[1], _AT_TOOL[1], brake * turning)
         for what, values, most in (
-            ("speed", np.abs(new[2]), limits.joint_speed),
-            ("named speed", np.abs(setpoint.velocity), limits.joint_speed),
+            ("speed", np.abs(new[2]), fastest),
+            ("named speed", np.abs(setpoint.velocity), fastest),
             ("acceleration", np.abs(new[2] - rates[2]) / span, limits.joint_acceleration),
         ):
             j = int(np.argmax(values / most))

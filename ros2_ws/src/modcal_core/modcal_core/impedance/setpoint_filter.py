@@ -101,7 +101,12 @@ class SetpointFilter:
         most, change = _SHARE * limits.joint_speed, _SHARE * limits.joint_acceleration
         wish = wish * min(1.0, 1.0 / max(float((np.abs(wish) / most).max()), 1e-9))
         step = wish - self.velocity
-        velocity = self.velocity + step * min(1.0, span / max(float((np.abs(step) / change).max()), 1e-9))
+        share = min(1.0, span / max(float((np.abs(step) / change).max()), 1e-9))
+        if (np.abs(self.velocity) > most).any():  # of limits that were lowered: the tool has limits for braking as well
+            rates = self._J @ step
+            for part, allowed in ((rates[:3], limits.acceleration), (rates[3:], limits.angular_acceleration)):
+                share = min(share, _SHARE * allowed * span / max(math.sqrt(part @ part), 1e-9))
+        velocity = self.velocity + step * share
         # before a limit a joint brakes, at half the acceleration that it may have, and alone
         up = np.sqrt(change * np.maximum(chain.upper - _EDGE - self.q, 0.0))
         down = np.sqrt(change * np.maximum(self.q - chain.lower - _EDGE, 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation.misfit import NONE
 from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
+from modcal_core.articulation.stamp_order import StampOrder
 from modcal_core.articulation.urdf import describe
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import se3
@@ -41,7 +44,7 @@ _POSES: dict[str, type] = {
 }
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
-_BACK = 1.0  # s that time must jump back for it to be another time, and not a message that came late
+_SILENT = 1.0  # s without a pose, after which what is believed is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
@@ -96,6 +99,7 @@ class ArticulationEstimator(GuardedNode):
         self._state: TrackerState | None = None
         self._told: JointModel | None = None
         self._told_at = self._last = -np.inf
+        self._order, self._heard = StampOrder(), time.monotonic()
         self._frame = ""
         self._turned: Array | None = None  # the gripper, when it was seen last
         self._ends = (0.0, 0.0)
@@ -169,11 +173,21 @@ class ArticulationEstimator(GuardedNode):
         self._force = float(np.linalg.norm(left - self._offset))
 
     def _due(self, stamp: float) -> bool:
-        """Whether a pose of this time is wanted: not more of them than rate_hz; time that jumps back begins anew."""
-        if stamp < self._last - _BACK:
+        """Whether a pose of this time is wanted: not more of them than rate_hz; time that goes back begins anew.
+
+        Raises BadCommand for one whose stamp lies alone, seconds from the others.
+        """
+        before, order = self._order.last, self._order.judge(stamp, time.monotonic())
+        if order == "alone":
+            off = stamp - before
+            said = f"its stamp is {abs(off):.1f} s {'ahead of' if off > 0.0 else 'behind'} the last"
+            raise BadCommand(self._chosen["input"], said, "check the publisher's clock; this one is left out")
+        if order == "restart":
             self.get_logger().warning("time has jumped back: the estimate restarts")
             self._forget()
-        return stamp - self._last >= 0.999 / self._chosen["rate_hz"]
+            self._order.judge(stamp, time.monotonic())
+        self._heard = time.monotonic()
+        return order != "late" and stamp - self._last >= 0.999 / self._chosen["rate_hz"]
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
         """Take one pose, and say what is believed after it."""
@@ -230,7 +244,7 @@ class ArticulationEstimator(GuardedNode):
             level=WARN if state.event else OK,
             name=f"{self.get_fully_qualified_name()}: object",
             hardware_id="modcal",
-            message=state.event or (f"{state.kind}, trusted" if state.trusted else "not trusted yet"),
+            message=_said(state),
             values=told,
         )
         message = DiagnosticArray(status=[status])
@@ -251,12 +265,35 @@ class ArticulationEstimator(GuardedNode):
         elif self._state is None:
             lines.append(Status("object", WARN, "waiting for poses"))
         else:
-            said = self._state.event or (f"{self._state.kind}, trusted" if self._state.trusted else "not trusted yet")
-            lines.append(Status("object", WARN if self._state.event else OK, said, status_values(self._state)))
+            said, starved = _said(self._state), self._starved(self._state)
+            level = WARN if self._state.event or starved else OK
+            lines.append(Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state)))
         return lines
+
+    def _starved(self, state: TrackerState) -> str:
+        """What is lacking of poses, for a person; empty where nothing is."""
+        topic, silent = self._chosen["input"], time.monotonic() - self._heard
+        if silent > _SILENT:
+            return f"{topic}: no usable pose for {silent:.0f} s, what is said of the object is as old"
+        if state.sparse:
+            return (
+                f"{topic}: poses come {1e2 * state.apart_m:.0f} cm apart: pull slower, or publish more often, for a "
+                "model to be trusted"
+            )
+        return ""
 
     def _now(self) -> float:
         return seconds(self.get_clock().now().to_msg())
+
+
+def _said(state: TrackerState) -> str:
+    """What is believed, for a person."""
+    if state.event:
+        return state.event
+    if state.kind == NONE:
+        turn = "" if np.isnan(state.left[1]) else f" and {np.degrees(state.left[1]):.0f}°"
+        return f"none of these: the best joint type leaves {1e3 * state.left[0]:.0f} mm{turn} of the path so far"
+    return f"{state.kind}, trusted" if state.trusted else "not trusted yet"
 
 
 def _alike(one: JointModel, other: JointModel) -> bool:

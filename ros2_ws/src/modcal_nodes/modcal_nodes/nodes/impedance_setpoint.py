@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.articulation.urdf import read
+from modcal_core.articulation.urdf import frames, read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
@@ -44,6 +44,12 @@ _AT_CONFIGURE = (
     "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
     "rate_hz",
 )  # fmt: skip
+_WHILE_PULLING = {
+    "speed_m_s", "exploration_speed_m_s", "slowdown_force_n", "slowdown_moment_nm", "stop_force_n", "stop_moment_nm",
+    "max_force_n", "max_moment_nm", "max_speed_m_s", "max_acceleration_m_s2", "max_angular_speed_rad_s",
+    "max_angular_acceleration_rad_s2", "max_displacement_m", "max_rotation_rad", "joint_speed_rad_s", "joint_speed_m_s",
+    "joint_acceleration_rad_s2", "joint_acceleration_m_s2", "min_gain", "contact_stiffness_n_m",
+}  # fmt: skip
 _RCLError = rclpy_implementation.RCLError
 
 
@@ -74,7 +80,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._active = self._configured = False
         self._urdf = ""
         self._arm: ArmInputs | None = None
-        self._object = ObjectInput(read)
+        self._object = ObjectInput(read, frames)
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = OK
@@ -86,7 +92,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._took: deque[float] = deque(maxlen=_TICKS)
         self._before = 0.0
         self._health = Health(self, self._report)
-        follow(self, IMPEDANCE_SETPOINT, self._chosen, self._check)
+        follow(self, IMPEDANCE_SETPOINT, self._chosen, self._check, self._restrict)
         changes = self._service_change_state
         self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
         changes.callback = self.guarded_service("change_state", self._transit)
@@ -119,12 +125,18 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     def _check(self, new: dict[str, Any]) -> None:
         """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
         changed = [name for name, value in new.items() if value != self._chosen[name]]
-        if changed and self._operation is not None:
-            raise BadCommand(f"parameter {changed[0]}", "cannot change while it pulls", "call ~/stop first")
+        fixed = [name for name in changed if name not in _WHILE_PULLING]
+        if fixed and self._operation is not None:
+            raise BadCommand(f"parameter {fixed[0]}", "cannot change while it pulls", "call ~/stop first")
         for name in changed:
             if name in _AT_CONFIGURE and self._configured:
                 raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")
         task(new)
+
+    def _restrict(self) -> None:
+        """What is being pulled keeps to the limits as they are now."""
+        if self._operation is not None and self._arm is not None:
+            self._operation.restrict(task(self._chosen), limits(self._arm.chain, self._chosen), self._now())
 
     @_noted
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -268,6 +280,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         """Raises BadCommand unless everything that a pull needs is there."""
         if not self._active:
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
+        if self._object.elsewhere:
+            raise BadCommand("object_description", self._object.elsewhere, "track the handle in the arm's base link")
         if self._operation is not None:
             raise BadCommand("pull", f"it is pulling already ({self._operation.phase})", "call ~/stop first")
         if self._arm is None:
@@ -290,6 +304,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             raise BadCommand("robot_description", "changes while it pulls", "it is applied when the pull is over")
         self._arm = None
         self._arm = ArmInputs(urdf, self._chosen)
+        self._object.in_base(self._arm.chain.base)
 
     def _take_joints(self, message: JointState) -> None:
         if self._arm is not None:

@@ -99,7 +99,22 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
         input_timeout_s=chosen["patience_s"],
     )
     out.gains(out.direction)  # refuses what is no gain, and no direction
+    if out.mode == "admittance":
+        _require_damping(out)
     return out
+
+
+def _require_damping(asked: ImpedanceTask) -> None:
+    """Raises BadTable for a damping with which contact would swing: below the servo's stiffness times its lag."""
+    along, across, turning = asked.damping
+    for what, value, stiff in (
+        ("damping along the pull", along, asked.stack[0]),
+        ("damping across the pull", across, asked.stack[0]),
+        ("damping of turning", turning, asked.stack[1]),
+    ):
+        if value < (least := stiff * asked.servo_lag):
+            said = f"is below {least:g}, stack_stiffness times servo_lag_s, so that contact would oscillate"
+            raise BadTable(f"{what} {value:g}", said, "raise damping, or correct the other two")
 
 
 def _fixed(urdf: str, chain: Chain, frame: str) -> Array:

@@ -1,0 +1,54 @@
+"""How far a handle has come, by its poses, and how much thinking that pays for.
+
+A pull is believed by the way that it took, not by how many poses came on it: so much thought is owed to each
+centimetre, whether fifty poses fell on it or one. Noise is no way: only what lies beyond the last mark counts.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+
+from modcal_core.geometry.so3 import Array
+
+_MARK = 4e-3  # m from mark to mark
+_NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
+_PER_THOUGHT = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, gives one thought to a pose
+_MOST = 60  # thoughts at one pose, some 40 ms: more than a whole round
+_AHEAD = 5.0  # thoughts that may be had before they are owed
+_STEPS = 7  # of the last poses, whose median is the usual step
+
+
+class Travel:
+    """path: way from mark to mark [m]. step: from one pose to the next, the usual one [m, rad], zeros before there are
+    some.
+    """
+
+    def __init__(self) -> None:
+        self.path = 0.0
+        self.step = (0.0, 0.0)
+        self._mark: Array | None = None
+        self._owed = 0.0
+        self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)
+
+    def stepped(self, far: float, turn: float) -> None:
+        """Note a step [m, rad] from one pose to the next that was believed."""
+        self._steps.append((far, turn))
+        self.step = (statistics.median(s[0] for s in self._steps), statistics.median(s[1] for s in self._steps))
+
+    def come(self, p: Array, noise: float) -> None:
+        """Take a position (3,) [m] that was believed. noise: of one, on an axis [m]."""
+        if self._mark is None:
+            self._mark = p
+        far = math.dist(p, self._mark)
+        if far >= max(_MARK, _NOISE * noise):
+            self._mark = p
+            self.path += far
+            self._owed += far / _PER_THOUGHT
+
+    def thoughts(self) -> int:
+        """How many are due at this pose: one at least, and what the way since the last pays for."""
+        due = min(max(round(self._owed), 1), _MOST)
+        self._owed = max(self._owed - due, -_AHEAD)
+        return due

@@ -1,0 +1,104 @@
+"""Whether the hand follows its setpoint as far as the force that is felt explains.
+
+A servo pulls with its stiffness times the way by which its setpoint leads the tool. A force sensor that is stuck, or
+not connected to what is held, hides that: the setpoint runs on, the hand does not, and what is felt stays small. So the
+tool is compared with where its setpoint was a servo's lag ago, and with what the felt force takes on the softest stack
+that is asked for. Where something is left, the whole lead that is not explained, times the stiffness that is assumed of
+a contact, is force that nobody feels. A sensor that says the same to the last digit while the arm is
+moved may be stuck, or coarse: what it says explains nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+
+_LAGS = 1.5  # servo lags ago the setpoint may have been where the tool is now
+_REMEMBERED = 0.5  # s of setpoints
+_LEAST_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
+_LEAST_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
+_SAME, _SAME_WAY = 10, 2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
+_SOFTER = 3.0  # times softer than a contact may an arm be that is felt
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """What is known beforehand. contact: of hand, arm and object [N/m], by which an unfelt force is judged.
+
+    softest: of the stack that follows, by which a felt force is thought to lead [N/m]. lag: of its servo [s].
+    """
+
+    contact: float
+    softest: float
+    lag: float
+
+    @classmethod
+    def of(cls, contact: float, stack: float, lag: float) -> Stiffness:
+        """From the stiffness of a contact, the one that is asked of the stack [N/m], and the servo's lag [s]."""
+        return cls(contact, min(stack, contact / _SOFTER), lag)
+
+
+class LeadCheck:
+    """Take every tick; it answers why the pull must be let go, or None."""
+
+    def __init__(self, stiffness: Stiffness) -> None:
+        self.stiffness = stiffness
+        self._sent: deque[tuple[float, Array]] = deque()
+        self._raw: tuple[float, ...] = ()
+        self._stamp = -math.inf
+        self._same, self._way = 0, 0.0
+
+    def sent(self, p: Array, now: float) -> None:
+        """Note where the setpoint (3,) [m] is at time ``now`` [s]."""
+        if self._sent:
+            self._way += math.dist(p, self._sent[-1][1])
+        self._sent.append((now, p.copy()))
+        while self._sent[0][0] < now - _REMEMBERED:
+            self._sent.popleft()
+
+    def felt(self, raw: Array, stamp: float) -> None:
+        """Note a reading (6,) of the force sensor, as it came."""
+        if stamp <= self._stamp:
+            return
+        self._stamp, now = stamp, tuple(raw.tolist())
+        if now == self._raw:
+            self._same += 1
+        else:
+            self._raw, self._same, self._way = now, 0, 0.0
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the sensor says the same again and again while the arm is moved."""
+        return self._same >= _SAME and self._way >= _SAME_WAY
+
+    def unfelt(self, tool: Array, force: float, stamp: float, most: float) -> float:
+        """The force [N] by which the setpoint pulls and that is not felt; 0 where a servo's lag may be all of it.
+
+        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N].
+        """
+        known = self.stiffness
+        since = stamp - _LAGS * known.lag
+        lately = [p for t, p in self._sent if since <= t <= stamp] or [p for t, p in self._sent if t <= stamp][-1:]
+        if not lately:
+            return 0.0
+        explained = 0.0 if self.repeats else force / known.softest
+        least = min(_LEAST_LEAD, _LEAST_SHARE * most / known.contact)
+        if min(math.dist(p, tool) for p in lately) - explained <= least:
+            return 0.0
+        return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
+
+    def refused(self, tool: Array, force: float, stamp: float, most: float) -> BadCommand | None:
+        """Why to let go: more than ``most`` [N] is not felt; None where all is well."""
+        hidden = self.unfelt(tool, force, stamp, most)
+        if hidden <= most:
+            return None
+        lead = math.dist(self._sent[-1][1], tool)
+        said = (
+            f"{force:.0f} N are felt{', always the same,' if self.repeats else ''} but the setpoint leads the tool by "
+            f"{1e3 * lead:.0f} mm, which takes {hidden:.0f} N more"
+        )
+        return BadCommand("wrench", said, "check the force sensor, servo_lag_s and contact_stiffness_n_m")

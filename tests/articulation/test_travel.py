@@ -1,0 +1,79 @@
+"""Trust is earned by the way that was travelled: not by how many poses came on it, nor by what their stamps say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from articulation.objects import ideal, noisy
+
+from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.online import Tracker, TrackerState
+from modcal_core.articulation.stamp_order import StampOrder
+
+DEGREE = np.pi / 180.0
+SPEED = 0.1  # m/s of the handle
+RATES = (5.0, 10.0, 20.0, 50.0)  # Hz
+
+
+def pulled(kind: Kind, hz: float, noise: float, seed: int, far: float = 0.4, radius: float = 0.5) -> list[TrackerState]:
+    """States of a tracker that is shown the same pull, so many times a second."""
+    rng = np.random.default_rng(seed)
+    a = np.linspace(0.0, far / (1.0 if kind == "prismatic" else radius), round(far / SPEED * hz))
+    seen = noisy(ideal(kind, a, rng, radius), rng, noise, 0.2 * DEGREE)
+    tracker = Tracker()
+    return [tracker.update(p, R, i / hz) for i, (p, R) in enumerate(zip(seen.positions, seen.rotations, strict=True))]
+
+
+def earned(states: list[TrackerState], far: float = 0.4) -> float:
+    """The way after which a model was trusted [m]."""
+    return next((far * i / (len(states) - 1) for i, s in enumerate(states) if s.trusted), math.inf)
+
+
+@pytest.mark.parametrize(("kind", "noise"), [("prismatic", 1e-3), ("revolute", 2e-4)])
+def test_the_same_pull_is_trusted_after_the_same_way_however_often_it_is_seen(kind: Kind, noise: float) -> None:
+    ways = [earned(pulled(kind, hz, noise, 0)) for hz in RATES]
+    assert max(ways) <= 1.2 * min(ways), ways
+    assert max(ways) < 0.22
+
+
+def test_nothing_is_trusted_before_twice_the_way_ahead_is_known() -> None:
+    """However many poses come: a slow hand is not believed sooner."""
+    assert earned(pulled("prismatic", 200.0, 1e-4, 1, far=0.18), far=0.18) > 0.14
+
+
+def test_poses_that_come_too_far_apart_are_said() -> None:
+    assert not any(s.sparse for s in pulled("revolute", 5.0, 1e-3, 2))
+    last = pulled("revolute", 2.0, 1e-3, 2)[-1]
+    assert last.sparse
+    assert last.apart_m == pytest.approx(0.05, rel=0.3)
+
+
+def test_one_stamp_far_ahead_or_behind_stands_alone() -> None:
+    for leap in (10.0, -10.0):
+        order = StampOrder()
+        assert [order.judge(0.1 * i, 0.1 * i) for i in range(5)] == ["next"] * 5
+        assert order.judge(0.5 + leap, 0.5) == "alone"
+        assert [order.judge(0.6 + 0.1 * i, 0.6 + 0.1 * i) for i in range(3)] == ["next"] * 3
+        assert order.last == pytest.approx(0.8)
+
+
+def test_time_that_begins_again_is_believed_at_the_second_pose() -> None:
+    order = StampOrder()
+    assert [order.judge(100.0 + 0.1 * i, 0.1 * i) for i in range(3)] == ["next"] * 3
+    assert [order.judge(3.0, 0.3), order.judge(3.1, 0.4), order.judge(3.2, 0.5)] == ["alone", "restart", "next"]
+
+
+def test_a_pause_is_no_leap_and_a_gap_in_a_recording_is_believed_at_the_second_pose() -> None:
+    order = StampOrder()
+    order.judge(0.0, 0.0)
+    assert order.judge(30.0, 30.0) == "next"
+    assert [order.judge(60.0, 30.1), order.judge(60.1, 30.2)] == ["alone", "next"]
+
+
+def test_a_pose_that_comes_late_is_left_out() -> None:
+    order = StampOrder()
+    order.judge(1.0, 1.0)
+    assert order.judge(0.5, 1.1) == "late"
+    assert order.last == 1.0
