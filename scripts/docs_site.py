@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -23,15 +24,27 @@ LIGHT, DARK = "default", "github-dark"
 LINKS = """[data-bs-theme=light] { --bs-link-color-rgb: 11, 92, 148; --bs-link-hover-color-rgb: 7, 62, 100; }
 [data-bs-theme=light] .bs-sidebar .nav-link { color: rgb(11, 92, 148); }
 """
+# so is white on the bar at the top; and what the highlighter takes for output of a console are commands
+READABLE = """.navbar.bg-primary { background: rgb(11, 92, 148) !important; }
+.navbar .nav-link:not(.disabled) { color: #fff; }
+[data-bs-theme] .codehilite .go { color: inherit; }
+[role=main] pre, [role=main] pre code { font-size: .875rem; }
+"""
 # what is wider than a phone scrolls by itself
 WIDE = """[role=main] table { display: block; overflow-x: auto; max-width: 100%; width: max-content; }
 [role=main] img { max-width: 100%; height: auto; }
 [role=main] { overflow-wrap: break-word; }
+@media (max-width: 600px) {
+  [role=main] td:first-child { min-width: 9rem; }
+  [role=main] p:has(> img) { overflow-x: auto; }
+  [role=main] p > img { max-width: none; width: 620px; }
+}
 """
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """The configuration, every page of docs/ being somewhere in its navigation."""
+    config.mdx_configs["toc"] = {**config.mdx_configs.get("toc", {}), "slugify": heading_id}
     named = set(re.findall(r"[\w/]+\.md", repr(config.nav)))
     folder = Path(config.docs_dir)
     for file in sorted(folder.rglob("*.md")):
@@ -41,6 +54,12 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
             (section,) = [part[title] for part in config.nav or [] if title in part]
             section.append(page.as_posix())
     return config
+
+
+def heading_id(heading: str, separator: str) -> str:
+    """The id of a heading, never beginning with a digit: the theme takes ids for selectors, which may not."""
+    found = slugify(heading, separator)
+    return f"step-{found}" if found[:1].isdigit() else found
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -53,7 +72,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for rule in HtmlFormatter(style=style).get_style_defs(f"[data-bs-theme={scheme}] .codehilite").splitlines()
         if rule.startswith("[data-bs-theme") and ".linenos" not in rule
     ]
-    files.append(File.generated(config, "site.css", content=LINKS + WIDE + "\n".join(rules) + "\n"))
+    files.append(File.generated(config, "site.css", content=LINKS + READABLE + WIDE + "\n".join(rules) + "\n"))
     return files
 
 

@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from lxml import html
-from report.browser import browser
+from report.browser import CONTRASTS, LEAST, browser
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
@@ -127,13 +127,14 @@ def test_links_of_the_site_lead_somewhere_and_nothing_is_fetched(site: Path) -> 
 @pytest.mark.slow
 def test_pages_complain_of_nothing_and_fit_a_phone(site: Path) -> None:
     with browser() as opened:
-        for name in ("index.html", "reference/messages.html", "howto/use_the_result.html"):
+        for name in ("index.html", "tutorial.html", "reference/messages.html", "howto/use_the_result.html"):
             for dark in (False, True):
                 opened.dark(dark)
                 opened.open(site / name, width=400, mobile=True)
                 assert not opened.complaints(), name
                 assert opened.run("document.documentElement.dataset.bsTheme") == ("dark" if dark else "light")
                 assert opened.run("document.documentElement.scrollWidth") <= 400, name
+                assert not [said for said, contrast in opened.run(CONTRASTS) if contrast < LEAST], name
                 assert {request.partition(":")[0] for request in opened.requests()} <= {"file", "data"}
         opened.run("document.querySelector('[data-bs-theme-value=light]').click()")
         assert opened.run("document.documentElement.dataset.bsTheme") == "light"

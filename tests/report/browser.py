@@ -27,6 +27,24 @@ FLAGS = (
     "--remote-debugging-port=0",
 )  # fmt: skip
 
+LEAST = 4.5  # contrast of text with what it stands on, WCAG 2.2 AA
+# what a text is, its contrast with the nearest ground that is painted behind it, and its colours
+CONTRASTS = """(() => {
+  const rgb = (c) => { const v = c.match(/[\\d.]+/g).map(Number); return c.startsWith("color(srgb") ? v.map((x, k) => k < 3 ? 255 * x : x) : v; };
+  const light = (c) => { const l = c.slice(0, 3).map((v) => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * l[0] + 0.7152 * l[1] + 0.0722 * l[2]; };
+  const out = [], walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walk.nextNode()) {
+    const said = walk.currentNode.textContent.trim(), e = walk.currentNode.parentElement;
+    if (!said || ["SCRIPT", "STYLE", "OPTION"].includes(e.tagName) || !e.getClientRects().length) continue;
+    const style = getComputedStyle(e), ink = rgb(e.namespaceURI.endsWith("svg") ? style.fill : style.color);
+    let under = e, ground = [255, 255, 255, 0];
+    while (under) { const g = rgb(getComputedStyle(under).backgroundColor); if (g.length < 4 || g[3] > 0) { ground = g; break; } under = under.parentElement; }
+    const [a, b] = [light(ink), light(ground)], contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    out.push([said.slice(0, 40), contrast]);
+  }
+  return out;
+})()"""
+
 
 def find() -> str:
     """Where Chromium is; skips the test where it is not."""

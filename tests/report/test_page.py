@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
+from modcal_core.calibration.score import Errors
+from modcal_core.calibration.split import Split
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
 from modcal_core.report.page import as_script_data
 from modcal_core.report.palette import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN
+from modcal_core.report.report import Report
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -209,13 +212,58 @@ def contrast(a: tuple[float, ...], b: tuple[float, ...]) -> float:
 def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
     """Thinned charts, and the same numbers."""
     report = warm_cell()
-    heavy = replace(report, effects=report.effects * 12, steps=report.steps * 5)
+    again = repeated(report, 20)
+    heavy = replace(again, effects=report.effects * 60, steps=again.steps * 5)
     assert len(_page(heavy, (), "", 1.0).encode()) > MAX_BYTES
     thinner = to_html(heavy)
     assert len(thinner.encode()) < MAX_BYTES
     assert "Charts are thinned" in thinner
     assert "Charts are thinned" not in page("points")
     assert f"{to_json_data(heavy)['error_mm']['final']['rms']:.3f}" in thinner
+
+
+def repeated(report: Report, times: int) -> Report:
+    """The same recording over and over, each time later and at stations of its own."""
+    n = len(report.samples)
+    long = report.samples.select(np.tile(np.arange(n), times))
+    later = np.repeat(np.arange(times), n)
+    span, most = float(np.ptp(long.stamps)) + 1.0, int(long.station.max()) + 1
+    samples = replace(long, stamps=long.stamps + span * later, station=long.station + most * later)
+
+    def rows(part: np.ndarray) -> np.ndarray:
+        return (part + n * np.arange(times)[:, None]).ravel()
+
+    def again(errors: Errors) -> Errors:
+        return Errors(np.tile(errors.position, (times, 1)), np.tile(errors.rotation, (times, 1)))
+
+    sets = Split(*(rows(part) for part in (report.sets.train, report.sets.explain, report.sets.held_out)), "station")
+    wrong = np.tile(report.wrong, times)
+    return replace(
+        report,
+        samples=samples,
+        sets=sets,
+        scored=samples.select(sets.held_out[~wrong[sets.held_out]]),
+        rejected=int(wrong.sum()),
+        errors={stage: again(errors) for stage, errors in report.errors.items()},
+        steps=tuple(replace(step, errors=again(step.errors)) for step in report.steps),
+        residuals=np.tile(report.residuals, times),
+        wrong=wrong,
+    )
+
+
+@pytest.mark.slow
+def test_a_long_recording_makes_no_larger_page() -> None:
+    """20 000 stations: what is drawn is thinned, and what is counted is not."""
+    long = repeated(warm_cell(), -(-20_000 // COUNT))
+    assert long.samples.stations >= 20_000
+    text = to_html(long, [file.name for file in FILES])
+    assert len(text.encode()) < MAX_BYTES
+    assert len(text.encode()) < 2.0 * len(page("warm").encode())
+    assert str(long.samples.stations) in text
+    assert f"And {long.rejected - 30} more; all are in report.json." in text
+    # every chart of the residual has at most 400 samples, of each of which three components are drawn
+    marks = [len(places.split()) // 2 for places in re.findall(r'<path d="M([^"]+)" fill="none" marker-start', text)]
+    assert max(marks) == 400
 
 
 def test_joint_offsets_come_first_and_no_table_mixes_units() -> None:

@@ -74,7 +74,7 @@ def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
 def in_words(what: str) -> str:
     """How a row is called for a person."""
     if what.startswith(EFFECT):
-        return what.removeprefix(EFFECT)
+        return what.removeprefix(EFFECT).replace(":", " of ")
     return _WORDS.get(what, (what.replace("_", " "), SOFT))[0]
 
 

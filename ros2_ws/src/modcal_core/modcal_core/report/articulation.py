@@ -12,14 +12,16 @@ from modcal_core.articulation.fit import JointFit
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.report.figures import label
-from modcal_core.report.page import Chart, chart, render
+from modcal_core.report.effect_tables import number
+from modcal_core.report.figures import MOST_POINTS, label, small, thinned
+from modcal_core.report.page import Chart, PageTable, chart, render
 from modcal_core.report.palette import LIGHT, OF_AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SHOWN = {"rad": (180.0 / np.pi, "deg"), "m": (1e2, "cm"), "1": (1.0, "")}  # how people read configurations
+_UNITS = {"rad": ("°", float(np.degrees(1.0))), "m": ("mm", 1e3), "1": ("", 1.0)}  # how people read them
+_MOST_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
 
 
 @dataclass(frozen=True)
@@ -106,67 +108,97 @@ def to_html(found: Articulation) -> str:
     data = to_json_data(found)
     return render(
         "articulation.html.j2",
-        title=found.source,
+        title=f"{found.source}: articulation",
         verdict=data["verdict"],
         tone="good" if data["enough"] else "warn",
         heading="Verdict" if data["enough"] else "Verdict: something is open",
         data=data,
-        joint=_rows(data),
-        picture=_picture(found, data),
+        kind=data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}",
+        tables=_tables(data),
+        charts=_charts(found, data),
     )
 
 
-def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
+def _tables(data: dict[str, Any]) -> list[PageTable]:
+    """Where the joint lies and what is left over: lengths, angles and pure numbers apart."""
     joint, std = data["joint"], data["joint"]["std"]
+    rows: dict[str, list[tuple[str, str, str]]] = {"mm": [], "°": [], "": []}
 
-    def spread(name: str, scale: float, unit: str) -> str:
-        size = float(np.linalg.norm(std[name])) if name in std else np.nan
-        return f" ± {scale * size:.2g} {unit}" if np.isfinite(size) else ""
+    def add(name: str, value: float, unit: str, factor: float = 1.0, deviation: float | None = None) -> None:
+        known = deviation is not None and np.isfinite(deviation)
+        rows[unit].append((name, number(factor * value, 5), number(factor * deviation, 2) if known else ""))  # type: ignore[operator]
 
-    def numbers(values: list[float]) -> str:
-        return " ".join(f"{v:.4f}" for v in values)
-
-    rows = [("kind", data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}")]
-    if joint["axis"] is not None:
-        rows.append(("axis", numbers(joint["axis"]) + spread("axis", 180.0 / np.pi, "deg")))
     if joint["point"] is not None:
-        rows.append(("on the axis, m", numbers(joint["point"]) + spread("point", 1e3, "mm")))
-        rows.append(("distance of the handle", f"{1e3 * joint['radius']:.1f} mm"))
+        for k, name in enumerate("xyz"):
+            add(f"point on the axis, {name}", joint["point"][k], "mm", 1e3, _component(std, "point", k))
+        add("distance of the handle from the axis", joint["radius"], "mm", 1e3)
     if joint["pitch"] is not None:
-        rows.append(("rise", f"{2e3 * np.pi * joint['pitch']:.2f} mm a turn{spread('pitch', 2e3 * np.pi, 'mm')}"))
-    for name, known in joint.get("parameters", {}).items():
-        unit = "" if known["unit"] == "1" else f" {known['unit']}"
-        rows.append((name, f"{known['value']:.4g} ± {known['std']:.2g}{unit}"))
+        add("rise in a turn", joint["pitch"], "mm", 2e3 * np.pi, _component(std, "pitch", 0))
     if "object" in joint:
-        rows.append(("the object's origin, m", numbers(joint["object"][:3])))
-    span = data["configuration"]["upper"] - data["configuration"]["lower"]
-    scale, unit = _SHOWN[data["configuration"]["unit"]]
-    rows.append(("seen", f"{scale * span:.1f} {unit}".rstrip()))
-    rows.append(("left over", f"{data['residual_mm']['rms']:.2f} mm RMS, {data['residual_mm']['p95']:.2f} mm at 95 %"))
+        for k, name in enumerate("xyz"):
+            add(f"origin of the object, {name}", joint["object"][k], "mm", 1e3)
+    if joint["axis"] is not None:
+        for k, name in enumerate("xyz"):
+            add(f"direction of the axis, {name}", joint["axis"][k], "", 1.0, _component(std, "axis", k))
+        if (size := float(np.linalg.norm(std.get("axis", np.nan)))) and np.isfinite(size):
+            add("the axis is known to (one standard deviation)", size, "°", np.degrees(1.0))
+    for name, known in joint.get("parameters", {}).items():
+        unit, factor = _UNITS.get(known["unit"], (known["unit"], 1.0))
+        rows.setdefault(unit, [])
+        add(name.replace("_", " "), known["value"], unit, factor, known["std"])
+    seen = data["configuration"]
+    unit, factor = _UNITS[seen["unit"]]
+    add("motion that was seen", seen["upper"] - seen["lower"], unit, factor)
+    add("residual, RMS", data["residual_mm"]["rms"], "mm")
+    add("residual, 95th percentile", data["residual_mm"]["p95"], "mm")
     if data["residual_deg"] is not None:
-        rows.append(("residual, rotation", f"{data['residual_deg']['rms']:.2f} deg RMS"))
-    return rows
+        add("residual of the rotation, RMS", data["residual_deg"]["rms"], "°")
+    titles = {"mm": "Lengths", "°": "Angles", "": "Numbers without a unit"}
+    out = []
+    for unit, found in rows.items():
+        end = f", {unit}" if unit else ""
+        deviations = any(row[2] for row in found)
+        header = ("quantity", f"value{end}", f"± one standard deviation{end}")[: 3 if deviations else 2]
+        if found:
+            out.append(PageTable(titles.get(unit, f"In {unit}"), header, tuple(row[: len(header)] for row in found)))
+    return out
 
 
-def _picture(found: Articulation, data: dict[str, Any]) -> Chart:
+def _component(std: dict[str, Any], name: str, k: int) -> float | None:
+    """The standard deviation of one component of what the fit states; None where it states none."""
+    return float(std[name][k]) if name in std and k < len(std[name]) else None
+
+
+def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
     """The path in its own plane, and what is left along it."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 3.0), layout="constrained")
-    side, along = figure.subplots(1, 2)
-    _draw_path(side, found)
     fit = found.choice.fit
+    figure, axes = small(3.4, 2.9)
+    _draw_path(axes, found)
+    path = chart(
+        figure,
+        "path",
+        f"The measured path and that of a {data['best']} joint, in the plane of the path.",
+        "The measured path as dots, that of the joint as a line, in the plane of the path; a cross is its axis.",
+    )
     left, _ = _left(found)
-    scale, unit = _SHOWN[data["configuration"]["unit"]]
-    shown = np.linalg.norm(left, axis=1) < 0.05
+    unit, scale = _UNITS[data["configuration"]["unit"]]
+    shown = np.linalg.norm(left, axis=1) < _MOST_LEFT
+    figure, axes = small(3.4, 2.9)
     for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
-        along.plot(x, y, marker, ms=2.2, mfc="none", mew=0.6, color=LIGHT[colour], label="xyz"[k])
-    label(along, f"configuration, {unit}" if unit else "configuration", "residual, mm")
-    along.legend(loc="upper right", frameon=False, fontsize=8, ncols=3)
-    alt = f"The path of a {data['best']} joint and its residual: {data['residual_mm']['rms']:.2f} mm RMS."
-    words = "Left: the measured path, in the plane of the path, and the joint's own path. Right: the residual along it."
-    return chart(figure, "path", alt, words)
+        rows = thinned(len(x), MOST_POINTS // 3)
+        axes.plot(x[rows], y[rows], marker, ms=2.8, mfc="none", mew=0.7, color=LIGHT[colour], label="xyz"[k])
+    label(axes, f"motion of the joint, {unit}" if unit else "motion of the joint", "residual, mm")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=3)
+    far = int((~shown).sum())
+    residual = chart(
+        figure,
+        "residual",
+        f"Residual along the path: {data['residual_mm']['rms']:.2f} mm RMS.",
+        "What the joint leaves along its motion: x, y and z in the frame of the track."
+        + (f" {far} samples farther than {1e3 * _MOST_LEFT:.0f} mm are not shown." if far else ""),
+    )
+    return [path, residual]
 
 
 def _draw_path(axes: Axes, found: Articulation) -> None:
@@ -176,13 +208,14 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
     flat = (p - middle) @ plane
-    axes.plot(*(1e2 * flat[good]).T, ".", ms=2.0, color=LIGHT["before"], label="seen")
+    seen = flat[good][thinned(int(good.sum()), MOST_POINTS)]
+    axes.plot(*(1e3 * seen).T, ".", ms=3.0, color=LIGHT["before"], label="seen")
     a = fit.configurations[good]
     path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
-    axes.plot(*(1e2 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
+    axes.plot(*(1e3 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
     if (point := fit.model.centre()) is not None:
         centre = (point - middle) @ plane
-        axes.plot(1e2 * centre[0], 1e2 * centre[1], "+", ms=8.0, color=LIGHT["after"])
+        axes.plot(1e3 * centre[0], 1e3 * centre[1], "+", ms=8.0, color=LIGHT["after"])
     axes.set_aspect("equal", adjustable="datalim")
-    label(axes, "cm", "cm")
-    axes.legend(loc="upper right", frameon=False, fontsize=8)
+    label(axes, "along the path, mm", "across it, mm")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=2)

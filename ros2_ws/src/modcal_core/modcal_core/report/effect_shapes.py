@@ -9,14 +9,15 @@ from modcal_core.effects.effect import AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.effects.sizes import component_names
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import label, small, thinned
-from modcal_core.report.page import Chart, chart
-from modcal_core.report.palette import LIGHT
+from modcal_core.report.figures import thinned
+from modcal_core.report.page import Chart
+from modcal_core.report.palette import AFTER, BEFORE, SOFT
+from modcal_core.report.panel import Panel
 
 _POINTS = 1600
-_MOST_SHAPES = 24  # charts; each has some 60 kB
+_MOST_SHAPES = 24  # charts; more are looked at by nobody
 _MOST_TICKS = 250  # of samples, below the curve
-_UNITS = {"position": "rad or m", "load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
+_UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
@@ -45,25 +46,29 @@ def _is_curve(effect: Effect) -> bool:
 def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
     effect, direction = effects[0], component_names(effects[0])[component]
     x, size, std = curve(effects, float(driver.min()), float(driver.max()), _POINTS, component)
-    at, words = driver, _words(effect.driver)
+    at, words = driver, _words(report, effect.driver)
     if effect.driver == "time":
         begin = float(report.samples.stamps.min())
         x, at, words = (x - begin) / 60.0, (driver - begin) / 60.0, "time, min"
     slides = direction == AXIS and not _turns(report, effect.place)
     unit = "mm" if direction in _SHIFTS or slides else "mrad"
-    figure, axes = small(3.6, 2.0, left=0.66)
     low, high = (1e3 * (size + k * std) for k in (-2.0, 2.0))
-    axes.fill_between(x, low, high, color=LIGHT["before"], alpha=0.45, lw=0)
-    axes.plot(x, 1e3 * size, color=LIGHT["after"], lw=1.1)
-    ticks = np.sort(at)[thinned(len(at), _MOST_TICKS)]
-    axes.plot(ticks, np.full(len(ticks), axes.get_ylim()[0]), "|", ms=4.0, mew=0.5, color=LIGHT["soft"])
-    label(axes, words, f"{direction}, {unit}")
+    panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
+    panel.band(x, low, high, BEFORE)
+    panel.line(x, 1e3 * size, AFTER, 1.1)
+    panel.rug(np.sort(at)[thinned(len(at), _MOST_TICKS)], SOFT)
     title = f"{effect.place}, {direction}: {effect.family.replace('_', ' ')}"
     alt = (
         f"{title} over {words}: {1e3 * float(size.min()):.3g} to {1e3 * float(size.max()):.3g} {unit}, with a standard "
         f"deviation of up to {1e3 * float(std.max()):.2g} {unit}."
     )
-    return chart(figure, name, alt, title)
+    return panel.chart(name, words, f"{direction}, {unit}", alt, title)
+
+
+def _limits(low: float, high: float) -> tuple[float, float]:
+    """Of an axis: a little more than what stands on it."""
+    margin = 0.05 * max(high - low, 1e-9)
+    return low - margin, high + margin
 
 
 def _turns(report: ReportContents, place: str) -> bool:
@@ -71,13 +76,16 @@ def _turns(report: ReportContents, place: str) -> bool:
     return chain is None or place not in chain.names or bool(chain.revolute[chain.names.index(place)])
 
 
-def _words(driver: str) -> str:
+def _words(report: ReportContents, driver: str) -> str:
     """A driver for people, with its unit."""
     kind, _, of = driver.partition(":")
+    if kind == "position":
+        return f"position of {of}, {'rad' if _turns(report, of) else 'm'}"
     if kind == "temperature":
         return f"temperature of {of}, °C"
     if kind == "signal":
         return of
     if kind in _UNITS:
-        return f"{'load' if kind in ('effort', 'payload') else kind} of {of}, {_UNITS[kind]}"
-    return driver
+        unit = _UNITS[kind] if _turns(report, of) else _UNITS[kind].replace("N m", "N")
+        return f"{'load' if kind in ('effort', 'payload') else kind} of {of}, {unit}"
+    return driver.replace(":", " of ")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from modcal_core.report.page import PageTable
 
 _FIRST = ("mrad", "mm")  # then the others by name, numbers without a unit last
@@ -23,6 +25,10 @@ def scaled(unit: str) -> tuple[str, float]:
 
 def number(value: float, digits: int = 4) -> str:
     """A number of so many digits; large ones in full."""
+    if 1.0 <= abs(value) < _GROUPED[0]:
+        rounded = float(f"{value:.{digits}g}")
+        behind = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)
+        return f"{rounded:.{behind}f}".replace("-", "−")
     if _GROUPED[0] <= abs(value) < _GROUPED[1]:
         return f"{float(f'{value:.{digits}g}'):,.0f}".replace(",", "\u202f").replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")

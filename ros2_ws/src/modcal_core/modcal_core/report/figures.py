@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
+    from matplotlib.ticker import Locator
 
 MOST_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", "o", "soft"), ("explain", "s", "good"), ("held_out", "^", "after"))
@@ -65,6 +66,24 @@ def in_decades(axis: Axis) -> None:
     axis.set_major_formatter(lambda value, _: "10" + f"{round(np.log10(value)):d}".translate(_RAISED))
 
 
+def in_numbers(axis: Axis, low: float, high: float) -> None:
+    """Write a logarithmic axis from low to high in plain numbers, at least two of them where it can be."""
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), np.arange(1.0, 10.0, 0.2)):
+        ticks = np.outer(decades, steps).ravel()
+        ticks = ticks[(ticks >= low * (1.0 - 1e-9)) & (ticks <= high * (1.0 + 1e-9))]
+        if len(ticks) > 1:
+            break
+    axis.set_major_locator(_at(ticks))
+    axis.set_major_formatter("{x:g}")
+
+
+def _at(ticks: Array) -> Locator:
+    from matplotlib.ticker import FixedLocator
+
+    return FixedLocator(list(ticks))
+
+
 def thinned(count: int, most: int) -> np.ndarray:
     """At most so many of this many rows, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
@@ -91,7 +110,8 @@ def error_histogram(report: ReportContents) -> Chart | None:
     axes.set_ylim(0.0, 1.05 * highest)
     axes.set_xscale("log")
     axes.minorticks_off()  # they take as long to draw as all the rest
-    axes.xaxis.set_major_formatter("{x:g}")
+    in_numbers(axes.xaxis, *axes.get_xlim())
+    axes.yaxis.get_major_locator().set_params(integer=True)
     label(axes, "position error of held-out samples, mm", "samples")
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."
@@ -140,7 +160,7 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     for name, marker, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
-        rows = rows[thinned(len(rows), int(share * MOST_POINTS / 3.0))]
+        rows = rows[thinned(len(rows), int(share * MOST_POINTS / 6.0))]
         said = f"{name.replace('_', '-')} ({sizes[name]})"
         if len(rows):
             axes.semilogy(time[rows], miss[rows], marker, ms=3.0, color=LIGHT[colour], mfc="none", label=said)
@@ -148,7 +168,7 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     if len(out):
         axes.semilogy(time[out], miss[out], "X", ms=6.0, color=LIGHT["bad"], label=f"rejected ({len(out)})")
     axes.minorticks_off()
-    axes.yaxis.set_major_formatter("{x:g}")
+    in_numbers(axes.yaxis, *axes.get_ylim())
     label(axes, "time since the first sample, min", "error of the final model, mm")
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=4)
     over = f"{samples.stations} stations over {time.max():.1f} minutes"

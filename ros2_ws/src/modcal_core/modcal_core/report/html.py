@@ -117,10 +117,12 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
 
 
 def _named_sizes(data: dict[str, Any]) -> list[tuple[tuple[str], list[Sizes]]]:
-    """Name and sizes of each effect."""
+    """Name and sizes of each effect; of those with one name the later ones are numbered."""
+    names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in data["effects"]]
+    count = [names[:k].count(name) + 1 for k, name in enumerate(names)]
     return [
-        ((f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}",), [e["parameters"]])
-        for e in data["effects"]
+        ((name if k == 1 else f"{name} ({k})",), [e["parameters"]])
+        for name, k, e in zip(names, count, data["effects"], strict=True)
     ]
 
 

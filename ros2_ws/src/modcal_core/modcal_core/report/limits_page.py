@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.report.counted import counted
+from modcal_core.report.counted import counted, percent
 from modcal_core.report.figures import thinned
 from modcal_core.report.limits import LimitsFound
 from modcal_core.report.page import PageTable, plain_page
@@ -31,14 +31,14 @@ def answer(found: LimitsFound) -> str:
             j = int(rows[np.argmin(least[rows])])
             parts.append(f"{chain.names[j]} may accelerate by {least[j]:.3g} {unit}")
     said += " and ".join(parts) + ", the least of all joints, whatever the others do within their bounds."
-    return f"{said} {chain.names[loaded]} needs up to {most[loaded]:.0%} of its torque to hold and move at all."
+    return f"{said} {chain.names[loaded]} needs up to {percent(most[loaded])} of its torque to hold and move at all."
 
 
 def to_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
     """The page. notes: sentences beside it."""
     lines = [
         *notes,
-        f"{found.arm.share:.0%} of the torque of each drive may be used.",
+        f"{percent(found.arm.share)} of the torque of each drive may be used.",
         "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own "
         "bounds at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
         "joint_limits.yaml has it.",
@@ -75,7 +75,7 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
             (
                 chain.names[j],
                 f"{drives.torque[j]:.3g}",
-                f"{found.load[:, j].max():.0%}",
+                percent(found.load[:, j].max()),
                 _span(found.inertia[:, j].min(), found.inertia[:, j].max()),
             )
             for j in rows
@@ -86,8 +86,10 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
 
 
 def _span(low: float, high: float) -> str:
-    """Both ends with three digits, large ones in full."""
-    ends = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.3g}" for x in (low, high))
+    """Both ends with three digits, large ones in full; one where they are the same."""
+    if abs(high - low) < 1e-3 * abs(high):
+        low = high
+    ends = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.3g}" for x in ((low,) if low == high else (low, high)))
     return " … ".join(ends).replace("-", "−")
 
 
@@ -101,11 +103,11 @@ def _robot(found: LimitsFound) -> RobotScene:
         j = int(np.argmax(found.load[row]))
         said.append(
             f"Posture {row + 1} of {len(found.q)}: {joints_in_words(chain, found.q[row])}. {chain.names[j]} needs "
-            f"{found.load[row, j]:.0%} of its torque here. Discs: the share that each joint needs at most."
+            f"{percent(found.load[row, j])} of its torque here. Discs: the share that each joint needs at most."
         )
     most = found.load.max(axis=0)
     alt = "The arm; a disc at each joint shows the share of its torque that is needed: " + ", ".join(
-        f"{name} {value:.0%}" for name, value in zip(chain.names, most, strict=True)
+        f"{name} {percent(value)}" for name, value in zip(chain.names, most, strict=True)
     )
     weights = tuple(float(min(value, 1.0)) for value in most)
     return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt, weights=weights)

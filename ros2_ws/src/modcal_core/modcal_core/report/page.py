@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from modcal_core.report.robot_scene import RobotScene
 
-_PX = 1.34  # on the page, per point of a figure: its 8 point labels are then as large as small text
+_PX = 1.48  # on the page, per point of a figure: three small charts then fill a row
 _NARROWEST = 300.0  # px; a wider chart is shrunk no further than 0.65 of its size, and can be moved sideways instead
 
 
@@ -87,10 +87,11 @@ def plain_page(
     files: list[tuple[str, str]],
     tables: Sequence[PageTable] = (),
     robot: RobotScene | None = None,
+    expert: Sequence[Chart] = (),
 ) -> str:
     """A page of an answer, sentences, tables and pictures. verdict: the answer. files: names and what each holds.
 
-    robot: the arm in three dimensions, where there is one to show.
+    robot: the arm in three dimensions, where there is one to show. expert: pictures that are folded away.
     """
     return render(
         "plain.html.j2",
@@ -100,6 +101,7 @@ def plain_page(
         heading="Result",
         lines=lines,
         charts=charts,
+        expert=expert,
         files=files,
         tables=tables,
         scene=None if robot is None else as_script_data(robot.to_data()),

@@ -21,12 +21,13 @@ _TICK, _PAD = 3.5, 3.5
 _SMALL, _LARGE = 7.5, 8.0  # print of ticks and of names
 _WIDE = {"−": 0.838, ".": 0.318}  # widths of letters in units of their size; digits have another
 _DIGIT = 0.636
+_OFF = 0.15  # points, an eighth of a line's width: what a drawn curve may be off by
 _TICKS = 4  # about as many
 _FONT = "'DejaVu Sans','Bitstream Vera Sans',Verdana,Geneva,Arial,Helvetica,sans-serif"
-_SHAPES = {  # around a point, in units of half a marker
-    "circle": "m-{0} 0a{0} {0} 0 1 0 {1} 0a{0} {0} 0 1 0 -{1} 0z",
-    "triangle": "m0 -{0}l-{0} {1}h{1}z",
-    "square": "m-{0} -{0}h{1}v{1}h-{1}z",
+_SHAPES = {  # around a point
+    "circle": "M-1.4 0a1.4 1.4 0 1 0 2.8 0a1.4 1.4 0 1 0 -2.8 0z",
+    "triangle": "M0 -1.4l-1.4 2.8h2.8z",
+    "square": "M-1.4 -1.4h2.8v2.8h-2.8z",
 }
 
 
@@ -40,23 +41,41 @@ class Panel:
 
     x: tuple[float, float]
     y: tuple[float, float]
-    _drawn: list[str] = field(default_factory=list)
+    _drawn: list[str | tuple[str, int]] = field(default_factory=list)  # elements, or places of a mark and its number
+    _marks: list[str] = field(default_factory=list)
 
     def dashes(self, x: Array, y: Array, colour: str, half: float, wide: float) -> None:
         """A dash of this half length, in units of the width, at every point (N,); a dot where it has none."""
-        length = 2.0 * half * (_RIGHT - _LEFT)
-        across, along = self._across(x) - 0.5 * length, self._along(y)
-        path = "".join(f"M{a:.2f} {b:.2f}h{length:.3g}" for a, b in zip(across.tolist(), along.tolist(), strict=True))
-        self._drawn.append(
-            f'<path d="{path}" style="fill:none;stroke:var(--{colour});stroke-width:{wide:g};stroke-linecap:round"/>'
-        )
+        length = half * (_RIGHT - _LEFT)
+        drawn = f'<path d="M-{length:.3g} 0H{length:.3g}" style="stroke-linecap:round'
+        self._mark(x, y, f'{drawn};stroke:var(--{colour});stroke-width:{wide:g}"/>')
 
     def hollow(self, x: Array, y: Array, colour: str, shape: str) -> None:
         """A hollow circle, triangle or square at every point (N,)."""
-        mark = _SHAPES[shape].format("1.2", "2.4")
-        points = zip(self._across(x).tolist(), self._along(y).tolist(), strict=True)
-        path = "".join(f"M{a:.2f} {b:.2f}{mark}" for a, b in points)
-        self._drawn.append(f'<path d="{path}" style="fill:none;stroke:var(--{colour});stroke-width:0.7"/>')
+        self._mark(x, y, f'<path d="{_SHAPES[shape]}" style="fill:none;stroke:var(--{colour});stroke-width:0.7"/>')
+
+    def _mark(self, x: Array, y: Array, mark: str) -> None:
+        """The same mark at every point (N,): drawn once, and set at the corners of a line that is not."""
+        places = " ".join(f"{a:.1f} {b:.1f}" for a, b in zip(self._across(x), self._along(y), strict=True))
+        if places:
+            self._marks.append(mark)
+            self._drawn.append((places, len(self._marks) - 1))
+
+    def line(self, x: Array, y: Array, colour: str, wide: float) -> None:
+        """A line through points (N,) in order."""
+        drawn = _path(_simplified(np.c_[self._across(x), self._along(y)]))
+        self._drawn.append(f'<path d="{drawn}" style="fill:none;stroke:var(--{colour});stroke-width:{wide:g}"/>')
+
+    def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
+        """The area between two lines over the same points (N,)."""
+        above, below = (_simplified(np.c_[self._across(x), self._along(y)]) for y in (high, low))
+        drawn = f"{_path(np.r_[above, below[::-1]])}z"
+        self._drawn.append(f'<path d="{drawn}" style="fill:var(--{colour});fill-opacity:0.45"/>')
+
+    def rug(self, x: Array, colour: str) -> None:
+        """A short stroke on the axis below at each of these places (N,)."""
+        drawn = "".join(f"M{a:.1f} {_BOTTOM - 4.0:g}v4" for a in self._across(x).tolist())
+        self._drawn.append(f'<path d="{drawn}" style="stroke:var(--{colour});stroke-width:0.5"/>')
 
     def chart(self, name: str, x: str, y: str, alt: str, caption: str) -> Chart:
         """The chart for a page. x, y: what the axes show, with units. alt, caption: as of other charts."""
@@ -75,14 +94,16 @@ class Panel:
         beside = _LEFT - _TICK - _PAD - widest - 5.92
         texts.append(_text(y, beside, 0.5 * (_TOP + _BOTTOM), _LARGE, turned=True))
         clip = f"{name}-inside"
+        marks = "".join(_marker(f"{name}-mark{k}", mark) for k, mark in enumerate(self._marks))
+        drawn = "".join(_at(*d, name) if isinstance(d, tuple) else d for d in self._drawn)
         ink = "fill:none;stroke:var(--ink);stroke-width:0.8"
         size = f'width="{_RIGHT - _LEFT:g}" height="{_BOTTOM - _TOP:g}"'
         body = (
             f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" style="fill:var(--paper)"/>'
-            f'<clipPath id="{clip}"><rect x="{_LEFT}" y="{_TOP}" {size}/></clipPath>'
+            f'{marks}<clipPath id="{clip}"><rect x="{_LEFT}" y="{_TOP}" {size}/></clipPath>'
             f'<g clip-path="url(#{clip})">'
             f'<path d="M{_LEFT} {zero:.2f}H{_RIGHT}" style="stroke:var(--line);stroke-width:0.8"/>'
-            f"{''.join(self._drawn)}</g>"
+            f"{drawn}</g>"
             f'<path d="{"".join(ticks)}" style="{ink}"/>'
             f'<path d="M{_LEFT} {_TOP}V{_BOTTOM}H{_RIGHT}" style="{ink};stroke-linecap:square"/>'
             f'<g style="font-family:{_FONT};fill:var(--ink)">{"".join(texts)}</g></svg>'
@@ -96,6 +117,44 @@ class Panel:
     def _along(self, y: Array) -> Array:
         low, high = self.y
         return np.asarray(_BOTTOM - (y - low) / (high - low) * (_BOTTOM - _TOP))
+
+
+def _marker(name: str, mark: str) -> str:
+    """A mark that lines refer to, in the units of the page."""
+    box = 'viewBox="-4 -4 8 8" markerWidth="8" markerHeight="8" markerUnits="userSpaceOnUse"'
+    return f'<marker id="{name}" {box}>{mark}</marker>'
+
+
+def _at(places: str, k: int, name: str) -> str:
+    """The k-th mark of a chart at these places."""
+    ends = "".join(f' marker-{end}="url(#{name}-mark{k})"' for end in ("start", "mid", "end"))
+    return f'<path d="M{places}" fill="none"{ends}/>'
+
+
+def _path(points: Array) -> str:
+    """Points (N, 2) as the path of a line, to a tenth of a point: less than its width."""
+    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in points.tolist())
+
+
+def _simplified(points: Array) -> Array:
+    """Those of the points (N, 2) that a line needs so that it leaves none by more than _OFF (Douglas and Peucker)."""
+    kept = np.zeros(len(points), bool)
+    kept[[0, -1]] = True
+    parts = [(0, len(points) - 1)]
+    while parts:
+        first, last = parts.pop()
+        if last - first < 2:
+            continue
+        inside, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+        length = float(np.hypot(*chord))
+        along = inside @ chord / max(length, 1e-12)
+        across = np.abs(inside[:, 0] * chord[1] - inside[:, 1] * chord[0]) / max(length, 1e-12)
+        off = np.where((along < 0.0) | (along > length), np.hypot(inside[:, 0], inside[:, 1]), across)
+        far = int(np.argmax(off))
+        if off[far] > _OFF:
+            kept[first + 1 + far] = True
+            parts += [(first, first + 1 + far), (first + 1 + far, last)]
+    return points[kept]
 
 
 def round_numbers(low: float, high: float) -> tuple[Array, float]:

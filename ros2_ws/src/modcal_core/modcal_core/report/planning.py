@@ -11,20 +11,23 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.plan import Plan
-from modcal_core.report.figures import thinned
+from modcal_core.report.counted import percent
+from modcal_core.report.figures import label, small, thinned
 from modcal_core.report.page import chart, plain_page, svg
 from modcal_core.report.palette import LIGHT
 from modcal_core.report.robot_scene import MOST_POINTS, MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 from modcal_core.robots.table_rows import plain
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 _FILES = [
     ("plan.yaml", "the stations and what is expected of them, for programs"),
     ("stations.csv", "joint positions, one station a row"),
     ("trajectory.yaml", "the way through them as a JointTrajectory"),
 ]
+_MEASURES = {"p95": "95th percentile", "rms": "RMS"}
+_VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -73,7 +76,11 @@ def sentences(plan: Plan) -> list[str]:
     """What a person should know."""
     request, a, k = plan.request, plan.accuracy, plan.distinct
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
-    asked = "" if request.accuracy is None else f" are needed for {1e3 * request.accuracy:.3g} mm ({request.measure})"
+    asked = (
+        ""
+        if request.accuracy is None
+        else f" are needed for {1e3 * request.accuracy:.3g} mm ({_MEASURES[request.measure]})"
+    )
     out = [
         f"{k} stations{more}{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
         f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."
@@ -91,8 +98,8 @@ def sentences(plan: Plan) -> list[str]:
         f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / random.model:.2f}."
     )
     free, seen = plan.pool.shares
-    said = f"{free:.0%} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.pool.site.tracker is None else f"; of these the tracker sees {seen:.0%}."))
+    said = f"{percent(free)} of the postures within the limits touch nothing"
+    out.append(said + ("." if plan.pool.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
     if plan.pool.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.pool.parameters)
@@ -142,15 +149,24 @@ def _duration(seconds: float) -> dict[str, int]:
 
 def figure(plan: Plan) -> str:
     """The picture of the stations as a file of its own, SVG."""
-    return svg(_drawn(plan))
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
+    for axes, (_, plane) in zip(drawn.subplots(1, 2), _VIEWS, strict=True):
+        _draw(plan, axes, plane)
+    return svg(drawn)
 
 
 def to_html(plan: Plan, title: str) -> str:
-    """The plan as a page: sentences, picture, files."""
+    """The plan as a page: sentences, pictures, files."""
     first, *others = sentences(plan)
-    alt = f"{len(plan.q)} stations among the postures that could be chosen, from above and from the side."
-    caption = "Dots could be chosen; the line connects the stations in their order."
-    charts = [chart(_drawn(plan), "stations", alt, caption)]
+    charts = []
+    for seen, plane in _VIEWS:
+        drawn, axes = small(3.4, 3.2)
+        _draw(plan, axes, plane)
+        alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
+        words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order."
+        charts.append(chart(drawn, f"stations-{'xyz'[plane[1]]}", alt, words))
     return plain_page(f"{title}: stations to measure", first, others, charts, _FILES, robot=_robot(plan))
 
 
@@ -168,22 +184,17 @@ def _robot(plan: Plan) -> RobotScene:
     return RobotScene(tuple(paths[rows]), tuple(said), points, rows, chain.base, alt, True, could, marks)
 
 
-def _drawn(plan: Plan) -> Figure:
-    """Where the target stands at the stations, from above and from the side, among all that could be chosen."""
-    from matplotlib.figure import Figure
-
-    pool, tracker = plan.pool, plan.pool.site.tracker
+def _draw(plan: Plan, axes: Axes, plane: tuple[int, int]) -> None:
+    """Where the target stands at the stations, seen along one axis of the base, among all that could be chosen."""
+    pool, tracker, (i, j) = plan.pool, plan.pool.site.tracker, plane
     origin = pool.model.T_frame_base[0][:3, 3]
     could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
-    drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
-    for axes, (i, j) in zip(drawn.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
-        axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"], label="could be chosen")
-        axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color=LIGHT["after"], label="stations, in order")
-        axes.plot(0.0, 0.0, "s", ms=6.0, color=LIGHT["ink"], label="base")
-        if tracker is not None:
-            axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color=LIGHT["bad"], label="tracker")
-        axes.set_xlabel(f"{'xyz'[i]}, m")
-        axes.set_ylabel(f"{'xyz'[j]}, m")
-        axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="upper right", frameon=False, fontsize=7)
-    return drawn
+    could = could[thinned(len(could), MOST_POINTS)]
+    axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"], label="could be chosen")
+    axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color=LIGHT["after"], label="stations")
+    axes.plot(0.0, 0.0, "s", ms=6.0, color=LIGHT["ink"], label="base")
+    if tracker is not None:
+        axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color=LIGHT["bad"], label="tracker")
+    label(axes, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=2)

@@ -16,7 +16,7 @@ from modcal_core.report.panel import Panel
 
 _MOST_STEPS = 5  # that are drawn; more effects are drawn together
 _MOST_TEMPERATURES = 4
-_MOST_DRAWN = 40_000  # dots of a page
+_MOST_DRAWN = 14_000  # dots of a page before and after its steps, which are folded
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
         charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
         out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
+    rows = thinned(len(report.scored), max(int(share * MOST_POINTS / 3.0), 20))
     charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
     text = (
         "The residual of the final model: x as circles, y as triangles, z as squares. "
@@ -104,7 +105,7 @@ def _before_after(a: Against, before: Errors, after: Errors, rows: np.ndarray, n
     panel.dashes(x, first, BEFORE, 0.012, 1.1)
     panel.dashes(x, second, AFTER, 0.0, 2.2)
     alt = f"Residual against {a.name}, before and after {added}: {_rms(before):.3f} and {_rms(after):.3f} mm RMS."
-    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name}")
+    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name.replace(':', ' of ')}")
 
 
 def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
@@ -113,7 +114,7 @@ def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
     for k, (colour, shape) in enumerate(zip(OF_AXES, ("circle", "triangle", "square"), strict=True)):
         panel.hollow(a.values[rows], left[:, k], colour, shape)
     alt = f"Residual against {a.name}: {_rms(errors):.3f} mm RMS."
-    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name}")
+    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name.replace(':', ' of ')}")
 
 
 def _panel(x: Array, y: Array) -> Panel:

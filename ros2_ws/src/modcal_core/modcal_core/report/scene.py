@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 MOST_ARROWS = 300
 _MOST_POSTURES = 60
+_MOST_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
 _MOST_STAGES = 7
 
 
@@ -105,8 +106,10 @@ def still(drawn: ReportScene) -> Chart:
 
     figure = Figure(figsize=(7.4, 3.6))
     places = ((0.085, 0.13, 0.41, 0.845), (0.58, 0.13, 0.41, 0.845))  # a layout that is found takes as long as drawing
-    before, after = 1e3 * drawn.stages[0][1], 1e3 * drawn.stages[-1][1]
-    reach = float(np.ptp(drawn.points, axis=0).max()) or 1.0
+    rows = thinned(len(drawn.points), _MOST_STILL)
+    points = drawn.points[rows]
+    before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
+    reach = float(np.ptp(points, axis=0).max()) or 1.0
     usual = float(np.percentile(np.linalg.norm(before, axis=1), 95)) or 1.0
     scale = float(f"{0.15e3 * reach / usual:.1g}")
     arm = drawn.paths[len(drawn.paths) // 2]
@@ -115,15 +118,15 @@ def still(drawn: ReportScene) -> Chart:
         for path in arm:
             axes.plot(path[:, i], path[:, j], "-o", color=LIGHT["ink"], lw=2.0, ms=3.5)
         for miss, colour, wide in ((before, "before", 0.8), (after, "after", 1.4)):
-            to = drawn.points + 1e-3 * scale * miss
-            ends = np.stack([drawn.points, to, np.full_like(to, np.nan)], axis=1).reshape(-1, 3)
+            to = points + 1e-3 * scale * miss
+            ends = np.stack([points, to, np.full_like(to, np.nan)], axis=1).reshape(-1, 3)
             axes.plot(ends[:, i], ends[:, j], color=LIGHT[colour], lw=wide)
-        axes.plot(drawn.points[:, i], drawn.points[:, j], ".", ms=2.0, color=LIGHT["soft"])
+        axes.plot(points[:, i], points[:, j], ".", ms=2.0, color=LIGHT["soft"])
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7.5)
         label(axes, f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
         _scale_bar(axes, scale)
-    alt = f"The arm and the errors of {len(drawn.points)} held-out samples, from above and from the side."
+    alt = f"The arm and the errors of {len(points)} held-out samples, from above and from the side."
     words = (
         f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
         "thick blue ones with the final."

@@ -9,7 +9,8 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.gain import NAMED
 from modcal_core.planning.study import Study
-from modcal_core.report.figures import thinned
+from modcal_core.report.counted import percent
+from modcal_core.report.figures import label, thinned
 from modcal_core.report.page import PageTable, chart, plain_page, svg
 from modcal_core.report.palette import LIGHT
 from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
@@ -24,6 +25,8 @@ _FILES = [
 ]
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _LISTED = 10  # parameters of a table on the page
+_PLAIN = ("gain",)  # pictures for everybody; the indices are for experts
+_ROW = 0.2  # inches of a picture, a parameter
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -87,8 +90,11 @@ def sentences(study: Study) -> list[str]:
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
     order = np.argsort(-joint.before.share)
-    strongest = ", ".join(f"{names[k]} ({joint.before.share[k]:.1%})" for k in order[:_NAMED])
-    said = f"RMS position error {1e3 * joint.before.rms:.3f} mm; the largest shares of its square: {strongest}."
+    strongest = ", ".join(f"{names[k]} ({percent(joint.before.share[k], 1)})" for k in order[:_NAMED])
+    said = (
+        f"{_assumed(study, lengths)} the point misses by {1e3 * joint.before.rms:.3f} mm RMS; "
+        f"the largest shares of its square: {strongest}."
+    )
     out = [said, _about_lengths(study, lengths, constant)]
     if (~lengths).any():
         steady = [names[k] for k in np.flatnonzero(~lengths & constant)]
@@ -101,10 +107,22 @@ def sentences(study: Study) -> list[str]:
     )
     for k in np.flatnonzero(joint.unseen):
         out.append(
-            f"{names[k]} matters ({joint.before.share[k]:.1%} of the mean square error): "
+            f"{names[k]} matters ({percent(joint.before.share[k], 1)} of the mean square error): "
             "these stations do not observe it."
         )
     return out
+
+
+def _assumed(study: Study, lengths: np.ndarray) -> str:
+    """Which errors the parameters have, the beginning of a sentence."""
+    sizes = study.indices.sizes
+    parts = []
+    for mask, unit in ((~lengths, "mrad"), (lengths, "mm")):
+        if mask.any():
+            low, high = 1e3 * sizes[mask].min(), 1e3 * sizes[mask].max()
+            size = f"{low:.3g}" if high - low < 1e-6 * high else f"{low:.3g} to {high:.3g}"
+            parts.append(f"{size} {unit} in every {'length' if unit == 'mm' else 'angle'}")
+    return f"With errors of {' and '.join(parts)}"
 
 
 def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> str:
@@ -153,7 +171,11 @@ def to_html(study: Study, title: str) -> str:
     """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
     first, *others = sentences(study)
     charts = [chart(drawn, name, words, words) for name, (drawn, words) in _figures(study).items()]
-    return plain_page(f"{title}: sensitivity", first, others, charts, _FILES, _tables(study), _robot(study))
+    plain = [one for one in charts if one.name in _PLAIN]
+    expert = [one for one in charts if one.name not in _PLAIN]
+    return plain_page(
+        f"{title}: sensitivity", first, others, plain, _FILES, _tables(study), _robot(study), expert=expert
+    )
 
 
 def _tables(study: Study) -> tuple[PageTable, ...]:
@@ -164,14 +186,14 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
         rows = [
             (
                 study.closed.names[k],
-                f"{1e3 * study.indices.sizes[k]:.3g} {unit}",
-                f"{joint.before.share[k]:.1%}",
-                f"{joint.seen[k]:.0%}",
+                percent(joint.before.share[k], 1),
+                percent(joint.seen[k]),
+                f"{1e3 * study.indices.sizes[k]:.3g}",
             )
             for k in order
             if study.closed.factors[k].is_length == lengths
         ]
-        header = ("parameter", "assumed error", "share of the squared error", "observed by the stations")
+        header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
         below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in sensitivity.md."
         if rows:
             out.append(PageTable(f"{title} that matter most", header, tuple(rows[:_LISTED]), below=below))
@@ -193,7 +215,7 @@ def _robot(study: Study) -> RobotScene:
         for row in rows
     ]
     alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
-        f"{name} {value:.0%}" for name, value in zip(chain.names, of_joint, strict=True)
+        f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
     )
     points = paths[:, -1]
     return RobotScene(
@@ -206,9 +228,16 @@ def _figures(study: Study) -> dict[str, tuple[Figure, str]]:
         "gain": (_gain(study), "Remaining RMS error when the strongest parameters are known, one after the other."),
         "indices": (
             _indices(study),
-            "Multi-point and Sobol indices of every parameter, with two standard errors.",
+            "Left: the multi-point index RSFCDPE, the influence of a parameter over all postures as a multiple of the "
+            "base factor's, with a line from its smallest to its largest at one posture. Right: the total Sobol index "
+            "S_T, a parameter's share of the variance of the error with all that it does together with others, with "
+            "two standard errors.",
         ),
-        "by_pose": (_by_pose(study), "Relative single-point indices, parameters down and postures across."),
+        "by_pose": (
+            _by_pose(study),
+            "Relative single-point indices RSFDPE: the influence of a parameter (down) at one posture (across), as a "
+            "multiple of the base factor's.",
+        ),
     }
 
 
@@ -217,12 +246,14 @@ def _by_pose(study: Study) -> Figure:
     from matplotlib.figure import Figure
 
     relative = study.indices.relative_single.T
-    figure = Figure(figsize=(1.5 + min(0.22 * len(study.q), 9.0), 1.2 + 0.17 * len(relative)), layout="constrained")
+    figure = Figure(figsize=(1.5 + min(0.22 * len(study.q), 9.0), 1.2 + _ROW * len(relative)), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(relative, aspect="auto", cmap="viridis")
-    axes.set_yticks(range(len(relative)), study.indices.names, fontsize=6)
-    axes.set_xlabel(f"posture of {study.design}")
+    axes.set_yticks(range(len(relative)), study.indices.names, fontsize=7.5)
+    axes.set_xlabel(f"posture of the design {study.design}", fontsize=8)
+    axes.tick_params(labelsize=7.5)
     bar = figure.colorbar(image, ax=axes, shrink=0.6)
+    bar.ax.tick_params(labelsize=7.5)
     bar.set_label(f"RSFDPE, {study.indices.names[study.indices.base]} is 1", fontsize=8)
     return figure
 
@@ -232,19 +263,22 @@ def _indices(study: Study) -> Figure:
     from matplotlib.figure import Figure
 
     names, y = study.indices.names, np.arange(len(study.indices.names))
-    figure = Figure(figsize=(8.0, 1.2 + 0.17 * len(names)), layout="constrained")
+    figure = Figure(figsize=(8.0, 1.2 + _ROW * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     low, high = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
     left.barh(y, study.indices.relative_multi, color=LIGHT["after"], height=0.7)
     left.hlines(y, low, high, color=LIGHT["ink"], lw=0.8)
-    left.set_xlabel("RSFCDPE (line: over the postures)", fontsize=8)
+    left.set_xlabel("RSFCDPE", fontsize=8)
     for output, colour, shift in (("vector", LIGHT["after"], -0.2), ("distance", LIGHT["warn"], 0.2)):
         indices = study.variance[output]
         bars: Array = 2.0 * indices.std_total
         right.barh(y + shift, indices.total, 0.38, color=colour, xerr=bars, error_kw={"lw": 0.6}, label=output)
     right.set_xlabel("S_T of the error", fontsize=8)
-    right.legend(loc="upper right", frameon=False, fontsize=7)
-    left.set_yticks(y, names, fontsize=6)
+    for axes in (left, right):
+        axes.tick_params(labelsize=7.5)
+        axes.spines[["top", "right"]].set_visible(False)
+    right.legend(loc="upper right", frameon=False, fontsize=7.5)
+    left.set_yticks(y, names, fontsize=7.5)
     left.invert_yaxis()
     return figure
 
@@ -255,12 +289,14 @@ def _gain(study: Study) -> Figure:
 
     share = np.sort(study.joint.before.share)[::-1]
     left = 1e3 * study.joint.before.rms * np.sqrt(np.maximum(1.0 - np.r_[0.0, np.cumsum(share)], 0.0))
-    figure = Figure(figsize=(6.0, 2.8), layout="constrained")
+    figure = Figure(figsize=(4.6, 2.5), layout="constrained")
     axes = figure.subplots()
     axes.plot(left, ".-", color=LIGHT["after"], ms=4)
     axes.axhline(1e3 * study.joint.after.rms, color=LIGHT["good"], lw=1.0, label="left by the measured stations")
-    axes.set_xlabel(f"parameters known, the strongest first (a share above {NAMED:.0%}: {int((share >= NAMED).sum())})")
-    axes.set_ylabel("RMS error, mm")
+    large = int((share >= NAMED).sum())
+    label(axes, f"parameters known, the strongest first (a share above {percent(NAMED)}: {large})", "RMS error, mm")
+    axes.tick_params(labelsize=7.5)
+    axes.spines[["top", "right"]].set_visible(False)
     axes.set_ylim(bottom=0.0)
-    axes.legend(loc="upper right", frameon=False, fontsize=8)
+    axes.legend(loc="upper right", frameon=False, fontsize=7.5)
     return figure

@@ -22,6 +22,12 @@ document.documentElement.classList.add("js");
     });
   }
 
+  // a chart that is wider than the page is moved by keys too, as tables are
+  const reach = () => document.querySelectorAll("figure .wide").forEach((e) => { if (e.scrollWidth > e.clientWidth) e.tabIndex = 0; else e.removeAttribute("tabindex"); });
+  reach();
+  addEventListener("resize", reach);
+  document.addEventListener("toggle", reach, true);
+
   const closed = () => document.querySelectorAll("details:not([open]):not(.expert)");
   let opened = [];
   addEventListener("beforeprint", () => { opened = [...closed()]; opened.forEach((d) => { d.open = true; }); });

@@ -1,0 +1,108 @@
+"""Every page that modcal writes, in a real browser on a phone, light and dark: nothing fetched, read by everybody."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from report.browser import CONTRASTS, LEAST, Page, browser
+from report.judged import FLOOR
+from report.reports import points
+from report.test_certificate import full, report
+from report.test_comparison import side
+from report.test_page import Elements, page
+
+from modcal_core.report import certificate_page, comparison_page
+from modcal_core.report.certificate import certificate
+from modcal_core.report.comparison import compare
+from modcal_core.report.html import to_html
+from modcal_nodes.cli.main import run
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOT = str(ROOT / "examples" / "robots" / "ur10.urdf")
+DOOR = str(ROOT / "examples" / "tables" / "door.txt")
+VERBS: dict[str, list[str]] = {
+    "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60", "--starts", "1"],
+    "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
+    "limits": ["limits", ROBOT, "--payload", "2", "--workspace", "20"],
+    "articulate": ["articulate", DOOR],
+}
+MADE: dict[str, Callable[[], str]] = {
+    "calibrate": lambda: page("warm"),
+    "evaluate": lambda: to_html(replace(points(), searched=None), calibration="cell_3"),
+    "certificate": lambda: certificate_page.to_html(certificate(report(FLOOR))),
+    "certificate_full": lambda: certificate_page.to_html(full()),
+    "compare": lambda: comparison_page.to_html(compare(side("a", 1, 10), side("b", 2, 11), 0.2)),
+}
+OPEN_ALL = """(async () => { document.querySelectorAll("details").forEach((d) => { d.open = true; });
+  await new Promise((done) => setTimeout(done, 50)); })()"""  # until the page has heard of it
+# what scrolls sideways by itself and cannot be reached with the keyboard
+UNREACHED = (
+    "[...document.querySelectorAll('.wide')].filter((e) => e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0).length"
+)
+# letters on charts, as high as they come out on the phone
+LETTERS = """[...document.querySelectorAll("svg.chart text")].filter((t) => t.getClientRects().length)
+  .map((t) => parseFloat(getComputedStyle(t).fontSize) * t.ownerSVGElement.clientWidth / t.ownerSVGElement.viewBox.baseVal.width)"""
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Page]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """The page of a name, made once."""
+
+    @cache
+    def make(name: str) -> str:
+        if name in MADE:
+            return MADE[name]()
+        folder = tmp_path_factory.mktemp(name)
+        assert run([*VERBS[name], "--out", str(folder)]) == 0
+        return (folder / "report.html").read_text()
+
+    return make
+
+
+@pytest.mark.parametrize("name", [*MADE, *VERBS])
+def test_on_a_phone_in_both_colours(tab: Page, tmp_path: Path, written: Callable[[str], str], name: str) -> None:
+    text = written(name)
+    assert len(text.encode()) < 1_000_000
+    file = tmp_path / "page.html"
+    file.write_text(text)
+    for dark in (False, True):
+        tab.dark(dark)
+        tab.open(file, 400, 800, mobile=True)
+        tab.run(OPEN_ALL)
+        assert not tab.complaints()
+        assert [r for r in tab.requests() if not r.startswith("data:")] == [file.resolve().as_uri()]
+        assert tab.run("document.documentElement.scrollWidth") == 400
+        assert tab.run(UNREACHED) == 0
+        assert min(tab.run(LETTERS), default=9.0) > 6.0
+        read = tab.run(CONTRASTS)
+        assert len(read) > 30
+        assert not [said for said, contrast in read if contrast < LEAST]
+
+
+@pytest.mark.parametrize("name", [*MADE, *VERBS])
+def test_words_for_who_cannot_see_and_the_answer_first(written: Callable[[str], str], name: str) -> None:
+    text = written(name)
+    found = Elements(text)
+    assert not found.unclosed
+    assert found.of("html")[0]["lang"] == "en"
+    assert all(len(a["aria-label"]) > 10 and a["role"] == "img" for a in (*found.of("svg"), *found.of("canvas")))
+    assert all("scope" in a for a in found.of("th"))
+    assert all(a.get("href", "#").startswith(("#", "data:")) for _, a in found.all)
+    main = text[text.index("<main") :]
+    assert re.match(r'<main id="content">\s*<p class="verdict \w+"><strong>[^<]+</strong>\S', main)
+    for head in re.findall(r"<thead>(.*?)</thead>", text, re.DOTALL):
+        units = set(re.findall(r", (mm|mrad|°|rad|m|cm)\b|, (°)", re.sub(r"<[^>]+>", ";", head)))
+        assert len(units) <= 1, head
