@@ -231,7 +231,7 @@ def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, r
     if not found:
         return
     n, of, first = int(odd.sum()), int(whole.sum()), float(track.stamps[int(np.argmax(odd))])
-    columns = " and ".join(axis for axis, some in zip("xyz", large.any(axis=0), strict=True) if some)
+    columns = " and ".join(axis for axis, some in zip("xyz", large.T, strict=True) if some.any())
     which = "" if large.all(axis=1).mean() > _WITHIN else f" in {columns}"
     raise BadRecording(
         f"{track.topic} ({track.frame})",

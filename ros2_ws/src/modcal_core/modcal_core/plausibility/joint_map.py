@@ -103,7 +103,7 @@ def _mixtures(n: int) -> Iterator[_Map]:
         for last in range(first + 3, n + 1):
             B = np.eye(n)
             B[first:last, first:last] = np.tril(np.ones((last - first, last - first)))
-            yield _Map(np.linalg.inv(B), np.zeros(n))
+            yield _Map(np.asarray(np.linalg.inv(B), dtype=float), np.zeros(n))
     for i, j in combinations(range(n), 2):
         for values in product((-1.0, 0.0, 1.0), repeat=4):
             B = np.array(values).reshape(2, 2)
