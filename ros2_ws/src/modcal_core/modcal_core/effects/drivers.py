@@ -1,9 +1,10 @@
 """Drivers: what an error may depend on, as numbers beside every sample.
 
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
-``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``. Three more are ways to know a load and are reported as
-``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip, and
-``moment:J`` the two components across the axis. A family may bring more.
+``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
+measured one. Three more are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
+actuator itself reports, ``payload:J`` that of 1 kg at the tip, and ``moment:J`` the two components across the axis. A
+family may bring more.
 """
 
 from __future__ import annotations
@@ -127,7 +128,18 @@ def _direction(drivers: Drivers, joint: str) -> Array:
 
 
 def _effort(drivers: Drivers, joint: str) -> Array:
-    return np.asarray(np.nan_to_num(drivers.samples.effort[:, _column(drivers, joint)]))
+    """As reported; where it is not, of what weight asks for, or, of an arm without masses, the mean of the others."""
+    effort = drivers.samples.effort[:, _column(drivers, joint)]
+    known = np.isfinite(effort)
+    if known.all():
+        return effort
+    if drivers.arm.weighed:
+        return np.where(known, effort, -_load(drivers, joint))
+    return np.where(known, effort, effort[known].mean() if known.any() else 0.0)
+
+
+def _following(drivers: Drivers, joint: str) -> Array:
+    return np.asarray(np.nan_to_num(drivers.samples.following[:, _column(drivers, joint)]))
 
 
 def _load(drivers: Drivers, joint: str) -> Array:
@@ -161,6 +173,7 @@ KINDS: Mapping[str, DriverKind] = {
     "reading": _ones,
     "position": _position,
     "direction": _direction,
+    "following": _following,
     "load": _load,
     "effort": _effort,
     "payload": _payload,

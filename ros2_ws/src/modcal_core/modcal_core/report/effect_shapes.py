@@ -16,7 +16,14 @@ from modcal_core.report.palette import LIGHT
 _POINTS = 1600
 _MOST_SHAPES = 24  # charts; each has some 60 kB
 _MOST_TICKS = 250  # of samples, below the curve
-_UNITS = {"position": "rad or m", "load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
+_UNITS = {
+    "position": "rad or m",
+    "load": "N m",
+    "effort": "N m",
+    "payload": "N m per kg",
+    "direction": "−1 or 1",
+    "following": "rad or m",
+}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
