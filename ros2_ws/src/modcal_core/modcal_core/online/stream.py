@@ -40,6 +40,7 @@ _RESTLESS = 30.0  # s without a stand after which readings in motion are used
 _STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from ...
 _EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on either side at least
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be; drivers round to four digits at worst
+_STEPS = 15  # between joint states, whose median is the usual one: a silence is none
 _STANDS = 40  # of late, by which it is known how long this arm stands
 _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked for in
 
@@ -100,6 +101,7 @@ class SampleStream:
         self._commands = RecentCommands(self.names)
         self._stands: deque[tuple[float, float]] = deque(maxlen=_STANDS)  # when, and how long [s]
         self._rules = self._asked
+        self._steps: deque[float] = deque(maxlen=_STEPS)
         self._step = np.nan
         self._noise = np.zeros(n)
         self._ready: list[Samples] = []
@@ -187,7 +189,8 @@ class SampleStream:
             self._approach.update(q)
             return
         step = stamp - self._t[self._end - 2]
-        self._step = step if not np.isfinite(self._step) else self._step + 0.05 * (step - self._step)
+        self._steps.append(step)
+        self._step = sorted(self._steps)[len(self._steps) // 2]
         if self._end - self._first > 2:
             # a running median of the second difference: encoder noise must not look like motion
             jerk = np.abs(q - 2.0 * self._q[self._end - 2] + self._q[self._end - 3])
