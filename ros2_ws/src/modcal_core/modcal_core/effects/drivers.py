@@ -2,16 +2,16 @@
 
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
-measured one. Three more are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
-actuator itself reports, ``payload:J`` that of 1 kg at the tip, and ``moment:J`` the two components across the axis. A
-family may bring more.
+measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
+actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre beside
+the tip, and ``moment:J`` the two components across the axis. A family may bring more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -20,10 +20,10 @@ from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism, gravity_wrench, payload_wrench
+from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
-_LOADS = ("effort", "payload", "moment")
+_LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
@@ -91,6 +91,11 @@ class Drivers:
         """Weight of 1 kg at the tip, (n, 6, N)."""
         return payload_wrench(self.arm.chain, self.samples.q)
 
+    @cached_property
+    def offset(self) -> Array:
+        """What the latter changes by for each metre that the mass lies beside the tip, along x, y, z: (3, n, 6, N)."""
+        return offset_wrench(self.arm.chain, self.samples.q)
+
     def _signal(self, name: str, lag: float) -> Array:
         for track in self.samples.signals:
             if track.name == name:
@@ -152,6 +157,11 @@ def _payload(drivers: Drivers, joint: str) -> Array:
     return drivers.payload[j, _along(drivers, j)]
 
 
+def _offset(drivers: Drivers, joint: str, axis: int) -> Array:
+    j = _column(drivers, joint)
+    return drivers.offset[axis, j, _along(drivers, j)]
+
+
 def _moment(drivers: Drivers, joint: str) -> Array:
     """Across the joint's axis, (2, N)."""
     return drivers.gravity[_column(drivers, joint), 3:5]
@@ -177,6 +187,9 @@ KINDS: Mapping[str, DriverKind] = {
     "load": _load,
     "effort": _effort,
     "payload": _payload,
+    "offset_x": partial(_offset, axis=0),
+    "offset_y": partial(_offset, axis=1),
+    "offset_z": partial(_offset, axis=2),
     "moment": _moment,
 }
 SIGNALS = ("temperature", "signal")  # kinds that are found among the recorded tracks, by their whole name

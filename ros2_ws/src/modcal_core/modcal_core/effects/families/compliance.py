@@ -39,6 +39,8 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
                 if drivers.arm.weighed:
                     yield Effect(NAME, name, AXIS, f"load:{name},payload:{name},{signal}", Shape("carried"))
                 yield Effect(NAME, name, AXIS, f"payload:{name},{signal}", Shape("product"))
+                beside = ",".join(f"offset_{axis}:{name}" for axis in "xyz")
+                yield Effect(NAME, name, AXIS, f"{beside},{signal}", Shape("products"))
         if drivers.arm.weighed and drivers.arm.chain.revolute[j]:
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
 
@@ -58,6 +60,9 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
     scale = effect.shape.settings["scale"] if hardens else 1.0
     v, s, _ = value(effect)
     v, s = sign * v / scale, s / scale
+    if effect.shape.kind == "products":
+        per = "" if effect.driver.endswith(KILOGRAMS) else "kg "
+        return {f"compliance_times_offset_{a}": value(effect, i, 1.0, f"{per}{unit}/N") for i, a in enumerate("xyz")}
     if effect.shape.kind == "product":
         signal = effect.driver.rpartition(",")[2]
         in_kg = signal.endswith(KILOGRAMS)
@@ -77,6 +82,8 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
 
 def sentence(entry: ReportEntry) -> str:
     """Stiffness, or compliance per newton that one kilogram exerts."""
+    if "compliance_times_offset_x" in entry.sizes:
+        return f"{entry.place} deflects under a recorded payload whose centre lies beside the tip"
     if "compliance_per_unit" in entry.sizes:
         size, _, unit = entry.sizes["compliance_per_unit"]
         angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
