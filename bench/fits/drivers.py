@@ -2,11 +2,15 @@
 
 Commands beside measured joints, a payload that a topic states, efforts that are missing in places, short standstills.
 The arm is that of bench/verdict: MuJoCo's kinematics and statics of displaced bodies. ``ROWS`` has a maker by row.
+
+    python bench/fits/drivers.py --seeds 20 --only late_joint late_in_part
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +18,16 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "verdict"))
-from workcell import BEGIN, Session, Works
+from scipy.spatial.transform import Rotation
+from workcell import BEGIN, Session, Works  # which puts bench/undeclared on the path
 
+from arm import ROBOTS as TIPS  # isort: skip
+
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.preprocess import prepare
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 
 Array = np.ndarray
 ROBOTS = ("ur10", "panda", "xarm7")
@@ -30,6 +41,7 @@ class Planted:
     named: (family, places) that one of the effects must be of, or nothing. never: families that must not be there.
     """
 
+    robot: str
     recording: Recording
     floor_mm: float
     named: tuple[str, tuple[str, ...]] | None = None
@@ -74,7 +86,7 @@ def late_joint(rng: np.random.Generator) -> Planted:
     works = Works(ROBOTS[rng.integers(3)], rng)
     session, told, j = lagging(works, 130, 1.0)
     recording = replace(session.recording(), commands=commands(session, told))
-    return Planted(recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
 
 
 def late_in_part(rng: np.random.Generator) -> Planted:
@@ -82,7 +94,7 @@ def late_in_part(rng: np.random.Generator) -> Planted:
     works = Works(ROBOTS[rng.integers(3)], rng)
     session, told, j = lagging(works, 130, rng.uniform(0.4, 0.9))
     recording = replace(session.recording(), commands=commands(session, told))
-    return Planted(recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
 
 
 def late_among_others(rng: np.random.Generator) -> Planted:
@@ -90,14 +102,14 @@ def late_among_others(rng: np.random.Generator) -> Planted:
     works = Works(ROBOTS[rng.integers(3)], rng)
     session, told, j = lagging(works, 580, 1.0, effects=True)
     recording = replace(session.recording(), commands=commands(session, told))
-    return Planted(recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
 
 
 def commanded_as_measured(rng: np.random.Generator) -> Planted:
     """The same recording, its commands given as joint states: the cleaner input must not end worse."""
     works = Works(ROBOTS[rng.integers(3)], rng)
     session, told, _ = lagging(works, 580, 1.0, effects=True)
-    return Planted(replace(session, q=told).recording(), session.floor_mm, None, ("joint_lag",))
+    return Planted(works.robot, replace(session, q=told).recording(), session.floor_mm, None, ("joint_lag",))
 
 
 def followed_well(rng: np.random.Generator) -> Planted:
@@ -106,7 +118,7 @@ def followed_well(rng: np.random.Generator) -> Planted:
     session = works.clean(130)
     told = session.q + 5e-4 * rng.standard_normal(session.q.shape)
     recording = replace(session.recording(), commands=commands(session, told))
-    return Planted(recording, session.floor_mm, None, ("joint_lag", "unknown"))
+    return Planted(works.robot, recording, session.floor_mm, None, ("joint_lag", "unknown"))
 
 
 def payload_topic(rng: np.random.Generator) -> Planted:
@@ -127,8 +139,6 @@ def payload_topic(rng: np.random.Generator) -> Planted:
 
         parts.append(replace(works.observe(q[rows], again[rows], bend), t=t[rows]))
     order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
-    from scipy.spatial.transform import Rotation
-
     whole = replace(
         parts[0],
         t=np.concatenate([p.t for p in parts])[order], q=np.concatenate([p.q for p in parts])[order],
@@ -137,7 +147,7 @@ def payload_topic(rng: np.random.Generator) -> Planted:
         floor_mm=float(np.sqrt(np.average([p.floor_mm**2 for p in parts], weights=[len(p) for p in parts]))),
         signals=(SignalTrack("signal:/payload_kg", BEGIN + t, carried[:, None], "/payload_kg"),),
     )  # fmt: skip
-    return Planted(whole.recording(), whole.floor_mm, ("compliance", whole.names))
+    return Planted(works.robot, whole.recording(), whole.floor_mm, ("compliance", whole.names))
 
 
 def effort_in_places(rng: np.random.Generator) -> Planted:
@@ -148,7 +158,9 @@ def effort_in_places(rng: np.random.Generator) -> Planted:
     effort = session.effort.copy()
     effort[::3] = np.nan
     effort[-14:] = np.nan
-    return Planted(replace(session, effort=effort).recording(), session.floor_mm, ("compliance", session.names))
+    return Planted(
+        works.robot, replace(session, effort=effort).recording(), session.floor_mm, ("compliance", session.names)
+    )
 
 
 def short_stands(rng: np.random.Generator, stand: float = 0.4, gap: float = 3.6, rate: float = 25.0) -> Planted:
@@ -160,8 +172,6 @@ def short_stands(rng: np.random.Generator, stand: float = 0.4, gap: float = 3.6,
     t = BEGIN + (period * np.arange(len(session))[:, None] + when).ravel()
     q = np.repeat(session.q, len(when), axis=0) + 2e-6 * rng.standard_normal((len(t), works.arm.n))
     p = np.repeat(session.p, len(when), axis=0) + rng.normal(0, scatter, (len(t), 3))
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_rotvec(rng.normal(0, scatter, (len(t), 3)))
     R = (Rotation.from_quat(np.repeat(session.R.as_quat(), len(when), axis=0)) * turn).as_quat()
     unknown = np.full_like(q, np.nan)
@@ -169,7 +179,9 @@ def short_stands(rng: np.random.Generator, stand: float = 0.4, gap: float = 3.6,
     read = t + 1.7e-3
     reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R], axis=1), read)
     mean = 1e3 * scatter * np.sqrt(3.0 / (len(when) * 0.55))  # of what is left after settling
-    return Planted(Recording((joints,), (reading,), (), session.urdf), float(np.hypot(session.floor_mm, mean)))
+    return Planted(
+        works.robot, Recording((joints,), (reading,), (), session.urdf), float(np.hypot(session.floor_mm, mean))
+    )
 
 
 ROWS: dict[str, Maker] = {
@@ -179,3 +191,63 @@ ROWS: dict[str, Maker] = {
         effort_in_places, short_stands,
     )
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a fit left, in units of the floor, and whether the cause was named and nothing that is not there."""
+
+    ratio: float
+    named: bool
+    clean: bool
+    line: str
+
+
+def judged(row: str, seed: int) -> Outcome:
+    """One seed of a row."""
+    planted = ROWS[row](np.random.default_rng([seed, *row.encode()]))
+    urdf = planted.recording.robot_description or ""
+    chain = read_chain(urdf, None, TIPS[planted.robot], frozenset(planted.recording.joints[0].names))
+    began = time.monotonic()
+    samples = prepare(planted.recording, chain).samples
+    report = calibrate(samples, chain, np.random.default_rng(0), inertias=read_inertias(urdf, chain)).report
+    size = report.size_mm("final")
+    assert size is not None
+    found = [(effect.family, effect.place) for effect in report.effects]
+    named = planted.named is None or any(f == planted.named[0] and p in planted.named[1] for f, p in found)
+    clean = not any(family in planted.never for family, _ in found)
+    ratio = size.rms / planted.floor_mm
+    said = ", ".join(f"{e.family} {e.place} {e.driver}" for e in report.effects)
+    line = (
+        f"{row} {seed} {planted.robot}: {size.rms:.4f} mm, {ratio:.2f} x the floor, "
+        f"{'named' if named else 'NOT NAMED'}{'' if clean else ', NOT THERE'}, {len(samples)} samples"
+        f"{' in motion' if samples.moving.any() else ''}, {time.monotonic() - began:.0f} s: {said}"
+    )
+    return Outcome(ratio, named, clean, line)
+
+
+def main() -> None:
+    """Run the rows and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", nargs="*", choices=ROWS, default=list(ROWS))
+    asked = parser.parse_args()
+    table = []
+    for row in asked.only:
+        outcomes = [judged(row, seed) for seed in range(asked.first, asked.first + asked.seeds)]
+        for outcome in outcomes:
+            print(outcome.line)
+        ratios = np.array([o.ratio for o in outcomes])
+        shares = [100.0 * np.mean([getattr(o, name) for o in outcomes]) for name in ("named", "clean")]
+        table.append(
+            f"| {row} | {len(outcomes)} | {np.sqrt(np.mean(ratios**2)):.3f} | {ratios.max():.2f} | "
+            f"{np.mean(ratios <= 1.1):.0%} | {shares[0]:.0f} % | {shares[1]:.0f} % |"
+        )
+    print("| row | seeds | RMS in floors | worst | within 1.1 | cause named | nothing else of its kind |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    print("\n".join(table))
+
+
+if __name__ == "__main__":
+    main()

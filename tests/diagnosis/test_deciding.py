@@ -140,7 +140,7 @@ def joint_effect(
     return Effect(family, place, direction, driver, shape).with_values(np.array([*amplitudes, *settings]))
 
 
-RIPPLE = joint_effect("gear_harmonic", "position:elbow_joint", [4e-6, 0.0], Shape("sine", {"cycles": 65.0}))
+RIPPLE = joint_effect("gear_harmonic", "position:elbow_joint", [2e-5, 0.0], Shape("sine", {"cycles": 65.0}))
 PAYLOAD = joint_effect("payload", "load:elbow_joint,payload:elbow_joint", [1e-7, 1e-7], Shape("several"))
 SPRING = joint_effect("compliance", "load:elbow_joint", [5e-6], Shape("linear"))
 BY_EFFORT = joint_effect("compliance", "effort:elbow_joint", [-5e-6], Shape("linear"))

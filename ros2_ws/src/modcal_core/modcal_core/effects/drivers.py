@@ -3,8 +3,8 @@
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
 measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
-actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre beside
-the tip, and ``moment:J`` the two components across the axis. A family may bring more.
+actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre
+beside the tip, and ``moment:J`` the two components across the axis. A family may bring more.
 """
 
 from __future__ import annotations
