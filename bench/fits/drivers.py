@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from workcell import BEGIN, Session, Works  # which puts bench/undeclared on the path
 
 from arm import ROBOTS as TIPS  # isort: skip
+from scenarios import Stations  # isort: skip
 
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
@@ -184,11 +185,61 @@ def short_stands(rng: np.random.Generator, stand: float = 0.4, gap: float = 3.6,
     )
 
 
+def short_pauses(rng: np.random.Generator) -> Planted:
+    """An arm that goes from posture to posture, recorded all the time, and pauses for 0.4 s at each."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3)
+    stand, leg, rate, scatter = 0.4, 1.6, 100.0, 6e-5
+    period = stand + leg
+    t = np.arange(0.0, period * len(session), 1.0 / rate)
+    k = np.minimum((t / period).astype(int), len(session) - 1)
+    before = np.concatenate([session.q[:1] - 0.1, session.q[:-1]])
+    u = np.clip((t - period * k) / leg, 0.0, 1.0)[:, None]
+    q = before[k] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (session.q - before)[k]
+    when = leg + np.arange(0.0, stand, 0.02)
+    at = (period * np.arange(len(session))[:, None] + when).ravel()
+    p = np.repeat(session.p, len(when), axis=0) + rng.normal(0, scatter, (len(at), 3))
+    turn = Rotation.from_rotvec(rng.normal(0, scatter, (len(at), 3)))
+    R = (Rotation.from_quat(np.repeat(session.R.as_quat(), len(when), axis=0)) * turn).as_quat()
+    unknown = np.full_like(q, np.nan)
+    joints = JointTrack(session.names, BEGIN + t, q, unknown, unknown, BEGIN + t)
+    read = BEGIN + at + 1.7e-3
+    reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R], axis=1), read)
+    mean = 1e3 * scatter * np.sqrt(3.0 / (len(when) * 0.4))  # of what is left after settling, and before it leaves
+    return Planted(
+        works.robot, Recording((joints,), (reading,), (), session.urdf), float(np.hypot(session.floor_mm, mean))
+    )
+
+
+def slow_joint_states(rng: np.random.Generator) -> Planted:
+    """An arm that never stops, its joint states at 8, 20 or 50 Hz with a jitter of a tenth of a step."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    n, rate = works.arm.n, float(rng.choice([8.0, 20.0, 50.0]))
+    middle, half = works.arm.range.mean(axis=0), 0.4 * np.ptp(works.arm.range, axis=0)
+    speed, phase = rng.uniform(0.25, 0.5, (2, n)), rng.uniform(0.0, 2.0 * np.pi, (2, n))
+
+    def course(t: Array) -> Array:
+        wave = np.sin(t[:, None, None] * speed + phase)
+        return middle + 0.5 * half * wave.sum(axis=1)
+
+    t = np.arange(0.0, 90.0, 1.0 / rate)
+    t = t + rng.uniform(-0.1, 0.1, len(t)) / rate
+    at = np.arange(1.0, 89.0, 0.02)
+    exact = works.cell.poses(Stations(course(at), at, np.ones((len(at), n))), ())
+    p = exact.p + rng.normal(0, 2e-5, exact.p.shape)
+    R = exact.R * Rotation.from_rotvec(rng.normal(0, 2e-5, p.shape))
+    q = course(t)
+    unknown = np.full_like(q, np.nan)
+    joints = JointTrack(works.names, BEGIN + t, q, unknown, unknown, BEGIN + t)
+    reading = ReadingTrack("pose", "tracker", BEGIN + at, np.concatenate([p, R.as_quat()], axis=1), BEGIN + at)
+    return Planted(works.robot, Recording((joints,), (reading,), (), works.arm.urdf), 2e-2 * np.sqrt(3.0))
+
+
 ROWS: dict[str, Maker] = {
     maker.__name__: maker
     for maker in (
         late_joint, late_in_part, late_among_others, commanded_as_measured, followed_well, payload_topic,
-        effort_in_places, short_stands,
+        effort_in_places, short_stands, short_pauses, slow_joint_states,
     )
 }  # fmt: skip
 
