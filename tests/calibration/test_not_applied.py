@@ -168,3 +168,55 @@ def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     assert final is not None
     assert final.rms <= 1.02 * geometric.rms
     assert any("order of rows" in item.why for item in report.grounds.not_applied)
+
+
+@pytest.mark.parametrize("weighed", [True, False])
+def test_effort_that_some_joint_states_lack(weighed: bool, rng: np.random.Generator) -> None:
+    """Every fourth sample without: gravity stands in there, or the cost is said of that part."""
+    calibration, samples = frozen(BY_EFFORT, INERTIAS if weighed else None)
+    model = calibration.calibrated
+    if weighed:
+        torque = -model.drivers(samples).gravity[:, 5].T
+        T = model.predict_samples(replace(samples, effort=torque))
+        samples = replace(samples, reading=T[:, :3, 3], R=T[:, :3, :3], effort=torque)
+    effort = samples.effort.copy()
+    effort[::4] = np.nan
+    report = evaluate(calibration, replace(samples, effort=effort), rng)
+    size = report.size_mm("final")
+    assert size is not None
+    if weighed:
+        assert report.grounds.not_applied == ()
+        assert any("Gravity replaces measured effort where" in note for note in report.notes)
+        assert size.rms < 1e-6
+    else:
+        (item,) = report.grounds.not_applied
+        assert "15 of 60 samples carry no effort" in item.why
+        assert 0.3 < item.cost_mm2 / size.rms**2 < 3.0  # a mean over all, of a quarter
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weighed", [True, False])
+def test_a_spring_is_found_by_effort_that_is_missing_in_places(weighed: bool) -> None:
+    """A payload that nobody stated loads the elbow; the actuators feel it, in four messages of five."""
+    made = record(4, 120)
+    blank = made.samples
+    drivers = Model(CHAIN, ("tracker",), np.eye(4)[None], np.eye(4)).drivers(blank)
+    rng = np.random.default_rng(0)
+    load = drivers.payload[ELBOW, 5] * rng.uniform(0.5, 5.0, len(blank))
+    q = blank.q.copy()
+    q[:, ELBOW] -= 1e-5 * load  # the reported joints are short of what the spring gave
+    T = se3.transform(blank.R, blank.reading)
+    effort = np.zeros_like(q)
+    effort[:, ELBOW] = -load
+    effort[::5] = np.nan
+    samples = replace(samples_of(CHAIN, q, T), effort=effort)
+    report = calibrate(samples, CHAIN, rng, inertias=INERTIAS if weighed else None).report
+    effect = report.effects[0]
+    assert (effect.family, effect.place, effect.driver) == ("compliance", "elbow_joint", "load:elbow_joint")
+    final, before = report.size_mm("final"), report.size_mm("geometric")
+    assert final is not None
+    assert before is not None
+    assert final.rms < 0.6 * before.rms
+
+
+ELBOW = 2

@@ -11,15 +11,22 @@ import yaml
 from cells import record, samples_of, ur10
 from robots.test_kinematics import urdf
 
-from modcal_core.calibration.store import to_data
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.effects.drivers import NominalArm
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.files import to_yaml
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.planning.deciding import propose
+from modcal_core.planning.deciding import propose, undecided_by_posture
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.cli.deciding import _worth
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.slow
@@ -112,3 +119,63 @@ def test_nothing_to_decide_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[
     (tmp_path / "calibration.yaml").write_text(to_yaml(to_data(result.calibration)))
     assert run(["plan", "--decide", str(tmp_path)]) == 2
     assert "no effect in it has a rival" in capfd.readouterr().err
+
+
+def tied(effect: Effect, rival: Effect, weighed: bool = True) -> Calibration:
+    """A calibration with an effect and a rival, and what it was made from."""
+    chain = ur10()
+    made = record(11, 80)
+    nominal = Model(chain, ("tracker",), np.eye(4)[None], se3.exp([0.05, 0, 0.1, 0, 0.3, 0]))
+    inertias = read_inertias(urdf("ur10"), chain) if weighed else None
+    model = replace(nominal, arm=NominalArm(chain, inertias)).with_effects((effect,))
+    seen = np.stack([made.samples.q.min(axis=0), made.samples.q.max(axis=0)])
+    noise = NoiseModel(2e-5, 2e-5)
+    return Calibration(nominal, model, nominal, seen, rivals=((rival,),), postures=made.samples.q, noise=noise)
+
+
+def joint_effect(
+    family: str, driver: str, amplitudes: list[float], shape: Shape, place: str = "elbow_joint", direction: str = AXIS
+) -> Effect:
+    settings = [shape.settings[name] for name in shape.refined]
+    return Effect(family, place, direction, driver, shape).with_values(np.array([*amplitudes, *settings]))
+
+
+RIPPLE = joint_effect("gear_harmonic", "position:elbow_joint", [2e-5, 0.0], Shape("sine", {"cycles": 65.0}))
+PAYLOAD = joint_effect("payload", "load:elbow_joint,payload:elbow_joint", [1e-7, 1e-7], Shape("several"))
+SPRING = joint_effect("compliance", "load:elbow_joint", [5e-6], Shape("linear"))
+BY_EFFORT = joint_effect("compliance", "effort:elbow_joint", [-5e-6], Shape("linear"))
+
+
+def test_what_differs_by_little_is_not_called_the_same() -> None:
+    """A ripple of 65 cycles and a payload are no one motion, however small they are; stations enough tell them apart."""
+    calibration = tied(RIPPLE, PAYLOAD)
+    few = propose(calibration, 0, 0, 3, np.random.default_rng(0))
+    assert not few.decides
+    assert not few.same
+    assert few.needed > 3
+    assert propose(calibration, 0, 0, 2 * few.needed, np.random.default_rng(0)).decides
+    said = _worth(few)
+    assert "same motion" not in said
+    assert f"about {few.needed} are needed" in said
+
+
+def test_one_motion_under_two_names_is_said_to_be_one() -> None:
+    """A turn about the last axis, behind the joint or at the tool that is mounted along it."""
+    turn = joint_effect("gear_ratio", "position:elbow_joint", [3e-4], Shape("linear"), "wrist_3_joint")
+    tool = joint_effect("unknown", "position:elbow_joint", [3e-4], Shape("linear"), "tool", "rz")
+    calibration = tied(turn, tool)
+    tip = replace(calibration.calibrated, T_tip_tool=np.eye(4))
+    proposal = propose(replace(calibration, calibrated=tip), 0, 0, 10, np.random.default_rng(0))
+    assert proposal.same
+    assert "the same motion" in _worth(proposal)
+
+
+def test_effort_at_new_postures_is_not_known() -> None:
+    """That gravity stands in for it must not make the two one motion."""
+    proposal = propose(tied(SPRING, BY_EFFORT), 0, 0, 10, np.random.default_rng(0))
+    assert not proposal.decides
+    assert "same motion" not in _worth(proposal)
+    assert "beyond gravity" in _worth(proposal)
+    unweighed = tied(RIPPLE, BY_EFFORT, weighed=False)
+    assert "is not known" in undecided_by_posture(unweighed, 0, 0)
+    assert undecided_by_posture(tied(RIPPLE, PAYLOAD), 0, 0) == ""

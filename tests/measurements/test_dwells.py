@@ -48,3 +48,55 @@ def test_a_clock_that_is_too_far_off_is_refused(late: float) -> None:
         align(recording, names, tip)
     aligned, _ = align(recording, names, tip, limit=2.0)
     assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 4e-3
+
+
+def bursts(stand: float, count: int, rate: float = 25.0, gap: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and postures of an arm that is recorded only while it stands, at another posture each time."""
+    rng = np.random.default_rng(0)
+    within = np.arange(0.0, stand, 1.0 / rate)
+    t = ((stand + gap) * np.arange(count)[:, None] + within).ravel()
+    q = np.repeat(rng.uniform(-1.0, 1.0, (count, 6)), len(within), axis=0)
+    return t, q + 1e-6 * rng.standard_normal(q.shape)
+
+
+@pytest.mark.parametrize(("stand", "rate"), [(0.4, 25.0), (0.6, 25.0), (0.4, 125.0), (0.3, 50.0), (2.0, 10.0)])
+def test_a_standstill_that_is_recorded_by_itself_is_a_dwell(stand: float, rate: float) -> None:
+    t, q = bursts(stand, 20, rate)
+    dwells = find_dwells(t, q, StationRules())
+    assert len(dwells) == 20
+    begins = (stand + 3.0) * np.arange(20)
+    assert (dwells[:, 0] >= begins).all()
+    assert (dwells[:, 1] <= begins + stand).all()
+    assert (dwells[:, 1] - dwells[:, 0] >= 0.3 * stand).all()
+
+
+def test_a_moving_arm_with_silences_has_no_dwells() -> None:
+    t = np.concatenate([k + np.arange(0.0, 0.5, 0.02) for k in range(20)])
+    q = np.stack([np.sin(0.3 * t + j) for j in range(6)], axis=1)
+    assert not len(find_dwells(t, q, StationRules()))
+
+
+@pytest.mark.parametrize(("stand", "found"), [(0.4, 30), (0.45, 30), (0.05, 0)])
+def test_short_stands_are_dwells_where_most_are_short(stand: float, found: int) -> None:
+    """From posture to posture in a second, without ever standing as long as the rules ask for."""
+    rng = np.random.default_rng(1)
+    goals = rng.uniform(-1.0, 1.0, (31, 6))
+    t = np.arange(0.0, 30 * (1.0 + stand), 0.01)
+    leg = np.minimum((t / (1.0 + stand)).astype(int), 29)
+    u = np.clip(t - leg * (1.0 + stand), 0.0, 1.0)[:, None]
+    q = goals[leg] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (goals[leg + 1] - goals[leg])
+    dwells = find_dwells(t, q, StationRules())
+    assert len(dwells) == found
+    for start, end in dwells:
+        into = start % (1.0 + stand)
+        assert into > 1.0  # the arm has stopped, and some of it is left for settling
+        assert end - start > 0.2 * stand
+
+
+def test_single_short_pauses_of_a_motion_are_no_stations() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    clock = t - 0.35 * np.clip(np.floor(t / 12.0), 0, None)  # five pauses of 0.35 s
+    for k in range(1, 5):
+        clock = np.where((t >= 12.0 * k) & (t < 12.0 * k + 0.35), 12.0 * k - 0.35 * (k - 1), clock)
+    q = np.stack([np.sin(0.5 * clock + j) for j in range(6)], axis=1)
+    assert not len(find_dwells(t, q, StationRules()))

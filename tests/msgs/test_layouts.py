@@ -22,6 +22,8 @@ from modcal_msgs_py.types import definition, jazzy, message_class
 Message = tuple[str, str, Any]
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
+    "/joint_commands": "sensor_msgs/msg/JointState",
+    "/arm/joint_commands": "trajectory_msgs/msg/JointTrajectory",
     "/tracker/pose": "geometry_msgs/msg/PoseStamped",
     "/tracker/point": "geometry_msgs/msg/PointStamped",
     "/tracker/range": "sensor_msgs/msg/Range",
@@ -79,7 +81,7 @@ def same(one: Recording, other: Recording) -> None:
     """Raises unless both are equal to the last bit."""
     assert one.robot_description == other.robot_description
     assert one.warnings == other.warnings
-    for kind in ("joints", "readings", "signals"):
+    for kind in ("joints", "readings", "signals", "commands"):
         tracks, others = ({(t.topic, *_key(t)): t for t in getattr(r, kind)} for r in (one, other))
         assert tracks.keys() == others.keys()
         for key, track in tracks.items():

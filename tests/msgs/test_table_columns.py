@@ -88,7 +88,9 @@ def test_velocity_effort_commanded_and_signals_reach_the_bag(tmp_path: Path) -> 
     assert track.effort[:, 0].tolist() == [5.0, 6.0]
     named = {signal.name: signal for signal in back.signals}
     assert named["signal:/plc/pressure"].values.tolist() == [[7.0]]
-    assert named["signal:/joint_commands"].values[:, 0] == pytest.approx(np.radians([10.5, 20.5]))
+    (told,) = back.commands
+    assert told.topic == "/joint_commands"
+    assert told.position[:, 0] == pytest.approx(np.radians([10.5, 20.5]))
 
 
 @pytest.mark.parametrize("by_rows", [True, False])

@@ -21,12 +21,14 @@ from modcal_core.measurements.recording import (
 )
 from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
 from modcal_msgs_py.choosing import Roles, could_be
+from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.descriptions import Descriptions, is_link
 from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
 from modcal_msgs_py.readings import READING, columns_of, stated_by, stated_in
 from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import (
     ADDED,
+    COMMANDS,
     JOINT_STATES,
     NOTES,
     READINGS,
@@ -59,6 +61,8 @@ class RecordingBuilder:
         self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}
         self._readings: dict[tuple[str, str, str], TrackRows] = {}
         self._signals: dict[tuple[str, str], TrackRows] = {}
+        self._commands = Commands()
+        self._commanded: dict[str, int] = {}  # rank of each topic of commands
         self._descriptions = Descriptions()
         self._notes: list[str] = []
         self._unstamped: dict[str, int] = {}
@@ -85,6 +89,9 @@ class RecordingBuilder:
             self._add_transforms(topic, message, received)
         elif role == JOINT_STATES:
             self._add_joint_state(topic, message, received)
+        elif role in COMMANDS:
+            self._commanded.setdefault(topic, _rank(topic, role))
+            self._commands.add(topic, type_name, message, self._stamp(topic, message, received), received)
         elif role in READINGS:
             self._add_reading(topic, READINGS[role], message, received)
         elif role == ROBOT_DESCRIPTION:
@@ -125,6 +132,9 @@ class RecordingBuilder:
         elif role == JOINT_STATES:
             columns = [column(path) for path in ("position", "velocity", "effort")]
             self._add_joint_rows(topic, layout, stamps, received, columns)
+        elif role in COMMANDS:
+            self._commanded.setdefault(topic, _rank(topic, role))
+            self._commands.add_rows(topic, type_name, layout, stamps, received, column)
         elif role in READINGS:
             kind = READINGS[role]
             values = columns_of(kind, type_name, layout, column)
@@ -153,6 +163,7 @@ class RecordingBuilder:
         for tracks in (self._joints, self._readings, self._signals):
             for rows in tracks.values():
                 rows.forget_before(received)
+        self._commands.forget_before(received)
         if self._transforms is not None:
             self._transforms.forget_before(received)
         self._notes.clear()
@@ -205,6 +216,7 @@ class RecordingBuilder:
             warnings=(*self._notes, *found, *warnings),
             listed=self._listed(),
             lost=tuple(lost.items()),
+            commands=self._commands.tracks(lambda topic: self._commanded[topic]),
         )
 
     def _listed(self) -> tuple[Listed, ...]:
@@ -313,6 +325,11 @@ def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: f
             "publish one position for every name",
         )
     return len(names)
+
+
+def _rank(topic: str, role: str) -> int:
+    """Which topic of commands is asked first: the contract's own name, then by role."""
+    return 2 * COMMANDS.index(role) + (topic != f"/{role}")
 
 
 def _could(one: Listed) -> tuple[str, ...]:

@@ -70,8 +70,8 @@ def _messages(recording: Recording, commanded: JointTrack | None) -> Iterator[tu
     """(time [ns], topic, type, message) of everything."""
     for track in recording.joints:
         yield from _joint_states(track, f"/{JOINT_STATES}")
-    if commanded is not None:
-        yield from _joint_states(commanded, commanded.topic)
+    for told in (*recording.commands, *(() if commanded is None else (commanded,))):
+        yield from _joint_states(told, told.topic)
     for reading in recording.readings:  # a topic has one type
         own = any(r.stated is not None for r in recording.readings if r.kind == reading.kind)
         yield from _reading_messages(reading, own and reading.kind in (POSE, POINT))

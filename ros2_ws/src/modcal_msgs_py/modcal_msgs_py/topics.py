@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from modcal_core.errors import BadTable
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_msgs_py import commanded
 from modcal_msgs_py.added_topics import GROUP, added_topics
+from modcal_msgs_py.commanded import JOINT_STATE, TRAJECTORY
 
 JOINT_STATES = "joint_states"
+JOINT_COMMANDS = "joint_commands"
+CONTROLLER_STATE = "controller_state"
+COMMANDS = (JOINT_COMMANDS, CONTROLLER_STATE)  # the first is preferred
 ROBOT_DESCRIPTION = "robot_description"
 TEMPERATURE = "temperature"
 WRENCH = "wrench"
@@ -14,8 +19,10 @@ NOTES = "modcal/notes"
 
 READINGS = {kind.topic: kind.name for kind in kinds().values()}
 TYPES = {
-    JOINT_STATES: "sensor_msgs/msg/JointState",
+    JOINT_STATES: JOINT_STATE,
     ROBOT_DESCRIPTION: "std_msgs/msg/String",
+    JOINT_COMMANDS: JOINT_STATE,
+    CONTROLLER_STATE: commanded.CONTROLLER_STATE,
     TEMPERATURE: "sensor_msgs/msg/Temperature",
     WRENCH: "geometry_msgs/msg/WrenchStamped",
     NOTES: "std_msgs/msg/String",
@@ -39,8 +46,13 @@ for _topic, _added in ADDED.items():
 
 
 def accepted(role: str) -> tuple[str, ...]:
-    """The types of messages that a role may have; where positions are asked for, a pose will do."""
+    """The types of messages that a role may have; where positions are asked for, a pose will do.
+
+    Commands are joint states of their own, or trajectories.
+    """
     own = TYPES[role]
+    if role == JOINT_COMMANDS:
+        return (own, TRAJECTORY)
     if own == POSES[0]:
         return POSES
     return (own, *POSES) if own == "geometry_msgs/msg/PointStamped" else (own,)

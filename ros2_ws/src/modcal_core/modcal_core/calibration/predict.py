@@ -76,6 +76,7 @@ def _require_drivers(model: Model, samples: Samples) -> None:
             known = {
                 "time": lambda of: np.isfinite(samples.stamps).all(),
                 "effort": lambda of: np.isfinite(samples.effort[:, samples.names.index(of)]).all(),
+                "following": lambda of: np.isfinite(samples.following[:, samples.names.index(of)]).any(),
             }.get(kind, lambda of, part=part: any(track.name == part for track in samples.signals))
             if not known(of):
                 remedy = "give Samples that carry it, or calibrate without the effect"

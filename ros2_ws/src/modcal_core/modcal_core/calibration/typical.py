@@ -12,7 +12,13 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-OUTSIDE = ("effort", "temperature", "signal", "time")  # kinds of drivers that postures and URDF do not tell
+OUTSIDE = (
+    "effort",
+    "following",
+    "temperature",
+    "signal",
+    "time",
+)  # kinds of drivers that postures and URDF do not tell
 _HEARD = ("temperature:", "signal:")
 
 

@@ -35,9 +35,8 @@ _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
-_MOST_REFUSED = 3  # choices that did not predict, before the search ends
+_MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
-_MOST_REFUSED_OF_MANY = 1  # where each one costs seconds; with none, one that ties by chance ends the search
 _MOST_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
 
@@ -146,8 +145,8 @@ def _searched(
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
     flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
-    patience = _MOST_REFUSED if len(both) <= _MOST_REVISITED else _MOST_REFUSED_OF_MANY
-    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and len(refused) <= patience:
+    missed = 0
+    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and missed <= _MOST_REFUSED:
         evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:
@@ -158,13 +157,10 @@ def _searched(
             break
         progress(choice.effect.label)
         if search.add(choice):
-            left = None
-        elif any(cause.effect.key == choice.effect.key for cause in search.causes):
-            left = left or choice
-            break  # more of the same is not worth having, and was the best there is
-        else:
+            left, missed = None, 0
+        else:  # also more of the same, which is not worth having: another may be
             refused.add(choice.effect.key)
-            left = left or choice
+            left, missed = left or choice, missed + 1
     search.settle()
     final = search.fit
     if final.model.effects:

@@ -1,16 +1,17 @@
 """Drivers: what an error may depend on, as numbers beside every sample.
 
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
-``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``. Three more are ways to know a load and are reported as
-``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip, and
-``moment:J`` the two components across the axis. A family may bring more.
+``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
+measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
+actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre
+beside the tip, and ``moment:J`` the two components across the axis. A family may bring more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism, gravity_wrench, payload_wrench
+from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
-_LOADS = ("effort", "payload", "moment")
+_LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
@@ -90,6 +91,11 @@ class Drivers:
         """Weight of 1 kg at the tip, (n, 6, N)."""
         return payload_wrench(self.arm.chain, self.samples.q)
 
+    @cached_property
+    def offset(self) -> Array:
+        """What the latter changes by for each metre that the mass lies beside the tip, along x, y, z: (3, n, 6, N)."""
+        return offset_wrench(self.arm.chain, self.samples.q)
+
     def _signal(self, name: str, lag: float) -> Array:
         for track in self.samples.signals:
             if track.name == name:
@@ -127,7 +133,18 @@ def _direction(drivers: Drivers, joint: str) -> Array:
 
 
 def _effort(drivers: Drivers, joint: str) -> Array:
-    return np.asarray(np.nan_to_num(drivers.samples.effort[:, _column(drivers, joint)]))
+    """As reported; where it is not, of what weight asks for, or, of an arm without masses, the mean of the others."""
+    effort = drivers.samples.effort[:, _column(drivers, joint)]
+    known = np.isfinite(effort)
+    if known.all():
+        return effort
+    if drivers.arm.weighed:
+        return np.where(known, effort, -_load(drivers, joint))
+    return np.where(known, effort, effort[known].mean() if known.any() else 0.0)
+
+
+def _following(drivers: Drivers, joint: str) -> Array:
+    return np.asarray(np.nan_to_num(drivers.samples.following[:, _column(drivers, joint)]))
 
 
 def _load(drivers: Drivers, joint: str) -> Array:
@@ -138,6 +155,11 @@ def _load(drivers: Drivers, joint: str) -> Array:
 def _payload(drivers: Drivers, joint: str) -> Array:
     j = _column(drivers, joint)
     return drivers.payload[j, _along(drivers, j)]
+
+
+def _offset(drivers: Drivers, joint: str, axis: int) -> Array:
+    j = _column(drivers, joint)
+    return drivers.offset[axis, j, _along(drivers, j)]
 
 
 def _moment(drivers: Drivers, joint: str) -> Array:
@@ -161,9 +183,13 @@ KINDS: Mapping[str, DriverKind] = {
     "reading": _ones,
     "position": _position,
     "direction": _direction,
+    "following": _following,
     "load": _load,
     "effort": _effort,
     "payload": _payload,
+    "offset_x": partial(_offset, axis=0),
+    "offset_y": partial(_offset, axis=1),
+    "offset_z": partial(_offset, axis=2),
     "moment": _moment,
 }
 SIGNALS = ("temperature", "signal")  # kinds that are found among the recorded tracks, by their whole name

@@ -8,12 +8,16 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ALL, AXIS, LENGTH, SHIFT
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import PART
 
 LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
 LEAST_SPEED = 1e-3  # rad/s or m/s
 MOST_BREAKS = 160  # times of a step that are tried, for time; the best is looked for more finely afterwards
+MOSTLY = 0.5  # share of the samples at which a driver must be known; at the others something stands in for it
+_LEAST_FOLLOWING = 2e-6  # rad or m; a joint that is as close to its commands errs by less than any instrument sees
 LEAST_SIDE = 4  # stations on either side of a step
 MOST_SIGNALS = 40  # of a recording, for time
+MOST_CARRIED = 8  # of these, that are tried as loads, for time
 _CONSTANT = 1e-3  # of its size; a load that changes by less is a constant, and drives nothing that could be told
 _LEAST_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
 WARM_UPS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # time constants, as shares of the recording
@@ -30,6 +34,13 @@ def in_motion(drivers: Drivers) -> bool:
     return bool(np.abs(np.nan_to_num(drivers.samples.velocity)).max(initial=0.0) > LEAST_SPEED)
 
 
+def followed(drivers: Drivers, j: int) -> bool:
+    """Whether it is known by how much a joint follows its commands, and that varies."""
+    apart = drivers.samples.following[:, j]
+    known = np.isfinite(apart)
+    return bool(known.mean() >= MOSTLY and np.ptp(apart[known]) > _LEAST_FOLLOWING) if known.any() else False
+
+
 def varies(x: Array) -> bool:
     """Whether a load is more than a constant."""
     return bool(np.ptp(x) > _CONSTANT * max(float(np.abs(x).max()), 1e-3))
@@ -38,12 +49,12 @@ def varies(x: Array) -> bool:
 def loads(drivers: Drivers, j: int) -> dict[str, Array]:
     """The load of a joint in the ways it is known and varies, by driver, (N,) each.
 
-    By gravity, failing masses by 1 kg at the tip; and as the actuator reports it.
+    By gravity, failing masses by 1 kg at the tip; and as the actuator reports it, where it mostly does.
     """
     name = drivers.arm.chain.names[j]
     out = {}
     for kind in ("load" if drivers.arm.weighed else "payload", "effort"):
-        if kind == "effort" and not np.isfinite(drivers.samples.effort[:, j]).all():
+        if kind == "effort" and np.isfinite(drivers.samples.effort[:, j]).mean() < MOSTLY:
             continue
         load = drivers.values(f"{kind}:{name}")
         if varies(load):
@@ -72,6 +83,11 @@ def growing(drivers: Drivers) -> list[tuple[str, str]]:
                 out.append((name, LENGTH))
         out.append((name, AXIS))
     return out
+
+
+def carried_signals(drivers: Drivers) -> list[str]:
+    """Names of recorded numbers that may say what the arm carries: those that are a message of their own."""
+    return [n for n in signals(drivers, temperatures=False) if PART not in n][:MOST_CARRIED]
 
 
 def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:

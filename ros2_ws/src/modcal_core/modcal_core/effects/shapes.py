@@ -121,6 +121,21 @@ def several(x: Array, _: Settings) -> Array:
     return x
 
 
+def product(x: Array, _: Settings) -> Array:
+    """The first driver times the second."""
+    return np.asarray((x[0] * x[1])[None])
+
+
+def products(x: Array, _: Settings) -> Array:
+    """Each of the first three drivers times the fourth."""
+    return np.asarray(x[:3] * x[3])
+
+
+def carried(x: Array, _: Settings) -> Array:
+    """The first driver, and the second times the third: a load, and that of one kilogram times how many there are."""
+    return np.asarray((x[0] + x[1] * x[2])[None])
+
+
 def since(x: Array, s: Settings) -> Array:
     """The first driver, from the time ``at`` on, the second being time."""
     return np.asarray((x[0] * (x[1] >= s["at"]))[None])
@@ -233,6 +248,9 @@ KINDS: Mapping[str, ShapeKind] = {
     "linear": ShapeKind(linear),
     "lagged": ShapeKind(linear, refined={"lag": Setting(unit="s")}),
     "several": ShapeKind(several, 2),
+    "product": ShapeKind(product),
+    "products": ShapeKind(products, 3),
+    "carried": ShapeKind(carried),
     "since": ShapeKind(since, fixed=_AT),
     "hardening": ShapeKind(hardening, refined={"beta": Setting()}),
     "turn": _of_cycles("turn", 2, refined=False),

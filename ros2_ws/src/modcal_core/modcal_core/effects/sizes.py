@@ -117,4 +117,6 @@ def _per_driver(effect: Effect, chain: Mechanism) -> str:
     if effect.shape.kind not in ("linear", "lagged"):
         return ""
     kind = effect.driver.partition(":")[0]
+    if kind == "following":  # an angle per angle
+        return f"/{unit_of_driver(effect, chain)}"
     return f"/{unit_of_driver(effect, chain)}" if kind == "position" else _PER_DRIVER.get(kind, "")

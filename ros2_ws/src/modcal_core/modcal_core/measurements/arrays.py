@@ -38,6 +38,17 @@ def joints_of(
     return JointTrack(columns, t, positions, unknown, effort, np.full(N, np.nan))
 
 
+def commands_of(commanded: ArrayLike | None, joints: JointTrack) -> tuple[JointTrack, ...]:
+    """Commanded positions beside these joint states, row by row; none where none are given. Raises BadRecording."""
+    if commanded is None:
+        return ()
+    told, wanted = _numbers("commanded", commanded, 2, len(joints.stamps)), joints.position.shape
+    if told.shape != wanted:
+        raise BadRecording("commanded", f"have shape {told.shape}, not {wanted}", "give one number a joint")
+    unknown = np.full(wanted, np.nan)
+    return (JointTrack(joints.names, joints.stamps, told, unknown, unknown, joints.received, "arrays"),)
+
+
 def readings_of(
     points: ArrayLike | None, poses: ArrayLike | None, ranges: Mapping[str, ArrayLike] | None, t: Array, frame: str
 ) -> list[ReadingTrack]:

@@ -5,7 +5,7 @@ There is one detector. A stream asks it about the last seconds of joint states a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,10 @@ NOISE_FACTOR = 6.0  # standard deviations of encoder noise that are standstill: 
 # Median size of the second difference of Gaussian noise, in units of its deviation: 0.6745 times √(1 + 4 + 1)
 SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
 LATE_STEPS = 5.0  # usual steps between joint states, by which one may be late beyond the gap that rules allow
+SHORTEST = 0.15  # s; a joint that turns back stands within half a milliradian for less, at any usual acceleration
+_SETTLING = 1.0 / 3.0  # of a standstill that was recorded by itself, at most, that is not used
+_MANY = 10  # standstills from which a recording goes from station to station; fewer are pauses of a motion
+_SHARE = 0.1  # of the recorded time that these stand; below, most of what was read was read in motion
 _OUTLYING = 8.0  # times the half-width of the closest half of a dwell's readings: far outside any noise
 _ASKED = 64  # readings of a dwell that the middle is sought among
 
@@ -35,27 +39,94 @@ class StationRules:
     most: int = 50_000
 
 
-def find_dwells(t: Array, q: Array, rules: StationRules) -> Array:
+@dataclass(frozen=True)
+class _Stand:
+    """Rows first … last in which nothing moved, between gaps or motion. opens, closes: whether a gap is next to it."""
+
+    first: int
+    last: int
+    opens: bool
+    closes: bool
+
+    def seconds(self, t: Array, window: float) -> float:
+        """How long it stood [s]: where it came to rest, half a window is not seen as standing yet."""
+        return float(t[self.last] - t[self.first]) + 0.5 * window * ((not self.opens) + (not self.closes))
+
+
+def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) -> Array:
     """Start and end [s] of the times the arm stood still, (d, 2), settling time already taken off.
 
-    t: stamps, sorted, (m,). q: positions, (m, n).
+    t: stamps, sorted, (m,). q: positions, (m, n). Where nothing is recorded between standstills, each is a dwell by
+    itself, however it compares with the rules' times. fitted: shorten the rules' times where standstills are mostly
+    shorter than they ask for.
     """
+    stands = _stands(t, q, rules)
+    if fitted and stands:
+        times = np.array([stand.seconds(t, rules.window) for stand in stands])
+        step = np.diff(t)
+        recorded = float(step[step < rules.gap + LATE_STEPS * float(np.median(step))].sum())
+        rules = fitted_rules(rules, times, recorded)
+    out = []
+    for stand in stands:
+        start, end = float(t[stand.first]), float(t[stand.last])
+        settle, least = rules.settle - 0.5 * rules.window, rules.least
+        if stand.opens:
+            settle = max(settle, 0.0)
+        if stand.opens and stand.closes and end - start >= SHORTEST:
+            # somebody chose what to record: a part of it is for settling, and the rest is the station
+            settle, least = min(settle, _SETTLING * (end - start)), min(least, 0.5 * (end - start))
+        if end - start - settle >= least - 1e-9:
+            out.append((start + settle, end))
+    return np.array(out).reshape(-1, 2)
+
+
+def fitted_rules(rules: StationRules, times: Array, recorded: float) -> StationRules:
+    """The rules with shorter times where most standstills are too short for them.
+
+    times: how long the arm stood each time [s]; those shorter than SHORTEST do not count. recorded: seconds.
+    """
+    stood = times[times >= SHORTEST]
+    asked = rules.settle + rules.least + 0.5 * rules.window
+    if len(stood) < _MANY or stood.sum() < _SHARE * recorded or (stood >= asked).mean() >= 0.5:
+        return rules
+    usual = float(np.percentile(stood, 25.0))  # three in four are at least so long
+    share = max(usual - 0.5 * rules.window, 0.0) / (rules.settle + rules.least)
+    # a little less than what is left of the usual one, for the grid of joint states
+    return replace(rules, settle=min(1.0, share) * rules.settle, least=0.8 * min(1.0, share) * rules.least)
+
+
+def _stands(t: Array, q: Array, rules: StationRules) -> list[_Stand]:
     if len(t) < 3:
-        return np.empty((0, 2))
-    step = float(np.median(np.diff(t)))
+        return []
+    steps = np.diff(t)
+    step = float(np.median(steps))
     if not 0.0 < step <= rules.window:
-        return np.empty((0, 2))
+        return []
     width = max(3, round(rules.window / step) | 1)
-    spread = running_max(q, width) + running_max(-q, width)
+    apart = steps >= rules.gap + LATE_STEPS * step
+    spread = _spread(q, width, apart)
     # second differences of a moving arm are small, those of encoder noise are not
     noise = np.median(np.abs(np.diff(q, 2, axis=0)), axis=0) / SECOND_DIFFERENCE
     still = (spread <= np.maximum(rules.still, NOISE_FACTOR * noise)).all(axis=1)
-    still[1:] &= np.diff(t) < rules.gap + LATE_STEPS * step
-    edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(int)))
-    spans = np.stack([t[edges[::2]], t[edges[1::2] - 1]], axis=1)
-    # the filter needs half a window on either side to have been still already
-    spans[:, 0] += rules.settle - 0.5 * rules.window
-    return spans[spans[:, 1] - spans[:, 0] >= rules.least]
+    begins = still & np.r_[True, ~still[:-1] | apart]
+    ends = still & np.r_[~still[1:] | apart, True]
+    beside = np.r_[True, apart, True]  # a gap, or an end of the recording, before each row
+    return [
+        _Stand(a, b, bool(beside[a]), bool(beside[b + 1]))
+        for a, b in zip(np.flatnonzero(begins).tolist(), np.flatnonzero(ends).tolist(), strict=True)
+    ]
+
+
+def _spread(q: Array, width: int, apart: np.ndarray) -> Array:
+    """Largest less smallest position within half a window before and after, (m, n), gaps not looked across."""
+    if not apart.any():
+        return running_max(q, width) + running_max(-q, width)
+    row = np.arange(len(q)) + (width // 2) * np.r_[0, np.cumsum(apart)]
+    spaced = np.full((row[-1] + 1, q.shape[1]), -np.inf)
+    spaced[row] = q
+    high = running_max(spaced, width)[row]
+    spaced[row] = -q
+    return np.asarray(high + running_max(spaced, width)[row])
 
 
 def running_max(x: Array, width: int) -> Array:

@@ -17,6 +17,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
+from modcal_core.measurements.commanded import following
 from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells, inliers
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
@@ -45,11 +46,16 @@ class TrackSamples:
     velocity: Array
     acceleration: Array
     moving: bool
+    spans: Array  # (N, 2) [s], over which it was averaged
 
 
-_COLUMNS = tuple(f.name for f in fields(TrackSamples) if f.name != "moving")
+_COLUMNS = tuple(f.name for f in fields(TrackSamples) if f.name not in ("moving", "spans"))
 _LEAST_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
 _PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
+_LEAST_COURSE = 20  # joint states from which it is told how well a spline through them interpolates
+_USUALLY = 90.0  # % of them; starts and stops are no smooth motion
+_INTERPOLATED = 1e-4  # rad or m; at a metre 0.1 mm, as good as a tracker in motion
+_MORE = 1.5  # usual steps that a gap between joint states may be: none is missing
 _ALIKE = 0.01  # s within which offsets are one: the jitter of a driver's loop at 100 Hz
 
 
@@ -88,6 +94,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         "moving": moving,
         "approach": _approach(whole["stamps"], whole["q"], whole["velocity"], moving, t, q),
         "effort": _held(whole["stamps"], moving, t, effort, rules),
+        "following": following(recording.commands, names, t, q, np.concatenate([p.spans for p in pieces])),
         "signals": recording.signals,
         "sockets": recording.sockets,
         "clock": recording.has_clock,
@@ -132,7 +139,9 @@ def _as_is(
 ) -> TrackSamples:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
-    return TrackSamples(q, track.stamps[rows], position, R, unknown, unknown, velocity, acceleration, moving)
+    stamps = track.stamps[rows]
+    once = np.stack([stamps, stamps], axis=1)
+    return TrackSamples(q, stamps, position, R, unknown, unknown, velocity, acceleration, moving, once)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
@@ -157,17 +166,36 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
         return _nothing(track, q.shape[1])
     after = np.searchsorted(t, track.stamps)
     rows = np.flatnonzero((after > 0) & (after < len(t)))
-    rows = rows[t[after[rows]] - t[after[rows] - 1] <= rules.gap]
+    rows = rows[t[after[rows]] - t[after[rows] - 1] <= _widest(t, q, rules)]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), rules.most)).astype(int)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
     return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
+
+
+def _widest(t: Array, q: Array, rules: StationRules) -> float:
+    """Seconds between joint states up to which postures are interpolated.
+
+    Joint states that always come farther apart than the rules' gap will do if the motion between them is known: every
+    second one left out is found by a spline through the others, whose error falls with the fourth power of the step.
+    """
+    step = float(np.median(np.diff(t)))
+    if step <= 0.5 * rules.gap or len(t) < _LEAST_COURSE:
+        return rules.gap
+    known = np.arange(0, len(t), 2)
+    left = np.arange(1, known[-1], 2)
+    left = left[(t[left + 1] - t[left - 1]) < 3.0 * step]
+    if not len(left):
+        return rules.gap
+    missed = np.abs(_course(t[known], q[known])(t[left] - t[0]) - q[left]).max(axis=1)
+    exact = float(np.percentile(missed, _USUALLY)) / 16.0 <= _INTERPOLATED
+    return max(rules.gap, _MORE * step) if exact else rules.gap
 
 
 def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSamples:
     """One sample a dwell: means on the manifold, and the standard deviations of those means."""
     order = np.argsort(track.stamps, kind="stable")
     stamps = track.stamps[order]
-    out: list[tuple[Array, float, Array, Array, float, float]] = []
+    out: list[tuple[Array, float, Array, Array, float, float, tuple[float, float]]] = []
     for start, end in dwells:
         rows = order[slice(*np.searchsorted(stamps, (start, end)))]
         joint_rows = slice(*np.searchsorted(t, (start, end)))
@@ -187,13 +215,14 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
                 R_mean,
                 deviation_of_mean(position - p_mean, min(3, kinds()[track.kind].dimensions)),
                 deviation_of_mean(turned) if track.kind == POSE else np.nan,
+                (start, end),
             )
         )
     if not out:
         return _nothing(track, q.shape[1])
-    q_mean, stamp, p, R, deviation_p, deviation_r = (np.array(c) for c in zip(*out, strict=True))
+    q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
     still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False)
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False, spans=spans)
 
 
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved
@@ -222,15 +251,20 @@ def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: 
 
 
 def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: StationRules) -> Array:
-    """What the actuators exerted at each sample, averaged over the half window around it, (N, n)."""
+    """What the actuators exerted at each sample, averaged over the half window around it, (N, n).
+
+    NaN where no message of that time says.
+    """
     first = np.searchsorted(t, stamps - 0.5 * rules.window)
     last = np.searchsorted(t, stamps + 0.5 * rules.window, side="right")
     nearest = np.clip(np.searchsorted(t, stamps), 0, len(t) - 1)
-    total = np.concatenate([np.zeros((1, effort.shape[1])), np.cumsum(np.nan_to_num(effort), axis=0)])
-    count = np.maximum(last - first, 1)[:, None]
-    mean = np.where((last > first)[:, None], (total[last] - total[first]) / count, effort[nearest])
-    mean = np.where(moving[:, None], effort[nearest], mean)
-    return np.where(np.isfinite(effort).all(axis=0), mean, np.nan)
+    known = np.isfinite(effort)
+    none = np.zeros((1, effort.shape[1]))
+    total = np.concatenate([none, np.cumsum(np.where(known, effort, 0.0), axis=0)])
+    count = np.concatenate([none, np.cumsum(known, axis=0)])
+    within = count[last] - count[first]
+    mean = np.where(within > 0, (total[last] - total[first]) / np.maximum(within, 1), effort[nearest])
+    return np.where(moving[:, None], effort[nearest], mean)
 
 
 def _number(stamps: Array) -> np.ndarray:

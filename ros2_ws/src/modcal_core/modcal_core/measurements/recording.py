@@ -93,7 +93,8 @@ class Listed:
 class Recording:
     """Joint states, readings and signals of one recording, and what was noticed while reading it.
 
-    listed: all topics that there are. lost: messages that could not be read, counted by reason.
+    listed: all topics that there are. lost: messages that could not be read, counted by reason. commands: positions
+    that joints were told to take, those of the preferred topic first.
     """
 
     joints: tuple[JointTrack, ...] = ()
@@ -104,6 +105,7 @@ class Recording:
     warnings: tuple[str, ...] = field(default=())
     listed: tuple[Listed, ...] = ()
     lost: tuple[tuple[str, int], ...] = ()
+    commands: tuple[JointTrack, ...] = ()
 
     @property
     def duration(self) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.read_only import view
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.arrays import joints_of, readings_of, sigma_of, signals_of
+from modcal_core.measurements.arrays import commands_of, joints_of, readings_of, sigma_of, signals_of
 from modcal_core.measurements.origin import Origin
 from modcal_core.measurements.pairing import paired_columns
 from modcal_core.measurements.recording import ORDER_ONLY, POINT, POSE, Recording, SignalTrack
@@ -43,7 +43,8 @@ class Samples:
 
     What led up to a sample and went on beside it, where it is known: acceleration: of the joints, (N, n), zero where
     unknown. approach: the direction each joint last moved in, −1, 0 (unknown) or 1, (N, n). effort: torque or force of
-    the actuators [N m, N], (N, n), NaN where not sent. signals: whole tracks of everything else that was recorded.
+    the actuators [N m, N], (N, n), NaN where not sent. following: commanded − measured position [rad, m], (N, n), NaN
+    where no command is known. signals: whole tracks of everything else that was recorded.
 
     sockets: frames that are stated to show one fixed point. clock: whether stamps are times rather than an order.
     origin: the recording they are from. names: empty where columns are in the robot's order.
@@ -65,6 +66,7 @@ class Samples:
     acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
     approach: Array = field(default_factory=lambda: np.empty((0, 0)))
     effort: Array = field(default_factory=lambda: np.empty((0, 0)))
+    following: Array = field(default_factory=lambda: np.empty((0, 0)))
     signals: tuple[SignalTrack, ...] = ()
     sockets: tuple[str, ...] = ()
     clock: bool = True
@@ -72,7 +74,7 @@ class Samples:
 
     def __post_init__(self) -> None:
         """What is not given is unknown, and nothing can be written to."""
-        for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan)):
+        for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan), ("following", np.nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))
         for name in _ARRAYS:
@@ -93,6 +95,7 @@ class Samples:
         temperatures: Mapping[str, ArrayLike] | None = None,
         signals: Mapping[str, ArrayLike] | None = None,
         efforts: ArrayLike | None = None,
+        commanded: ArrayLike | None = None,
         frame: str = "tracker",
     ) -> Samples:
         """Samples of N postures from arrays, which are copied.
@@ -103,7 +106,8 @@ class Samples:
         increasing; None: rows are stations in the order in which they were measured. Rows close in time are taken for
         a log of a moving arm, and averaged where it stood still. sigma, sigma_rad: standard deviation of a reading per
         axis [m], [rad], one for all or one a row. temperatures [°C], signals: (N,) each, by name; an error may depend
-        on them. efforts: torque or force of the actuators [N m, N], (N, n). frame: the name of the instrument's frame.
+        on them. efforts: torque or force of the actuators [N m, N], (N, n). commanded: where the joints were told to be
+        [rad, m], (N, n). frame: the name of the instrument's frame.
 
         Raises BadRecording for arrays that do not fit together, with the row, and NotEnoughData for empty ones.
         """
@@ -116,6 +120,7 @@ class Samples:
             signals=(*signals_of("temperature", temperatures, t), *signals_of("signal", signals, t)),
             source="arrays",
             warnings=(ORDER_ONLY,) if stamps is None else (),
+            commands=commands_of(commanded, track),
         )
         samples = cls(**paired_columns(recording, track.names))
         instrument = "; ".join(dict.fromkeys(f"{reading.kind} in {reading.frame}" for reading in readings))
@@ -146,9 +151,7 @@ class Samples:
             said = f"is not one of the samples' joints ({', '.join(self.names)})"
             raise BadRecording(f"joint {missing[0]}", said, "name the columns of q as the robot does")
         columns = [self.names.index(name) for name in names]
-        wide = {
-            name: getattr(self, name)[:, columns] for name in ("q", "velocity", "acceleration", "approach", "effort")
-        }
+        wide = {name: getattr(self, name)[:, columns] for name in _BY_JOINT}
         return replace(self, names=names, **wide)
 
     def __len__(self) -> int:
@@ -225,4 +228,5 @@ class Samples:
         return bool(np.ptp(self.reading[rows], axis=0).max() == 0.0)
 
 
+_BY_JOINT = ("q", "velocity", "acceleration", "approach", "effort", "following")
 _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)

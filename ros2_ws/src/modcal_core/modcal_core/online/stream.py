@@ -17,12 +17,21 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.dwells import LATE_STEPS, NOISE_FACTOR, SECOND_DIFFERENCE, StationRules, find_dwells
+from modcal_core.measurements.dwells import (
+    LATE_STEPS,
+    NOISE_FACTOR,
+    SECOND_DIFFERENCE,
+    SHORTEST,
+    StationRules,
+    find_dwells,
+    fitted_rules,
+)
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.pairing import averaged
 from modcal_core.measurements.recording import POSE, ReadingTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.online.recent_commands import RecentCommands
 
 _HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
@@ -31,6 +40,8 @@ _RESTLESS = 30.0  # s without a stand after which readings in motion are used
 _STENCIL = 0.01  # s on either side of a reading that its posture is interpolated from ...
 _EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on either side at least
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be; drivers round to four digits at worst
+_STEPS = 15  # between joint states, whose median is the usual one: a silence is none
+_STANDS = 40  # of late, by which it is known how long this arm stands
 _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked for in
 
 
@@ -69,7 +80,7 @@ class SampleStream:
         self.names = names
         self.frames = list(frames)
         self.counts = Counts()
-        self._rules = rules or StationRules()
+        self._asked = self._rules = rules or StationRules()
         self._station = 0
         self._readings: dict[tuple[str, str], _Readings] = {}
         self._forget()
@@ -87,6 +98,10 @@ class SampleStream:
         self._ended: _Ended | None = None
         self._began = -np.inf
         self._approach = Approach()
+        self._commands = RecentCommands(self.names)
+        self._stands: deque[tuple[float, float]] = deque(maxlen=_STANDS)  # when, and how long [s]
+        self._rules = self._asked
+        self._steps: deque[float] = deque(maxlen=_STEPS)
         self._step = np.nan
         self._noise = np.zeros(n)
         self._ready: list[Samples] = []
@@ -109,6 +124,10 @@ class SampleStream:
                 return
         self._append(stamp, q, effort)
         self._watch_motion(stamp, q)
+
+    def command(self, stamps: Array, positions: Array) -> None:
+        """Take what the joints are told: positions (k, n) [rad, m], NaN where not named, at rising stamps (k,)."""
+        self._commands.add(stamps, positions)
 
     def reading(self, kind: str, frame: str, stamp: float, values: Array) -> None:
         """Take one reading, as wide as its kind. Raises BadRecording for one that is not finite or no rotation."""
@@ -170,7 +189,8 @@ class SampleStream:
             self._approach.update(q)
             return
         step = stamp - self._t[self._end - 2]
-        self._step = step if not np.isfinite(self._step) else self._step + 0.05 * (step - self._step)
+        self._steps.append(step)
+        self._step = sorted(self._steps)[len(self._steps) // 2]
         if self._end - self._first > 2:
             # a running median of the second difference: encoder noise must not look like motion
             jerk = np.abs(q - 2.0 * self._q[self._end - 2] + self._q[self._end - 3])
@@ -179,7 +199,8 @@ class SampleStream:
         low, high = np.minimum(self._low, q), np.maximum(self._high, q)
         allowed = np.maximum(self._rules.still, NOISE_FACTOR / SECOND_DIFFERENCE * self._noise)
         if (high - low > allowed).any() or step > self._rules.gap + LATE_STEPS * self._step:
-            if stamp - self._since >= self._rules.settle + self._rules.least - self._rules.window:
+            if stamp - step - self._since >= SHORTEST:
+                self._note_stand(stamp - step)
                 self._average_ended(np.inf)
                 self._ended = _Ended(self._since, stamp - step, self._approach.direction)
             self._begin_stand(stamp, q)
@@ -190,6 +211,12 @@ class SampleStream:
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
+
+    def _note_stand(self, end: float) -> None:
+        """Learn from a stand that has ended how long this arm stands."""
+        self._stands.append((end, end - self._since))
+        times = np.array([length for _, length in self._stands])
+        self._rules = fitted_rules(self._asked, times, end - self._stands[0][0])
 
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()
@@ -205,9 +232,10 @@ class SampleStream:
         """Make a sample of each dwell of a stand, as a recording's are cut; of one that goes on, up to the latest."""
         first = self._first + int(np.searchsorted(self._t[self._first : self._end], ended.since - _BEFORE))
         t, q = self._t[first : self._end], self._q[first : self._end]
-        for begin, end in find_dwells(t, q, self._rules):
-            start, end = max(float(begin), self._used), min(float(end), latest)
-            if end > ended.since and begin <= ended.stamp and end - start >= self._rules.least:
+        for begin, until in find_dwells(t, q, self._rules, fitted=False):
+            start, end = max(float(begin), self._used), min(float(until), latest)
+            least = min(self._rules.least, float(until - begin))
+            if end > ended.since and begin <= ended.stamp and end - start >= least:
                 self._used = end
                 self._average_dwell(ended, start, end, t, q, self._effort[first : self._end])
 
@@ -224,7 +252,10 @@ class SampleStream:
             made = True
             mean = effort[(t >= start) & (t <= end)].mean(axis=0)
             row = (piece.reading[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
-            self._emit(kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=mean, approach=ended.approach)
+            self._emit(
+                kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=mean, approach=ended.approach,
+                span=(start, end),
+            )  # fmt: skip
         if made:
             self._station += 1
             self._stood = ended.stamp
@@ -290,9 +321,11 @@ class SampleStream:
         velocity: Array | None = None,
         acceleration: Array | None = None,
         approach: Array | None = None,
+        span: tuple[float, float] | None = None,
     ) -> None:
         zero = np.zeros((1, len(self.names)))
         came = self._approach.direction if approach is None else approach
+        heard = self._t[self._first : self._end], self._q[self._first : self._end]
         self._ready.append(
             Samples(
                 names=self.names,
@@ -311,6 +344,7 @@ class SampleStream:
                 acceleration=zero if acceleration is None else acceleration[None],
                 approach=(np.sign(velocity) if velocity is not None else came)[None],
                 effort=np.array(effort)[None],
+                following=self._commands.following(*heard, (stamp, stamp) if span is None else span)[None],
             )
         )
 

@@ -26,6 +26,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
+_SAME = 0.0025  # of the squares, 5 % of the size: what differs by less is as good as one (that of a scan's candidates)
 _CANDIDATES = 600  # random postures that the best are taken from
 _DRAWN = 40  # times as many, where only some are allowed
 _BEYOND = 0.5  # of the recorded range, by which proposals may leave it
@@ -36,7 +37,9 @@ class DecidingStations:
     """Stations that separate an effect from a rival.
 
     q: (k, n). approach: direction from which each joint should come, −1, 0 (any) or 1, (k, n). separation: by how many
-    standard deviations the two explanations differ over these stations, once each has adapted itself.
+    standard deviations the two explanations differ over these stations, once each has adapted itself. distinct: share
+    of what geometry cannot imitate of the effect that the rival cannot imitate either, anywhere within the limits, in
+    squares. by_effort: whether one goes by what actuators exert, for which gravity stands in at new postures.
     """
 
     effect: Effect
@@ -44,11 +47,23 @@ class DecidingStations:
     q: Array
     approach: Array
     separation: float
+    distinct: float = 1.0
+    by_effort: bool = False
 
     @property
     def decides(self) -> bool:
         """Whether recording these stations settles it."""
         return self.separation >= DECIDES
+
+    @property
+    def same(self) -> bool:
+        """Whether the two are one motion within the limits, however often it is measured, as far as is known."""
+        return self.distinct < _SAME
+
+    @property
+    def needed(self) -> int:
+        """How many stations as good as these it takes to settle it."""
+        return int(np.ceil(len(self.q) * (DECIDES / max(self.separation, 1e-3)) ** 2))
 
 
 def propose(
@@ -84,9 +99,38 @@ def propose(
         chosen.append(int(np.argmax(miss)))
     new = np.array(chosen[recorded:])
     separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
+    P = len(parameters)
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
     matters = np.array([name in directed for name in samples.names])
-    return DecidingStations(truth, other, samples.q[new], np.where(matters, samples.approach[new], 0.0), separation)
+    approach = np.where(matters, samples.approach[new], 0.0)
+    everywhere = list(range(len(samples)))
+    own, left = (
+        float(np.sum(_miss(difference, rows, held, everywhere))) for rows, held in ((J[..., :P], prior[:P]), (J, prior))
+    )
+    return DecidingStations(
+        truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), _by_effort(truth, other)
+    )
+
+
+def _by_effort(*effects: Effect) -> bool:
+    return any(part.startswith("effort:") for e in effects for part in e.driver.split(","))
+
+
+def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
+    """What keeps postures from telling an effect from a rival, "" where nothing does: the driver, and what to do."""
+    model = calibration.calibrated
+    both = model.effects[effect], calibration.rivals[effect][rival]
+    kinds = {part.partition(":")[0] for e in both for part in e.driver.split(",")}
+    weighed = model.arm is not None and model.arm.weighed
+    if "effort" in kinds and not weighed:
+        return "what the actuators will exert at other postures is not known: record stations with another payload"
+    if kinds & {"time", "temperature"}:
+        return "repeat some stations cold and warm, and some time later"
+    if "signal" in kinds:
+        return "record stations with other values of the signal"
+    if "following" in kinds:
+        return "record stations at which the joint is farther from its command"
+    return "record stations in motion, fast and slow" if "velocity" in kinds else ""
 
 
 def _candidates(

@@ -17,7 +17,12 @@ from modcal_core.report.panel import Panel
 _POINTS = 1600
 _MOST_SHAPES = 24  # charts; more are looked at by nobody
 _MOST_TICKS = 250  # of samples, below the curve
-_UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
+_UNITS = {
+    "load": "N m",
+    "effort": "N m",
+    "payload": "N m per kg",
+    "direction": "−1 or 1",
+}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
@@ -79,8 +84,8 @@ def _turns(report: ReportContents, place: str) -> bool:
 def _words(report: ReportContents, driver: str) -> str:
     """A driver for people, with its unit."""
     kind, _, of = driver.partition(":")
-    if kind == "position":
-        return f"position of {of}, {'rad' if _turns(report, of) else 'm'}"
+    if kind in ("position", "following"):
+        return f"{kind} of {of}, {'rad' if _turns(report, of) else 'm'}"
     if kind == "temperature":
         return f"temperature of {of}, °C"
     if kind == "signal":

@@ -31,6 +31,16 @@ def payload_wrench(chain: Chain, q: Array) -> Array:
     return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)))
 
 
+def offset_wrench(chain: Chain, q: Array) -> Array:
+    """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
+    f = frames(chain, q)
+    mass = np.zeros(chain.n)
+    mass[-1] = 1.0
+    at = np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape))
+    own = _wrench(chain, f, mass, at)
+    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d]) - own for d in range(3)])
+
+
 def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int) -> Array:
     """Centre of mass of body k in the base, (3, N)."""
     x, y, z = chain.joint_basis[k].T @ inertias.com[k]

@@ -148,6 +148,17 @@ def _(robot: Delta, q: Array) -> Array:
 
 
 @singledispatch
+def offset_wrench(robot: Mechanism, q: Array) -> Array:
+    """How the weight of 1 kg as every joint bears it changes with its offset from the tip, (3, n, 6, N), as in
+    :mod:`modcal_core.robots.gravity`; of others than serial arms nothing is known of it, and it is zero.
+    """
+    return np.zeros((3, robot.n, 6, len(np.asarray(q))))
+
+
+offset_wrench.register(Chain, gravity.offset_wrench)
+
+
+@singledispatch
 def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike) -> Array:
     """Weight of the links beyond each joint, (n, 6, N), as in :mod:`modcal_core.robots.gravity`; of others than serial
     arms nothing is known of it, and it is zero.

@@ -197,6 +197,9 @@ class _Builder:
             numbers += [_standard(speed), np.sign(speed), _standard(s.acceleration.T)]
         axes = list(zip(self.places, self.axis, strict=True))
         parts = [self._times(axes, come), self._times(self._ends(), come)]
+        apart = _standard(s.following.T)
+        if apart.any():
+            numbers.append(apart)
         for some in numbers[1:]:
             parts += [self._times([axes[j]], some[j : j + 1]) for j in range(len(axes))]
         if not s.moving.any():

@@ -35,10 +35,17 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
     effects: list[Effect] = []
     left: list[NotApplied] = []
     stood_in: list[str] = []
+    partly: list[str] = []
     for i, effect in enumerate(model.effects):
         why = _lacking(effect, calibration, samples)
         if why is None:
             effects.append(effect)
+            gaps = _gaps(effect, samples)
+            if gaps and arm.weighed:
+                partly.append(f"{effect.label} at {gaps} of {len(samples)} samples")
+            elif gaps:
+                cost = _cost(calibration, i, samples) * gaps / len(samples)
+                left.append(NotApplied(effect.label, f"{gaps} of {len(samples)} samples carry no effort", 1e6 * cost))
         elif effect.driver.startswith("effort:") and arm.weighed:
             effects.append(_by_gravity(effect))
             stood_in.append(effect.label)
@@ -46,18 +53,19 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
             typical = calibration.typical_of(i)
             if typical is not None:
                 effects.append(averaged(effect, typical.mean))
-            cost = _all_together(calibration, samples) if typical is None else typical.cost
-            left.append(NotApplied(effect.label, why, 1e6 * cost))
+            left.append(NotApplied(effect.label, why, 1e6 * _cost(calibration, i, samples)))
     model = model.with_effects(tuple(effects))
-    return Applied(model, tuple(left), (*_notes(left, stood_in), *_limits_note(model, calibration, samples)))
+    return Applied(model, tuple(left), (*_notes(left, stood_in, partly), *_limits_note(model, calibration, samples)))
 
 
 def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str | None:
     """Why the effect cannot be applied to these samples, None where it can."""
     for part in outside_drivers(effect):
         kind, _, of = part.partition(":")
-        if kind == "effort" and not np.isfinite(samples.effort[:, samples.names.index(of)]).all():
+        if kind == "effort" and not np.isfinite(samples.effort[:, samples.names.index(of)]).any():
             return f"the joint states carry no effort of {of}"
+        if kind == "following" and not np.isfinite(samples.following[:, samples.names.index(of)]).any():
+            return f"no commanded positions of {of} are recorded"
         if kind == "time" and not calibration.clock:
             return "the stamps of the calibration's recording are an order of rows, not times"
         if kind == "time" and not samples.clock:
@@ -65,6 +73,19 @@ def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str 
         if kind in ("temperature", "signal") and not _heard(part, samples):
             return f"the recording has no {kind} {of}"
     return None
+
+
+def _gaps(effect: Effect, samples: Samples) -> int:
+    """At how many samples the joint states lack an effort that the effect goes by."""
+    of = [part.partition(":")[2] for part in outside_drivers(effect) if part.startswith("effort:")]
+    columns = [samples.names.index(joint) for joint in of]
+    return int((~np.isfinite(samples.effort[:, columns])).any(axis=1).sum()) if columns else 0
+
+
+def _cost(calibration: Calibration, effect: int, samples: Samples) -> float:
+    """Mean square [m²] by which the tool is off where the effect with this number is held at its average."""
+    typical = calibration.typical_of(effect)
+    return _all_together(calibration, samples) if typical is None else typical.cost
 
 
 def _heard(name: str, samples: Samples) -> bool:
@@ -85,7 +106,7 @@ def _all_together(calibration: Calibration, samples: Samples) -> float:
     return float(np.mean(np.sum((full - alone) ** 2, axis=1)))
 
 
-def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
+def _notes(left: list[NotApplied], stood_in: list[str], partly: list[str]) -> tuple[str, ...]:
     out = [
         f"Not applied: {item.effect}, because {item.why}; it was held at its average, which on the calibration's own "
         f"recording costs {np.sqrt(item.cost_mm2):.3f} mm RMS."
@@ -93,6 +114,8 @@ def _notes(left: list[NotApplied], stood_in: list[str]) -> tuple[str, ...]:
     ]
     if stood_in:
         out.append(f"Gravity replaces measured effort, which the recording lacks: {', '.join(stood_in)}.")
+    if partly:
+        out.append(f"Gravity replaces measured effort where joint states lack it: {', '.join(partly)}.")
     return tuple(out)
 
 

@@ -13,8 +13,10 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.online.stream import SampleStream
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.readings import READING
 from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.topics import JOINT_COMMANDS
 
 
 class KnownArm:
@@ -82,6 +84,21 @@ class KnownArm:
                 said = f"position {position[worst]:.4g}, {self._largest[worst]:.4g} is the limit"
                 raise BadRecording(f"joint {self.chain.names[worst]}", said, "publish radians and metres")
             self.stream.joint_state(seconds(message.header.stamp), position, effort)
+
+    def command(self, type_name: str, message: Any, received: float) -> None:
+        """Hand a message of commands to the stream; joints that it does not name stay as they were told."""
+        if self.stream is None or self.chain is None:
+            return
+        told = Commands()
+        told.add(JOINT_COMMANDS, type_name, message, seconds(message.header.stamp) or received, received)
+        for track in told.tracks(lambda _: 0):
+            if len(track.stamps):
+                unnamed = np.full(len(track.stamps), np.nan)
+                columns = [
+                    track.position[:, track.names.index(name)] if name in track.names else unnamed
+                    for name in self.chain.names
+                ]
+                self.stream.command(track.stamps, np.stack(columns, axis=1))
 
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from modcal_core.errors import ModcalError
 from modcal_core.online.supervisor import Supervisor
 from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import TYPES
+from modcal_msgs_py.topics import JOINT_COMMANDS, TYPES
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.diagnostics import Times
@@ -47,11 +47,17 @@ class Intake:
         self.times.took.append(time.thread_time() - began)
         self.times.late.append(1e-9 * self._clock.now().nanoseconds - seconds(message.header.stamp))
 
-    def remember(self, topic: str, message: Any) -> bool:
-        """Put a message into the buffer; returns whether it could be used."""
+    def command(self, type_name: str, message: Any) -> None:
+        """Take what the joints are told, in a message of this type."""
+        if self.remember(JOINT_COMMANDS, message, type_name):
+            received = 1e-9 * self._clock.now().nanoseconds
+            self._feed(partial(self._arm.command, type_name, message, received))
+
+    def remember(self, topic: str, message: Any, type_name: str | None = None) -> bool:
+        """Put a message into the buffer; returns whether it could be used. type_name: None for the topic's own."""
         received = 1e-9 * self._clock.now().nanoseconds
         try:
-            self._buffer.add(f"/{topic}", TYPES[topic], message, received)
+            self._buffer.add(f"/{topic}", type_name or TYPES[topic], message, received)
         except ModcalError as error:
             self._refuse(error)
             return False

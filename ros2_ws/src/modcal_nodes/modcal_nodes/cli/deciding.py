@@ -10,13 +10,11 @@ import numpy as np
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.files import to_yaml, write_folder
-from modcal_core.planning.deciding import DecidingStations, propose
+from modcal_core.planning.deciding import DecidingStations, propose, undecided_by_posture
 from modcal_core.planning.posture_pool import allowed
 from modcal_core.planning.site import Site
 from modcal_nodes.cli.console import console
 from modcal_nodes.io.inputs import read_calibration
-
-_BY_POSTURE = ("position", "load", "direction")
 
 
 def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
@@ -32,8 +30,8 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
     proposals = []
     for i, j in ties:
         page.print(_tie(calibration, i, j), highlight=False)
-        if not _depends_on_posture(calibration, i, j):
-            page.print("  postures cannot decide this: repeat some stations cold and warm, and some time later")
+        if instead := undecided_by_posture(calibration, i, j):
+            page.print(f"  postures cannot decide this: {instead}", highlight=False)
             continue
         proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
         page.print(f"  {_worth(proposal)}", highlight=False)
@@ -51,15 +49,20 @@ def _tie(calibration: Calibration, i: int, j: int) -> str:
     return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
 
 
-def _depends_on_posture(calibration: Calibration, i: int, j: int) -> bool:
-    effects = calibration.calibrated.effects[i], calibration.rivals[i][j]
-    return all(e.public_driver.partition(":")[0] in _BY_POSTURE for e in effects)
-
-
 def _worth(proposal: DecidingStations) -> str:
     if proposal.decides:
         return f"{len(proposal.q)} stations tell them apart, by {proposal.separation:.0f} standard deviations"
-    return "no posture within the limits tells them apart: for this tool they are the same motion"
+    if proposal.same and proposal.by_effort:
+        return (
+            "postures cannot decide this: what the actuators exert beyond gravity is not known in advance: "
+            "record stations with another payload, and come to them from both sides"
+        )
+    if proposal.same:
+        return "no posture within the limits tells them apart: for this tool they are the same motion"
+    return (
+        f"{len(proposal.q)} stations tell them apart by {proposal.separation:.1f} standard deviations only: "
+        f"about {proposal.needed} are needed (--stations)"
+    )
 
 
 def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[str, object]:

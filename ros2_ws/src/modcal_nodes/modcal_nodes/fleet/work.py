@@ -105,10 +105,12 @@ def read_samples(path: Path) -> Samples:
             for i, (name, topic) in enumerate(kept["signals"])
         )
         names, frames = (tuple(str(x) for x in kept[k]) for k in ("names", "frames"))
-        return Samples(names, frames, **{name: kept[f"of_{name}"] for name in _ARRAYS}, signals=signals)
+        return Samples(
+            names, frames, **{name: kept[f"of_{name}"] for name in _ARRAYS if f"of_{name}" in kept}, signals=signals
+        )
 
 
 _ARRAYS = (
     *("q", "stamps", "station", "frame", "kind", "reading", "R", "sigma_position", "sigma_rotation"),
-    *("velocity", "moving", "acceleration", "approach", "effort"),
+    *("velocity", "moving", "acceleration", "approach", "effort", "following"),
 )

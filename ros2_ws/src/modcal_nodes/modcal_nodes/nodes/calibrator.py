@@ -28,6 +28,7 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
+from modcal_nodes.calibrating.commands import CommandSubscription
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
 from modcal_nodes.calibrating.intake import Intake
 from modcal_nodes.calibrating.publishers import Publishers
@@ -88,6 +89,7 @@ class Calibrator(GuardedNode):
         self._lacked, self._steps = "", 0
         self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise)
         self._inputs = self._listen(chosen["silence_timeout_s"])
+        self._commands = CommandSubscription(self, self._intake.command)
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)
         self._waiting: Future | None = None
@@ -217,6 +219,8 @@ class Calibrator(GuardedNode):
 
     def _poll(self) -> None:
         """Take what the worker has finished, and give it what is due."""
+        if (commands := self._commands.look()) is not None:
+            self._inputs.append(commands)
         if self._worker.poll():
             return
         if self._solve_next:

@@ -2,6 +2,7 @@
 
 The deflection is the load times a compliance [rad/(N m), m/N], or that of a spring that gets stiffer. Loads are those
 of gravity and, where the actuators report them, their torques; without masses a compliance is known per kilogram only.
+A recorded number may say how much is carried (``/payload_kg``): then the load at the tip is it times that of 1 kg.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, AXIS, Effect
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.family import Family, complexity_of_joint
-from modcal_core.effects.observable import loads
+from modcal_core.effects.observable import carried_signals, loads, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
 from modcal_core.robots.mechanism import Mechanism
 
 NAME = "compliance"
+KILOGRAMS = ("_kg", "/kg")  # ends of names of numbers that say their unit
 HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
 
 
@@ -31,6 +33,14 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
             scale = float(np.sqrt(np.mean(load**2)))
             for beta in HARDENINGS:
                 yield Effect(NAME, name, AXIS, driver, Shape("hardening", {"scale": scale, "beta": beta}))
+        for signal in carried_signals(drivers):
+            tip = drivers.values(f"payload:{name}")
+            if varies(tip * drivers.values(signal)):
+                if drivers.arm.weighed:
+                    yield Effect(NAME, name, AXIS, f"load:{name},payload:{name},{signal}", Shape("carried"))
+                yield Effect(NAME, name, AXIS, f"payload:{name},{signal}", Shape("product"))
+                beside = ",".join(f"offset_{axis}:{name}" for axis in "xyz")
+                yield Effect(NAME, name, AXIS, f"{beside},{signal}", Shape("products"))
         if drivers.arm.weighed and drivers.arm.chain.revolute[j]:
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
 
@@ -50,7 +60,15 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
     scale = effect.shape.settings["scale"] if hardens else 1.0
     v, s, _ = value(effect)
     v, s = sign * v / scale, s / scale
-    if effect.driver.startswith("payload:"):  # a stiffness needs a mass, and none is known
+    if effect.shape.kind == "products":
+        per = "" if effect.driver.endswith(KILOGRAMS) else "kg "
+        return {f"compliance_times_offset_{a}": value(effect, i, 1.0, f"{per}{unit}/N") for i, a in enumerate("xyz")}
+    if effect.shape.kind == "product":
+        signal = effect.driver.rpartition(",")[2]
+        in_kg = signal.endswith(KILOGRAMS)
+        if not in_kg:  # whatever one of it weighs is part of the number
+            return {"compliance_per_unit": (v, s, f"kg {unit}/({load})")}
+    if effect.driver.startswith("payload:") and effect.shape.kind != "product":  # a stiffness needs a mass
         out: Sizes = {"compliance_times_mass": (v, s, f"kg {unit}/({load})")}
     else:
         out = {"compliance": (v, s, f"{unit}/({load})")}
@@ -64,6 +82,15 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
 
 def sentence(entry: ReportEntry) -> str:
     """Stiffness, or compliance per newton that one kilogram exerts."""
+    if "compliance_times_offset_x" in entry.sizes:
+        return f"{entry.place} deflects under a recorded payload whose centre lies beside the tip"
+    if "compliance_per_unit" in entry.sizes:
+        size, _, unit = entry.sizes["compliance_per_unit"]
+        angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
+        return (
+            f"{entry.place} deflects under a load at the tip that a recorded number tells, by {1e6 * abs(size):.3g} "
+            f"{angle} per {per} that 1 kg exerts there, for each unit of it"
+        )
     if "compliance_times_mass" in entry.sizes:
         size, _, unit = entry.sizes["compliance_times_mass"]
         angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")

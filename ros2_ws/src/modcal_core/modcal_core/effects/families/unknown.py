@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
 from modcal_core.effects.family import FREE, Family
-from modcal_core.effects.observable import base_and_tool, moving_joints, signals
+from modcal_core.effects.observable import base_and_tool, followed, moving_joints, signals
 from modcal_core.effects.shapes import Shape
 
 NAME = "unknown"
@@ -26,6 +26,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
     """Curves over the position of one joint, over those of two, and over any recorded signal."""
     yield from _of_position(drivers)
     yield from _of_two_positions(drivers)
+    yield from _of_commands(drivers)
     yield from _of_signals(drivers)
 
 
@@ -64,6 +65,13 @@ def _of_two_positions(drivers: Drivers) -> Iterator[Effect]:
                 # the joint itself is named first, where it is one of the two
                 pair = (second, first) if second == name else (first, second)
                 yield Effect(NAME, name, AXIS, f"position:{pair[0]},position:{pair[1]}", shape)
+
+
+def _of_commands(drivers: Drivers) -> Iterator[Effect]:
+    """A joint that errs with how far it is from its command, in whatever way."""
+    for j, name in enumerate(drivers.arm.chain.names):
+        if followed(drivers, j):
+            yield Effect(NAME, name, AXIS, f"following:{name}", Shape("linear"))
 
 
 def _of_signals(drivers: Drivers) -> Iterator[Effect]:

@@ -1,0 +1,304 @@
+"""Recordings with drivers as people record them: what the best model would leave, and what the cause is called.
+
+Commands beside measured joints, a payload that a topic states, efforts that are missing in places, short standstills.
+The arm is that of bench/verdict: MuJoCo's kinematics and statics of displaced bodies. ``ROWS`` has a maker by row.
+
+    python bench/fits/drivers.py --seeds 20 --only late_joint late_in_part
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "verdict"))
+from scipy.spatial.transform import Rotation
+from workcell import BEGIN, Session, Works  # which puts bench/undeclared on the path
+
+from arm import ROBOTS as TIPS  # isort: skip
+from scenarios import Stations  # isort: skip
+
+from modcal_core.loop import calibrate
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.preprocess import prepare
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+
+Array = np.ndarray
+ROBOTS = ("ur10", "panda", "xarm7")
+SERVO = 1e-5  # rad; what a joint that has arrived differs from its command, besides what is planted
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A recording, what the best model leaves of it [mm, RMS], and what must be among the effects.
+
+    named: (family, places) that one of the effects must be of, or nothing. never: families that must not be there.
+    """
+
+    robot: str
+    recording: Recording
+    floor_mm: float
+    named: tuple[str, tuple[str, ...]] | None = None
+    never: tuple[str, ...] = ()
+
+
+Maker = Callable[[np.random.Generator], Planted]
+
+
+def commands(session: Session, told: Array) -> tuple[JointTrack, ...]:
+    """Commanded joints (N, n) on a topic of their own, at the stamps of the stations."""
+    unknown = np.full(told.shape, np.nan)
+    stamps = BEGIN + session.t
+    return (JointTrack(session.names, stamps, told, unknown, unknown, stamps, "/joint_commands"),)
+
+
+def lagging(works: Works, count: int, share: float, *, effects: bool = False) -> tuple[Session, Array, int]:
+    """Stations at which one joint's logged value has yet to come to its command; the arm is nearer to it, by a share.
+
+    Session with the logged joints, commanded joints (N, n), and which joint it is.
+    """
+    rng = works.rng
+    j = works.any_joint(0, 4)
+    q, again = works.postures(count)
+    bends = [works.elastic(3e-4)] if effects else []
+    if effects:
+        k = works.any_joint(0, 3)
+        cycles = float(rng.integers(20, 80))
+        bends.append(works.joint(k, lambda stations: 2e-4 * np.sin(cycles * stations.q[:, k])))
+    session = works.observe(q, again, *bends)
+    before = np.concatenate([works.arm.range.mean(axis=0)[None], q[:-1]])
+    short = np.clip(q - before, -1.0, 1.0)[:, j] * rng.uniform(5e-4, 1.5e-3) * rng.uniform(0.3, 1.0, count)
+    logged = q.copy()
+    logged[:, j] = q[:, j] - share * short
+    told = q + SERVO * rng.standard_normal(q.shape)
+    told[:, j] = logged[:, j] + short
+    return replace(session, q=logged), told, j
+
+
+def late_joint(rng: np.random.Generator) -> Planted:
+    """Station by station, one joint's logged value is stale by all of commanded − measured."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session, told, j = lagging(works, 130, 1.0)
+    recording = replace(session.recording(), commands=commands(session, told))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+
+
+def late_in_part(rng: np.random.Generator) -> Planted:
+    """The same where the arm itself has yet to go a part of the way."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session, told, j = lagging(works, 130, rng.uniform(0.4, 0.9))
+    recording = replace(session.recording(), commands=commands(session, told))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+
+
+def late_among_others(rng: np.random.Generator) -> Planted:
+    """580 stations of an arm with elastic joints and a gear's error besides."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session, told, j = lagging(works, 580, 1.0, effects=True)
+    recording = replace(session.recording(), commands=commands(session, told))
+    return Planted(works.robot, recording, session.floor_mm, ("joint_lag", (session.names[j],)))
+
+
+def commanded_as_measured(rng: np.random.Generator) -> Planted:
+    """The same recording, its commands given as joint states: the cleaner input must not end worse."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session, told, _ = lagging(works, 580, 1.0, effects=True)
+    return Planted(works.robot, replace(session, q=told).recording(), session.floor_mm, None, ("joint_lag",))
+
+
+def followed_well(rng: np.random.Generator) -> Planted:
+    """A sound log: joints differ from their commands, and say so truly. Nothing must be called late."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session = works.clean(130)
+    told = session.q + 5e-4 * rng.standard_normal(session.q.shape)
+    recording = replace(session.recording(), commands=commands(session, told))
+    return Planted(works.robot, recording, session.floor_mm, None, ("joint_lag", "unknown"))
+
+
+def payload_topic(rng: np.random.Generator) -> Planted:
+    """Elastic joints, and a payload that changes between stations and that /payload_kg states."""
+    works = Works(ROBOTS[rng.integers(2)], rng)
+    q, again = works.postures(140)
+    elastic = works.elastic(4e-4)
+    levels = np.array([0.0, 1.0, 2.5, 4.0] if works.robot == "ur10" else [0.0, 0.5, 1.0, 2.0])
+    carried = levels[rng.integers(len(levels), size=len(q))]
+    parts = []
+    t = 4.0 * np.arange(len(q))
+    for level in levels:
+        rows = np.flatnonzero(carried == level)
+
+        def bend(arm, stations, deviation, kg=level):  # type: ignore[no-untyped-def]
+            elastic(arm, stations, deviation)
+            deviation.payload += kg
+
+        parts.append(replace(works.observe(q[rows], again[rows], bend), t=t[rows]))
+    order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
+    whole = replace(
+        parts[0],
+        t=np.concatenate([p.t for p in parts])[order], q=np.concatenate([p.q for p in parts])[order],
+        p=np.concatenate([p.p for p in parts])[order], again=np.concatenate([p.again for p in parts])[order],
+        R=Rotation.concatenate([p.R for p in parts])[order],
+        floor_mm=float(np.sqrt(np.average([p.floor_mm**2 for p in parts], weights=[len(p) for p in parts]))),
+        signals=(SignalTrack("signal:/payload_kg", BEGIN + t, carried[:, None], "/payload_kg"),),
+    )  # fmt: skip
+    return Planted(works.robot, whole.recording(), whole.floor_mm, ("compliance", whole.names))
+
+
+def effort_in_places(rng: np.random.Generator) -> Planted:
+    """Elastic joints; the joint states of every third station, and of the last tenth, carry no effort."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session = works.clean(140, works.elastic(4e-4), effort=True)
+    assert session.effort is not None
+    effort = session.effort.copy()
+    effort[::3] = np.nan
+    effort[-14:] = np.nan
+    return Planted(
+        works.robot, replace(session, effort=effort).recording(), session.floor_mm, ("compliance", session.names)
+    )
+
+
+def short_stands(rng: np.random.Generator, stand: float = 0.4, gap: float = 3.6, rate: float = 25.0) -> Planted:
+    """Standstills of 0.4 s, nothing recorded between; readings scatter by more than a station's mean."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3)
+    period, scatter = stand + gap, 6e-5
+    when = np.arange(0.0, stand, 1.0 / rate)
+    t = BEGIN + (period * np.arange(len(session))[:, None] + when).ravel()
+    q = np.repeat(session.q, len(when), axis=0) + 2e-6 * rng.standard_normal((len(t), works.arm.n))
+    p = np.repeat(session.p, len(when), axis=0) + rng.normal(0, scatter, (len(t), 3))
+    turn = Rotation.from_rotvec(rng.normal(0, scatter, (len(t), 3)))
+    R = (Rotation.from_quat(np.repeat(session.R.as_quat(), len(when), axis=0)) * turn).as_quat()
+    unknown = np.full_like(q, np.nan)
+    joints = JointTrack(session.names, t, q, unknown, unknown, t)
+    read = t + 1.7e-3
+    reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R], axis=1), read)
+    mean = 1e3 * scatter * np.sqrt(3.0 / (len(when) * 0.55))  # of what is left after settling
+    return Planted(
+        works.robot, Recording((joints,), (reading,), (), session.urdf), float(np.hypot(session.floor_mm, mean))
+    )
+
+
+def short_pauses(rng: np.random.Generator) -> Planted:
+    """An arm that goes from posture to posture, recorded all the time, and pauses for 0.4 s at each."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    session = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3)
+    stand, leg, rate, scatter = 0.4, 1.6, 100.0, 6e-5
+    period = stand + leg
+    t = np.arange(0.0, period * len(session), 1.0 / rate)
+    k = np.minimum((t / period).astype(int), len(session) - 1)
+    before = np.concatenate([session.q[:1] - 0.1, session.q[:-1]])
+    u = np.clip((t - period * k) / leg, 0.0, 1.0)[:, None]
+    q = before[k] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (session.q - before)[k]
+    when = leg + np.arange(0.0, stand, 0.02)
+    at = (period * np.arange(len(session))[:, None] + when).ravel()
+    p = np.repeat(session.p, len(when), axis=0) + rng.normal(0, scatter, (len(at), 3))
+    turn = Rotation.from_rotvec(rng.normal(0, scatter, (len(at), 3)))
+    R = (Rotation.from_quat(np.repeat(session.R.as_quat(), len(when), axis=0)) * turn).as_quat()
+    unknown = np.full_like(q, np.nan)
+    joints = JointTrack(session.names, BEGIN + t, q, unknown, unknown, BEGIN + t)
+    read = BEGIN + at + 1.7e-3
+    reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R], axis=1), read)
+    mean = 1e3 * scatter * np.sqrt(3.0 / (len(when) * 0.4))  # of what is left after settling, and before it leaves
+    return Planted(
+        works.robot, Recording((joints,), (reading,), (), session.urdf), float(np.hypot(session.floor_mm, mean))
+    )
+
+
+def slow_joint_states(rng: np.random.Generator) -> Planted:
+    """An arm that never stops, its joint states at 8, 20 or 50 Hz with a jitter of a tenth of a step."""
+    works = Works(ROBOTS[rng.integers(3)], rng)
+    n, rate = works.arm.n, float(rng.choice([8.0, 20.0, 50.0]))
+    middle, half = works.arm.range.mean(axis=0), 0.4 * np.ptp(works.arm.range, axis=0)
+    speed, phase = rng.uniform(0.25, 0.5, (2, n)), rng.uniform(0.0, 2.0 * np.pi, (2, n))
+
+    def course(t: Array) -> Array:
+        wave = np.sin(t[:, None, None] * speed + phase)
+        return middle + 0.5 * half * wave.sum(axis=1)
+
+    t = np.arange(0.0, 90.0, 1.0 / rate)
+    t = t + rng.uniform(-0.1, 0.1, len(t)) / rate
+    at = np.arange(1.0, 89.0, 0.02)
+    exact = works.cell.poses(Stations(course(at), at, np.ones((len(at), n))), ())
+    p = exact.p + rng.normal(0, 2e-5, exact.p.shape)
+    R = exact.R * Rotation.from_rotvec(rng.normal(0, 2e-5, p.shape))
+    q = course(t)
+    unknown = np.full_like(q, np.nan)
+    joints = JointTrack(works.names, BEGIN + t, q, unknown, unknown, BEGIN + t)
+    reading = ReadingTrack("pose", "tracker", BEGIN + at, np.concatenate([p, R.as_quat()], axis=1), BEGIN + at)
+    return Planted(works.robot, Recording((joints,), (reading,), (), works.arm.urdf), 2e-2 * np.sqrt(3.0))
+
+
+ROWS: dict[str, Maker] = {
+    maker.__name__: maker
+    for maker in (
+        late_joint, late_in_part, late_among_others, commanded_as_measured, followed_well, payload_topic,
+        effort_in_places, short_stands, short_pauses, slow_joint_states,
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a fit left, in units of the floor, and whether the cause was named and nothing that is not there."""
+
+    ratio: float
+    named: bool
+    clean: bool
+    line: str
+
+
+def judged(row: str, seed: int) -> Outcome:
+    """One seed of a row."""
+    planted = ROWS[row](np.random.default_rng([seed, *row.encode()]))
+    urdf = planted.recording.robot_description or ""
+    chain = read_chain(urdf, None, TIPS[planted.robot], frozenset(planted.recording.joints[0].names))
+    began = time.monotonic()
+    samples = prepare(planted.recording, chain).samples
+    report = calibrate(samples, chain, np.random.default_rng(0), inertias=read_inertias(urdf, chain)).report
+    size = report.size_mm("final")
+    assert size is not None
+    found = [(effect.family, effect.place) for effect in report.effects]
+    named = planted.named is None or any(f == planted.named[0] and p in planted.named[1] for f, p in found)
+    clean = not any(family in planted.never for family, _ in found)
+    ratio = size.rms / planted.floor_mm
+    said = ", ".join(f"{e.family} {e.place} {e.driver}" for e in report.effects)
+    line = (
+        f"{row} {seed} {planted.robot}: {size.rms:.4f} mm, {ratio:.2f} x the floor, "
+        f"{'named' if named else 'NOT NAMED'}{'' if clean else ', NOT THERE'}, {len(samples)} samples"
+        f"{' in motion' if samples.moving.any() else ''}, {time.monotonic() - began:.0f} s: {said}"
+    )
+    return Outcome(ratio, named, clean, line)
+
+
+def main() -> None:
+    """Run the rows and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", nargs="*", choices=ROWS, default=list(ROWS))
+    asked = parser.parse_args()
+    table = []
+    for row in asked.only:
+        outcomes = [judged(row, seed) for seed in range(asked.first, asked.first + asked.seeds)]
+        for outcome in outcomes:
+            print(outcome.line)
+        ratios = np.array([o.ratio for o in outcomes])
+        shares = [100.0 * np.mean([getattr(o, name) for o in outcomes]) for name in ("named", "clean")]
+        table.append(
+            f"| {row} | {len(outcomes)} | {np.sqrt(np.mean(ratios**2)):.3f} | {ratios.max():.2f} | "
+            f"{np.mean(ratios <= 1.1):.0%} | {shares[0]:.0f} % | {shares[1]:.0f} % |"
+        )
+    print("| row | seeds | RMS in floors | worst | within 1.1 | cause named | nothing else of its kind |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    print("\n".join(table))
+
+
+if __name__ == "__main__":
+    main()
