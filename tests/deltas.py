@@ -47,12 +47,16 @@ def record_delta(
     gear: tuple[int, float, float] | None = None,
     compliance: float = 0.0,
     noise_m: float = NOISE_M,
+    unequal: float | tuple[float, float, float] = 0.0,
 ) -> RecordedDelta:
-    """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of what nobody declared."""
+    """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of what nobody declared.
+
+    unequal: by how much the two rods of each arm differ [m].
+    """
     rng = np.random.default_rng(seed)
     drawn = nominal(shaft)
     true = displaced(drawn, rng, 5e-4, 1e-3)
-    world = DeltaWorld(true, se3.exp(rng.normal(size=6)), compliance=compliance)
+    world = DeltaWorld(true, se3.exp(rng.normal(size=6)), compliance=compliance, unequal=unequal)
     q = random_postures(drawn, count, rng)
     sent = q.copy()
     if gear is not None:

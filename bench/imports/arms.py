@@ -60,8 +60,11 @@ def _pose(joint: ET.Element) -> tuple[np.ndarray, np.ndarray]:
     return xyz, rpy
 
 
-def record(robot: str, rng: np.random.Generator, rows: int, spread: float = 1.0) -> Recorded:
-    """Postures of an arm whose links, axes and zeros are a little off, seen by a tracker. spread: of the joints."""
+def record(robot: str, rng: np.random.Generator, rows: int, spread: float = 1.0, rate: float = 0.0) -> Recorded:
+    """Postures of an arm whose links, axes and zeros are a little off, seen by a tracker. spread: of the joints.
+
+    rate: rows a second of one smooth motion; 0: postures apart.
+    """
     joints, _ = _chain(robot)
     spec = mujoco.MjSpec()
     body = spec.worldbody
@@ -90,6 +93,11 @@ def record(robot: str, rng: np.random.Generator, rows: int, spread: float = 1.0)
     low, high = np.array(low), np.array(high)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     q = middle + spread * half * rng.uniform(-0.75, 0.75, (rows, len(names)))
+    if rate:
+        t = np.arange(rows)[:, None] / rate
+        turns = rng.uniform(0.05, 0.2, (2, 1, len(names)))
+        waves = [np.sin(2.0 * np.pi * f * t + rng.uniform(0, 6.28, len(names))) for f in turns]
+        q = middle + spread * half * 0.4 * (waves[0] + waves[1])
     offset = 7e-4 * rng.standard_normal(len(names))
     B = np.eye(4)
     B[:3, :3] = Rotation.random(random_state=rng).as_matrix()
@@ -102,7 +110,39 @@ def record(robot: str, rng: np.random.Generator, rows: int, spread: float = 1.0)
         turn = data.site_xmat[0].reshape(3, 3)
         T[i, :3, :3] = B[:3, :3] @ turn @ Rotation.from_rotvec(noise[1] * rng.standard_normal(3)).as_matrix()
         T[i, :3, 3] = B[:3, :3] @ data.site_xpos[0] + B[:3, 3] + noise[0] * rng.standard_normal(3)
-    stamps = 1.7e9 + np.cumsum(rng.uniform(4.0, 9.0, rows))
+    stamps = 1.7e9 + (np.arange(rows) / rate if rate else np.cumsum(rng.uniform(4.0, 9.0, rows)))
     commanded = q + 2e-5 * rng.standard_normal(q.shape)
     temperature = 21.0 + np.cumsum(0.02 * rng.standard_normal(rows))
     return Recorded(robot, tuple(names), q, T, stamps, commanded, temperature)
+
+
+def holding(robot: str, q: np.ndarray) -> np.ndarray:
+    """Torques (N, n) [N m] with which actuators hold the described bodies at joints q, positive along the axes."""
+    joints, _ = _chain(robot)
+    root = ET.parse(ROBOTS / f"{robot}.urdf").getroot()
+    inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
+    spec = mujoco.MjSpec()
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
+    body = spec.worldbody
+    for k, joint in enumerate(joints):
+        xyz, rpy = _pose(joint)
+        x, y, z, w = Rotation.from_euler("xyz", rpy).as_quat()
+        body = body.add_body(name=f"b{k}", pos=xyz, quat=[w, x, y, z])
+        inertial = inertials.get(joint.find("child").get("link"))
+        if inertial is not None:
+            centre, _ = _pose(inertial)
+            mass = float(inertial.find("mass").get("value"))
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], pos=centre, mass=mass)
+        if joint.get("type") in ("revolute", "continuous"):
+            axis = joint.find("axis")
+            along = [float(v) for v in (axis.get("xyz") if axis is not None else "1 0 0").split()]
+            body.add_joint(name=joint.get("name"), type=mujoco.mjtJoint.mjJNT_HINGE, axis=along)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    out = np.empty_like(q)
+    for i, posture in enumerate(q):
+        data.qpos[:] = posture
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(model, data)
+        out[i] = data.qfrc_bias
+    return out

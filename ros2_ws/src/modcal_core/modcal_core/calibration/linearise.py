@@ -28,7 +28,7 @@ from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import READING, Effect, Term, all_columns, motion
+from modcal_core.effects.effect import LEAN, READING, RODS, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform, local_twists
@@ -248,6 +248,22 @@ class RowView:
         if self.sights is not None:
             self.sights.look_through(position)
 
+    def rods_column(self, place: int, direction: int, out: Array) -> None:
+        """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ, or lean."""
+        N, M = self.position.shape[1], self.rotation.shape[1]
+        position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
+        tilt = self.f.loops[place].tilt
+        assert tilt is not None
+        if direction == LEAN:
+            position[:], rotation[:] = tilt.lean, 0.0
+        else:
+            p = self.f.p[-1] if self.sights is None else self.sights.watched
+            so3.cross(tilt.turn, p - tilt.hub, out=position)
+            position += tilt.shift
+            rotation[:] = tilt.turn if M == N else tilt.turn[:, self.pose]
+        if self.sights is not None:
+            self.sights.look_through(position)
+
     def own_column(self, instrument: int, change: Array, out: Array) -> None:
         """Write what changes, (3 N + 3 M,), per unit of a change of an instrument's constants."""
         N = self.position.shape[1]
@@ -287,6 +303,9 @@ class RowView:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""
         if (place, direction) not in self._units:
             out = np.empty(self.position.size + self.rotation.size)
-            self.column(place, np.eye(6)[direction], out=out)
+            if direction in (RODS, LEAN):
+                self.rods_column(place, direction, out)
+            else:
+                self.column(place, np.eye(6)[direction], out=out)
             self._units[place, direction] = out
         return self._units[place, direction]

@@ -16,11 +16,15 @@ from modcal_core.effects.drivers import Drivers, public_driver
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS, local_twists
+from modcal_core.robots import delta_kinematics
 from modcal_core.robots.mechanism import Mechanism
 
 READING = -1  # the place of what scales readings: behind everything
 STEPS = ("step", "until")  # shapes of what happens at one time
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
+PAIRS = "rods"  # of parallelograms, by what their two rods differ
+RODS, LEAN = delta_kinematics.RODS, delta_kinematics.RODS + 1  # directions of a Delta's arms behind the six of a twist
+EXPECTED_RODS = 0.02  # of their spacing: 1 mm at 50 mm
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
 EXPECTED_DELAY = 0.05  # s
@@ -42,7 +46,7 @@ class Effect:
 
     family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
     (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
-    (the axes of all joints at once) or "radial" (from the tracker). driver: see :mod:`drivers`. shape: how it
+    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see :mod:`drivers`. shape: how it
     follows the driver. values, std: amplitudes and their standard deviations (m,), in rad or m per unit of the driver,
     then the settings that are fitted with them.
     """
@@ -108,6 +112,10 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, drivers)[j])]]
     x = drivers.values(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
+    if effect.direction == PAIRS:
+        more = effect.shape.settings["radius"] - effect.shape.settings["known_radius"]
+        arms = [chain.first_place + i for i in range(effect.shape.size)]
+        return [[Term(i, RODS, x), *([Term(i, LEAN, more * x)] if more else [])] for i in arms]
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
     basis = effect.shape.basis(x)
@@ -169,7 +177,10 @@ def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array
                 if term.place == READING:
                     scale = scale + amplitude * term.size
                 else:
-                    twist = twists.setdefault(term.place, np.zeros((6, len(drivers))))
+                    rows = 6 if term.direction < RODS else LEAN + 1
+                    twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
+                    if len(twist) < rows:
+                        twist = twists[term.place] = np.concatenate([twist, np.zeros((rows - len(twist), len(drivers)))])
                     twist[term.direction] += amplitude * term.size
     return twists, scale
 
@@ -181,6 +192,8 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
         rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
         if effect.direction == JOINTS or effect.driver == "velocity":
             out.append(EXPECTED_DELAY)
+        elif effect.direction == PAIRS:
+            out.append(EXPECTED_RODS)
         elif effect.shape.kind in ("spline", "waves"):
             out.append(EXPECTED_BEND)
         else:

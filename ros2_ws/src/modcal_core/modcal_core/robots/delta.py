@@ -10,6 +10,14 @@ from the elbow to the platform's centre, once the platform's own radius has been
 
 and the tool stands at ``Trans(p) Rz(φ) T_tip_tool``, φ = k_s q_4 for the telescopic shaft, 0 where there is none.
 
+Rods of a pair that differ in length by δ, at a spacing of d, tilt the platform: with R its orientation, t_i the tangent
+along which the rods of arm i stand apart, u_i the way outwards, r the platform's radius and s_i along the rods,
+
+    s_i · (R t_i − t_i) = ε_i = δ_i / d        |p + (R − 1) r u_i − C_i| = L2_i,
+
+exact but for terms of (d / L2) (δ / d)² (:mod:`delta_tilt`). ε is no structural parameter: it is an effect, found where
+the data show it.
+
 Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
 (x, y, z, rx, ry, rz). The zero of the shaft is the tool's rz. k_s belongs to the drawing; where it is wrong, the
 diagnosis names it (a gear ratio at the shaft).
@@ -44,7 +52,8 @@ class Delta:
     names: joints of arms 1, 2, 3 and, where there is one, of the shaft. constants: of the arms, (6, 3), rows as in
     ``CONSTANTS``: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad], (n,).
     tool: where the drawing puts the tool in the tip, (6,): x y z [m] rx ry rz [rad], as ``Trans Rot(exp)``.
-    shaft_ratio: turns of the tool per turn of the shaft's joint, −1 where it counts the other way.
+    shaft_ratio: turns of the tool per turn of the shaft's joint, −1 where it counts the other way. platform_radius: of
+    the moving platform [m], 0 where nothing states it; it shows only where a platform tilts.
     """
 
     names: tuple[str, ...]
@@ -55,6 +64,7 @@ class Delta:
     shaft_ratio: float = 1.0
     base: str = "base"
     tip: str = "tip"
+    platform_radius: float = 0.0
 
     @classmethod
     def build(
@@ -72,6 +82,7 @@ class Delta:
         shaft_ratio: float = 1.0,
         base: str = "base",
         tip: str = "tip",
+        platform_radius: float = 0.0,
     ) -> Delta:
         """A Delta from its constants [m, rad], one number for all arms or one each. Raises BadRobot for what cannot be.
 
@@ -94,6 +105,7 @@ class Delta:
             float(shaft_ratio),
             base,
             tip,
+            float(platform_radius),
         )
         _require_sound(out)
         return out

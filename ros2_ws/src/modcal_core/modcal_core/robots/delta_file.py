@@ -43,7 +43,7 @@ def delta_from_data(data: Any, source: str) -> Delta:
     given = {key: _numbers(arms[key], ARMS, f"{source}: arms: {key}", one_for_all=True) for key in arms}
     if all(key in given for key in _RADII) and "offset_m" not in given:
         given["offset_m"] = given[_RADII[0]] - given[_RADII[1]]
-    elif any(key in given for key in _RADII):
+    elif any(key in given for key in _RADII) and not ("offset_m" in given and "fixed_radius_m" not in given):
         said = f"needs either offset_m, or both {' and '.join(_RADII)}"
         raise BadTable(f"{source}: arms", said, _REMEDY)
     missing = [key for key in ("offset_m", "proximal_m", "distal_m") if key not in given]
@@ -65,18 +65,20 @@ def delta_from_data(data: Any, source: str) -> Delta:
         shaft_ratio=float(_numbers(ratio, 1, f"{source}: shaft_ratio", one_for_all=True)[0]),
         base=str(data.get("base", "base")),
         tip=str(data.get("tip", "tip")),
+        platform_radius=float(given["platform_radius_m"].mean().round(12)) if "platform_radius_m" in given else 0.0,
     )
 
 
 def delta_to_data(delta: Delta) -> dict[str, Any]:
     """The data that :func:`delta_from_data` reads back as the same Delta, no digit lost."""
     shaft = {"shaft_ratio": delta.shaft_ratio} if delta.has_shaft else {}
+    radius = {"platform_radius_m": delta.platform_radius} if delta.platform_radius else {}
     return {
         "modcal_delta": FORMAT,
         "base": delta.base,
         "tip": delta.tip,
         "joints": list(delta.names),
-        "arms": {key: _floats(delta.constants[row]) for key, row in _ROWS.items()},
+        "arms": {**{key: _floats(delta.constants[row]) for key, row in _ROWS.items()}, **radius},
         **shaft,
         "limits_rad": {
             name: [float(low), float(high)]

@@ -24,8 +24,10 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import NotReachable
 from modcal_core.geometry.so3 import Array, cross
 from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, OFFSET, PROXIMAL, RATIO, ZERO, Delta
+from modcal_core.robots.delta_tilt import tilted, tilts
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
+RODS = 6  # row of an arm's twist: by how much its rods differ, per spacing; behind it, times what the radius is more
 LOOSE = 0.05  # |det S| below which the platform counts as loose; three rods at right angles have 1
 STRETCHED = 0.02  # sine of the angle between arm and rod below which the arm counts as stretched
 
@@ -39,7 +41,8 @@ def frames(
 ) -> Frames:
     """Frames of every place in the base for joint positions q (N, n) [rad]: base, shoulders, shaft, tool.
 
-    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place. T_tip_tool: puts the tool's
+    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, two rows more
+    say how its two rods differ (see RODS). T_tip_tool: puts the tool's
     place at the tool instead of the tip. loops: whether it is asked how the arms move the tool. A shoulder's frame has
     x outwards and z along the axis. Postures that no platform can take are NaN; :func:`forward` refuses them.
     """
@@ -67,6 +70,19 @@ def frames(
         centre[i] = p[1 + i] + arm[i]
     platform = _meeting_point(centre, distal, axes[0, 2])
     tip = axes[0].copy()
+    stands = axes[1 : 1 + ARMS].copy()
+    if rods := {i: twists[1 + i] for i in range(ARMS) if 1 + i in twists and len(twists[1 + i]) > RODS}:
+        unequal = np.zeros((2, ARMS, N))
+        for i, twist in rods.items():
+            unequal[:, i] = twist[RODS : RODS + 2]
+
+        def place(shift: Array) -> tuple[Array, Array]:
+            at = _meeting_point(centre - shift, distal, axes[0, 2])
+            return at, (at - centre + shift) / distal[:, None, None]
+
+        R, platform, _ = tilted(unequal[0], unequal[1], delta.platform_radius, stands, place)
+        tip = np.einsum("nij,djn->din", R, tip)
+        stands = np.einsum("nij,adjn->adin", R, stands)
     at = platform.copy()
     if delta.has_shaft:
         place = 1 + ARMS
@@ -82,7 +98,7 @@ def frames(
     p[last] = at + (T[:3, 3] @ flat).reshape(3, N)
     if last in twists:
         moved_frame(axes[last], p[last], twists[last])
-    return Frames(axes, p, _loops(delta, q, axes, p, arm, centre, platform) if loops else {})
+    return Frames(axes, p, _loops(delta, q, axes, p, arm, centre, platform, stands) if loops else {})
 
 
 def forward(delta: Delta, q: ArrayLike) -> Array:
@@ -222,13 +238,15 @@ def _meeting_point(C: Array, L: Array, up: Array) -> Array:
 
 
 def _loops(
-    delta: Delta, q: Array, axes: Array, p: Array, arm: Array, centre: Array, platform: Array
+    delta: Delta, q: Array, axes: Array, p: Array, arm: Array, centre: Array, platform: Array, stands: Array
 ) -> dict[int, Loop]:
-    along = (platform - centre) / delta.constants[DISTAL][:, None, None]  # (3 arms, 3, N)
+    along = platform - centre + delta.platform_radius * (stands[:, 0] - axes[1 : 1 + ARMS, 0])  # (3 arms, 3, N)
+    along = along / delta.constants[DISTAL][:, None, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         turned = [cross(along[1], along[2]), cross(along[2], along[0]), cross(along[0], along[1])]
         gains = np.stack(turned) / np.sum(along[0] * turned[0], axis=0)
     up, loops = axes[0, 2], {}
+    tilt = tilts(stands, along, gains, platform, delta.platform_radius)
     for i in range(ARMS):
         s, axis, lever = along[i], axes[1 + i, 2], arm[i]
         rates = np.empty((len(CONSTANTS), q.shape[0]))
@@ -239,7 +257,7 @@ def _loops(
         rates[OFFSET] = np.sum(s * out, axis=0)
         rates[PROXIMAL] = np.sum(s * lever, axis=0) / delta.constants[PROXIMAL, i]
         rates[DISTAL] = 1.0
-        loops[1 + i] = Loop(gains[i], s, lever, rates)
+        loops[1 + i] = Loop(gains[i], s, lever, rates, tilt[i])
     return loops
 
 

@@ -25,18 +25,32 @@ from modcal_core.robots.chain import Chain
 
 
 @dataclass(frozen=True)
+class Tilt:
+    """A platform that turns about its middle. turn: (3, N), per unit. shift: of its middle besides, (3, N) [m], with
+    the radius that is known. lean: the same per metre of the radius. hub: its middle, (3, N) [m]. All in the base.
+    """
+
+    turn: Array
+    shift: Array
+    lean: Array
+    hub: Array
+
+
+@dataclass(frozen=True)
 class Loop:
     """How what happens at a place reaches the tool through a closed chain: as a shift, by its share along a rod.
 
     gain, along, lever: (3, N), in the base: the tool moves by ``gain`` per unit that the rod's end moves ``along`` the
     rod; ``lever`` [m] leads from the place to that end. rates: what the constants of the place move it along the rod
-    per unit, (constants, N).
+    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods differ,
+    None where there are no pairs.
     """
 
     gain: Array
     along: Array
     lever: Array
     rates: Array
+    tilt: Tilt | None = None
 
     def moved(self, shift: Array, turn: Array) -> Array:
         """The tool's motion (3, N) for a twist of the place, its parts (3,) or (3, N) in the base [m, rad]."""
@@ -106,7 +120,8 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
 
 
 def moved_frame(axes: Array, p: Array, twist: Array) -> None:
-    """Shift a frame by the first three rows of a twist (6, N) and turn it by the last three, seen from itself."""
+    """Shift a frame by the first three rows of a twist (6, N) and turn it by the next three, seen from itself."""
+    twist = twist[:6]
     if twist[:3].any():
         p += np.einsum("dcn,dn->cn", axes, twist[:3])
     if twist[5].any() and not twist[3:5].any():  # about the joint's axis, as most are

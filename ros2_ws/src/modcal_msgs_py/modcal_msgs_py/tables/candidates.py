@@ -4,41 +4,60 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.plausibility.turning import turnings
 from modcal_msgs_py.tables import labels as words
-from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, VELOCITY, Label
+from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label
 from modcal_msgs_py.tables.sniff import Sniffed
 from modcal_msgs_py.tables.table import number
 
 _LEAST_FILLED = 0.3  # share of the rows in which a column must have a number
 _NUMBER = re.compile(r"\d{1,4}(?=\D*$)")  # the last one in a label
+_NINES = re.compile(r"-?9{3,}([.,][09]*)?")  # what exports write for "no reading"
+_FAR = 5.0  # times the largest other number of a column, that such a number is away
 _MOST_BODIES = 48  # places of columns that are tried without labels
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The columns of a file as numbers. values: (N, width), NaN where there is none. labels: of each column."""
+    """The columns of a file as numbers. values: (N, width), NaN where there is none. labels: of each column.
+
+    odd: texts in a column that stand where there is no number, besides those that are known to.
+    """
 
     sniffed: Sniffed
     values: Array
     labels: dict[int, Label]
+    odd: dict[int, set[str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, sniffed: Sniffed) -> Numbers:
-        """All columns of a file."""
+        """All columns of a file; 9999 and the like are no number where they stand far from all others."""
         values = np.full((len(sniffed.rows), sniffed.width), np.nan)
+        odd: dict[int, set[str]] = {}
         for i, row in enumerate(sniffed.rows):
             for k, cell in enumerate(row):
                 found = number(cell, sniffed.form.decimal)
                 values[i, k] = np.nan if found is None else found
+                if found is None or _NINES.fullmatch(cell.strip()):
+                    odd.setdefault(k, set()).add(cell.strip())
+        for k, texts in odd.items():
+            for text in tuple(texts):
+                value = number(text, sniffed.form.decimal)
+                if value is None:
+                    continue
+                rest = values[:, k][np.isfinite(values[:, k]) & (values[:, k] != value)]
+                if len(rest) and abs(value) > _FAR * float(np.abs(rest).max()):
+                    values[values[:, k] == value, k] = np.nan
+                else:
+                    texts.discard(text)
         full = [*sniffed.full, *[""] * (sniffed.width - len(sniffed.full))]
         units = [*sniffed.units, *[""] * (sniffed.width - len(sniffed.units))]
-        return cls(sniffed, values, {k: Label.of(full[k], units[k]) for k in range(sniffed.width)})
+        return cls(sniffed, values, {k: Label.of(full[k], units[k]) for k in range(sniffed.width)}, odd)
 
     def usable(self) -> list[int]:
         """Columns that hold numbers that change."""
@@ -63,12 +82,21 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Body:
-    """Columns that may be a pose, or a point where turned is None. computed: its labels sound like a controller's."""
+    """Columns that may be a pose, or a point where turned is None. computed: its labels sound like a controller's.
+
+    points: names and columns of the targets of one body, whose pose they are together; position is the first then.
+    """
 
     position: tuple[int, int, int]
     turned: tuple[int, ...] | None
     named: bool
     computed: bool = False
+    points: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+
+    @property
+    def posed(self) -> bool:
+        """Whether it has an orientation."""
+        return self.turned is not None or bool(self.points)
 
 
 @dataclass(frozen=True)
@@ -86,13 +114,14 @@ def bodies(numbers: Numbers, joints: set[int], time: set[int]) -> list[Body]:
     # constants may be part of a pose, too: a matrix's last row, an angle that never changed
     filled = [k for k in range(numbers.values.shape[1]) if np.isfinite(numbers.values[:, k]).mean() >= _LEAST_FILLED]
     labelled = {k: numbers.labels[k] for k in filled if k not in time and k not in joints}
+    turning = {k: label for k, label in labelled.items() if label.role != OTHER}
     positions: dict[str, dict[str, int]] = {}
     for k, label in labelled.items():
         if label.axis is not None and label.role in (MEASURED, COMMANDED):
             positions.setdefault(label.axis[1], {}).setdefault(label.axis[0], k)
     named = [(f["x"], f["y"], f["z"]) for f in positions.values() if len(f) == 3]
     turns: list[tuple[int, ...]] = [
-        *words.matrices(labelled), *words.quaternions(labelled), *words.angle_triples(labelled)
+        *words.matrices(labelled), *words.quaternions(labelled), *words.angle_triples(turning)
     ]  # fmt: skip
     turns += [
         t
@@ -107,7 +136,7 @@ def bodies(numbers: Numbers, joints: set[int], time: set[int]) -> list[Body]:
         own.sort(key=lambda t, p=p: (_apart(numbers, p, t), -len(t)))  # type: ignore[misc]
         if not own:  # columns beside it, whatever they are called
             beside = [tuple(range(max(p) + 1, max(p) + 4)), tuple(range(min(p) - 3, min(p)))]
-            own = [t for t in beside if set(t) <= set(free) - set(joints) and _is_turned(numbers, t)]
+            own = [t for t in beside if set(t) <= set(free) & set(turning) and _is_turned(numbers, t)]
         out += [Body(p, t, True, computed) for t in own[:4]]
         out.append(Body(p, None, True, computed))
     out += [Body(p, t, True) for p, t in words.homogeneous(labelled) if _is_turned(numbers, t)]
@@ -239,12 +268,13 @@ def pool(numbers: Numbers, taken: set[int]) -> list[int]:
         column = numbers.values[:, k]
         if k in taken or numbers.labels[k].role != MEASURED or float(np.nanmax(np.abs(column))) > 400.0:
             continue
-        if _is_counter(column):
+        if is_counter(column):
             continue
         out.append(k)
     return out
 
 
-def _is_counter(column: Array) -> bool:
+def is_counter(column: Array) -> bool:
+    """Whether numbers only rise, or only fall."""
     steps = np.diff(column[np.isfinite(column)])
     return bool(len(steps)) and bool((steps >= 0.0).all() or (steps <= 0.0).all())

@@ -103,6 +103,8 @@ def _table(path: Path, entry: Mapping[str, Any], folder: Path, source: str) -> T
     table = Table(read_sheet(path, Form.stated(entry)), faults, frozenset(map(str, entry.get("missing_values", ()))))
     for other in entry.get("joined", ()):
         join(table, other, folder, source)
+    if "zeros_missing" in entry:
+        table.blank_zeros(list(entry["zeros_missing"]))
     return table
 
 

@@ -13,8 +13,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack
 from modcal_msgs_py.tables.table import Table
 
-UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "gon": np.pi / 200.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 SPEEDS = {f"{unit}/s": scale for unit, scale in UNITS.items()}
+EFFORTS = {"N m": 1.0, "N": 1.0, "N mm": 1e-3, "kN m": 1e3}
 COMMANDS = "/joint_commands"
 
 
@@ -23,7 +24,9 @@ def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[J
     names = tuple(joints["columns"])
     position = _scaled(table, joints, UNITS, names)
     velocity = _beside(table, joints, "velocity", SPEEDS, names)
-    effort = _beside(table, joints, "effort", {"N m": 1.0, "N": 1.0}, names)
+    effort = _beside(table, joints, "effort", EFFORTS, names)
+    if joints.get("effort", {}).get("of_load"):
+        effort = -effort
     keep = np.isfinite(stamps) & table.present(list(joints["columns"].values()))
     track = JointTrack(names, stamps, position, velocity, effort, stamps)
     if "commanded" not in joints:

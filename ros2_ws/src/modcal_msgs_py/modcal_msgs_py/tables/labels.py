@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]*)\s*[\])>}]")
+_SUFFIX = re.compile(r"[_ ](k?Nm{1,2}|(?:rad|deg|mm|m)[/_]s|gon|kg|degC|hPa|bar|mm|m|in|cm|deg|rad|%)$", re.IGNORECASE)
+_COVERAGE = re.compile(r"([23])[ _-]?(?:sigma|σ|std|s\b)|\bk ?= ?([23])|95")
 _WORD = re.compile(r"[A-Za-z°µ]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # Units as labels have them, and as a mapping does
@@ -17,7 +19,8 @@ UNITS = {
 }  # fmt: skip
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
 _ROLES = (
-    (OTHER, {"current", "temp", "temperature", "error", "err", "std", "sigma", "stdev", "deviation", "residual", "acc",
+    (OTHER, {"current", "temp", "temperature", "error", "err", "std", "stddev", "sd", "sigma", "stdev", "sx", "sy",
+             "sz", "deviation", "covariance", "payload", "mass", "residual", "acc",
              "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality",
              "intensity", "pressure", "humidity", "confidence", "frame", "index", "count"}),
     (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
@@ -50,11 +53,14 @@ _ANGLE_TRIPLES = (
 
 @dataclass(frozen=True)
 class Label:
-    """A label in parts. words: in small letters, numbers apart. unit: as a mapping names it, None: not told."""
+    """A label in parts. words: in small letters, numbers apart. unit: as a mapping names it, None: not told. told: the
+    unit as the file has it, in small letters without blanks, "" where there is none.
+    """
 
     text: str
     words: tuple[str, ...]
     unit: str | None
+    told: str = ""
 
     @classmethod
     def of(cls, text: str, unit: str = "") -> Label:
@@ -67,12 +73,25 @@ class Label:
         if found is None and len(words) > 1 and words[-1] in UNITS:  # x_mm
             found = UNITS[words[-1]]
             words = words[:-1]
-        return cls(text, tuple(words), found)
+        raw = ["".join(t.lower().split()) for t in told]
+        behind = _SUFFIX.search(text)
+        name = next((t for t in raw if t and not any(c.isdigit() for c in t)), "") or (
+            behind[1].lower() if behind is not None else ""
+        )
+        return cls(text, tuple(words), found, name.replace("·", "").replace("*", "").replace("_", "/"))
 
     @property
     def role(self) -> str:
         """What a joint's column holds."""
+        if self.coverage:
+            return OTHER
         return next((role for role, said in _ROLES if said & set(self.words)), MEASURED)
+
+    @property
+    def coverage(self) -> str:
+        """How many standard deviations it states, such as "2" of x (95 %); "" where it states none."""
+        found = _COVERAGE.search(self.text.lower())
+        return "" if found is None else found[1] or found[2] or "2"
 
     @property
     def computed(self) -> bool:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from modcal_core.files import to_yaml
-from modcal_core.plausibility.turning import EULER, MATRIX, QUATERNION
-from modcal_msgs_py.tables.propose import Findings, differences, missed, second, turning_words, worse
+from modcal_msgs_py.tables.fitted import Fitted
+from modcal_msgs_py.tables.propose import Findings, zeros_of
 from modcal_msgs_py.tables.sheet import Form
 
 _WIDTH = 116  # of comments
@@ -36,12 +36,17 @@ class Proposal:
 def proposal(found: Findings, urdf: str | None) -> Proposal:
     """The mapping that findings make."""
     numbers, chain, fitted = found.numbers, found.chain, found.fitted
-    choice, meaning = fitted.choice, fitted.best.meaning
+    choice, beside = fitted.choice, found.beside
     entry: dict[str, Any] = {"files": numbers.sniffed.path.name, **_form(numbers.sniffed.form)}
-    used = [*choice.joints.columns, *fitted.body.position, *(fitted.body.turned or ())]
+    used = {*choice.joints.columns, *fitted.columns, *beside.used}
     lacking = len(numbers.values) - len(fitted.rows)
     if lacking:
         entry["missing"] = "skip"
+    odd = sorted({text for k in used for text in numbers.odd.get(k, ())})
+    if odd:
+        entry["missing_values"] = odd
+    if zeros := _zeros(found):
+        entry["zeros_missing"] = [numbers.key(k) for k in zeros]
     if found.joined is not None and found.joined.stated:
         entry["joined"] = list(found.joined.stated)
     entry["time"] = found.time.stated
@@ -52,38 +57,25 @@ def proposal(found: Findings, urdf: str | None) -> Proposal:
         sliding = [name for name, turns in zip(chain.names, turning, strict=True) if not turns]
         entry["joints"]["units"] = dict.fromkeys(sliding, choice.length)
     entry["joints"]["columns"] = _by_joint(found, choice.joints.columns)
-    if found.commanded is not None:
-        entry["joints"]["commanded"] = {"columns": _by_joint(found, found.commanded.columns)}
-    reading: dict[str, Any] = {
-        "frame": "tracker", "unit": meaning.unit, "position": [numbers.key(k) for k in fitted.body.position],
-    }  # fmt: skip
-    if meaning.turning is None:
-        entry["point"] = reading
-    else:
-        assert fitted.body.turned is not None
-        columns = [numbers.key(fitted.body.turned[i]) for i in meaning.turning.order]
-        stated: dict[str, Any] = {"columns": columns}
-        if meaning.turning.form == EULER:
-            stated["sequence"] = meaning.turning.sequence
-        if meaning.turning.form not in (QUATERNION, MATRIX):
-            stated["unit"] = "deg" if meaning.turning.degrees else "rad"
-        if meaning.turning.conjugate:
-            stated["conjugate"] = True
-        reading[meaning.turning.form] = stated
-        if meaning.inverse:
-            reading["inverse"] = True
-        entry["pose"] = reading
-    warm = {
-        "_".join(label.words) or f"column_{k}": numbers.key(k)
-        for k, label in numbers.labels.items()
-        if k not in used and {"temperature", "temp"} & set(label.words) and k in numbers.usable()
-    }
-    if warm:
-        entry["temperature"] = warm
+    entry["joints"] |= beside.joints
+    entry |= fitted.entry(numbers)
+    if beside.std:
+        next(entry[key] for key in ("pose", "point") if key in entry)["std"] = beside.std
+    for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
+        if stated:
+            entry[key] = stated
     mapping: dict[str, Any] = {**({"urdf": urdf} if urdf else {}), "tables": [entry]}
     if found.questions:
         mapping = {"undecided": list(found.questions), **mapping}
-    return Proposal(mapping, _proved(found), _assumed(found, used, lacking, warm), found.questions)
+    return Proposal(mapping, _proved(found), _assumed(found, used, lacking, odd), found.questions)
+
+
+def _zeros(found: Findings) -> list[int]:
+    """Columns that are all zero in rows in which nothing was read; none where there are no such rows."""
+    if not isinstance(found.fitted, Fitted):
+        return []
+    columns = [int(k) for k in zeros_of(found.fitted.body)]
+    return columns if (found.numbers.values[:, columns] == 0.0).all(axis=1).any() else []
 
 
 def _form(form: Form) -> dict[str, Any]:
@@ -96,22 +88,10 @@ def _by_joint(found: Findings, columns: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _proved(found: Findings) -> tuple[str, ...]:
-    fitted, best = found.fitted, found.fitted.best
-    direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"
-    if best.meaning.turning is None:
-        direction = "points of the tool in the tracker"
-    joints = fitted.choice.angle if np.any(found.chain.revolute) else fitted.choice.length
-    said = "; ".join((turning_words(found.numbers, fitted.body, best), direction, f"positions in {best.meaning.unit}"))
-    rows = f"the nominal arm misses {len(fitted.rows)} rows by {missed(best)} (median)"
-    out = [f"{said}; joints in {joints}: {rows}"]
-    if (other := second(fitted)) is not None:
-        pairs = differences(found.numbers, fitted, best, other)
-        instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
-        out.append(f"second best, {worse(best, other)}: {instead}")
-    return tuple(out)
+    return (*found.fitted.proved(found.numbers, found.chain), *found.beside.proved)
 
 
-def _assumed(found: Findings, used: list[int], lacking: int, warm: Mapping[str, Any]) -> tuple[str, ...]:
+def _assumed(found: Findings, used: set[int], lacking: int, odd: Sequence[str]) -> tuple[str, ...]:
     numbers, fitted = found.numbers, found.fitted
     sniffed, total = numbers.sniffed, len(numbers.values)
     out = [f"the arm ends at {found.chain.tip}, and begins at {found.chain.base}", found.time.said]
@@ -124,13 +104,13 @@ def _assumed(found: Findings, used: list[int], lacking: int, warm: Mapping[str, 
         out.append(f"the text is not UTF-8 and is read as {sniffed.form.encoding}")
     if lacking:
         out.append(f"{lacking} of {total} rows lack a number that is needed, and are left out")
-    if found.commanded is not None:
-        out.append("columns labelled as commanded are the commanded joints, in the same unit")
-    out += found.assumed
-    if warm:
-        out.append(f"temperatures {', '.join(warm)} are in °C")
-    taken = {*used, *found.time.columns, *(found.commanded.columns if found.commanded else ())}
-    unused = [numbers.shown(k) for k in numbers.usable() if k not in taken and numbers.key(k) not in warm.values()]
+    if odd:
+        out.append(f"{', '.join(odd)} stand where there is no number")
+    if _zeros(found):
+        out.append("rows of zeros are rows in which nothing was read")
+    out += (*found.assumed, *found.beside.said)
+    taken = {*used, *found.time.columns}
+    unused = [numbers.shown(k) for k in numbers.usable() if k not in taken]
     if unused:
         out.append(f"not used: {', '.join(unused[:20])}{' …' if len(unused) > 20 else ''}")
     return tuple(out)

@@ -9,85 +9,60 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.plausibility.conventions import BEYOND_DOUBT
 from modcal_core.plausibility.joint_columns import likely_orders
-from modcal_core.plausibility.meanings import LEAST_ROWS, LENGTHS, Judged, Postures, judge, rivals, same_poses
+from modcal_core.plausibility.meanings import LEAST_ROWS, Postures, judge, rivals, same_poses
+from modcal_core.plausibility.turning import MATRIX, Turning
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
+from modcal_msgs_py.tables.beside import Beside, find_beside
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
+from modcal_msgs_py.tables.fitted import MOST_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
 from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import Moments, find_time
+from modcal_msgs_py.tables.rigid import rigid_poses
+from modcal_msgs_py.tables.sighted import Columns, Sighted, find_sights, is_sight, sight_columns
+from modcal_msgs_py.tables.targets import rigid_bodies
 from modcal_msgs_py.tables.together import Together, together
 
-_MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
 NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
-_COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _ORDERS = 6  # of columns without labels that are judged in full
 _MOST_BODIES = 10  # that are judged where labels do not tell
 
 
 @dataclass(frozen=True)
-class ColumnChoice:
-    """What the joints' columns are taken for. unit of turning joints, and of sliding ones."""
-
-    joints: JointColumns
-    angle: str
-    length: str
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """One place of columns with its meanings, best first."""
-
-    body: Body
-    choices: tuple[ColumnChoice, ...]
-    found: tuple[Judged, ...]
-    rows: np.ndarray
-
-    @property
-    def best(self) -> Judged:
-        """The likeliest meaning."""
-        return self.found[0]
-
-    @property
-    def choice(self) -> ColumnChoice:
-        """What it takes the joints for."""
-        return self.choices[self.best.meaning.postures]
-
-    @property
-    def computed(self) -> bool:
-        """Whether the nominal arm says the same to some micrometres: then nobody measured it."""
-        return self.best.match.typical < _COMPUTED
-
-
-@dataclass(frozen=True)
 class Findings:
-    """Everything that was found out of a table. questions: what the data cannot tell; the mapping is refused till they
-    are answered. others: places of columns that fit as well and are not used.
+    """Everything that was found out of a table. fitted: its readings. beside: what else it holds. questions: what the
+    data cannot tell; the mapping is refused till they are answered. others: places of columns that fit as well and are
+    not used.
     """
 
     numbers: Numbers
     chain: Chain
     time: Moments
-    fitted: Fitted
+    fitted: Fitted | Sighted
     questions: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     others: tuple[Fitted, ...] = field(default=())
-    commanded: JointColumns | None = None
+    beside: Beside = field(default_factory=Beside)
     joined: Together | None = None
 
 
-def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lambda stage: None) -> Findings:
+def find(
+    paths: Sequence[Path],
+    chain: Chain,
+    watch: Callable[[str], None] = lambda stage: None,
+    inertias: Inertias | None = None,
+) -> Findings:
     """What the columns of a file are; of several, joined by a column that they share.
 
-    Raises BadTable where no reading of them has to do with the arm at all.
+    inertias: of the chain's bodies, by which the sign of efforts is told. Raises BadTable where no reading of the
+    columns has to do with the arm at all.
     """
     path = paths[0]
     watch(f"reading {path.name}")
@@ -97,20 +72,33 @@ def find(paths: Sequence[Path], chain: Chain, watch: Callable[[str], None] = lam
         said = f"has {len(numbers.values)} rows, {LEAST_ROWS} are needed to tell what its columns are"
         raise BadTable(path.name, said, "write a mapping, see docs/import.md")
     sure = orthonormal(numbers)
-    labelled = [j for j in joints(numbers, chain.names) if not set(j.columns) & sure]
+    labelled = [
+        j
+        for j in joints(numbers, chain.names)
+        if not set(j.columns) & sure and not all(is_sight(numbers.labels[k]) for k in j.columns)
+    ]
     measured = [j for j in labelled if j.role == MEASURED]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
     places = bodies(numbers, taken, set(time.columns))
     watch("comparing what columns may mean")
-    fits = _every_fit(numbers, chain, places, measured, set(time.columns), watch)
-    near = min((f.best.match.typical for f in fits), default=np.inf)
-    if not near <= NOT_AN_ARM * chain.reach():
-        said = "no columns are found that could be the joints of this arm and the position of a target on it"
-        if fits:
-            said += f"; the best leave {1e3 * near:.0f} mm"
-        raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
-    return replace(_decided(numbers, chain, time, fits, labelled), joined=joined)
+    instruments = sight_columns(numbers, {*taken, *time.columns, *sure})
+    fits = _every_fit(numbers, chain, places, measured, set(time.columns), instruments, watch)
+    if isinstance(fits, Sighted):
+        found = Findings(numbers, chain, time, fits, fits.questions)
+    else:
+        near = min((f.best.match.typical for f in fits), default=np.inf)
+        if not near <= NOT_AN_ARM * chain.reach():
+            said = "no columns are found that could be the joints of this arm and the position of a target on it"
+            if fits:
+                said += f"; the best leave {1e3 * near:.0f} mm"
+            raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
+        found = _decided(numbers, chain, time, fits, labelled)
+    read = found.fitted
+    whole = read if isinstance(read, Fitted) else None
+    beside = find_beside(numbers, chain, inertias, labelled, read.choice, read.columns, time, whole)
+    questions = tuple(dict.fromkeys((*found.questions, *beside.questions)))
+    return replace(found, joined=joined, beside=beside, questions=questions)
 
 
 def _every_fit(
@@ -119,9 +107,14 @@ def _every_fit(
     places: Sequence[Body],
     measured: Sequence[JointColumns],
     time: set[int],
+    instruments: Sequence[Columns],
     watch: Callable[[str], None],
-) -> list[Fitted]:
-    """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere."""
+) -> list[Fitted] | Sighted:
+    """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere.
+
+    Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
+    """
+    targets = rigid_bodies(numbers, places)
     posed = [b for b in places if b.named and b.turned]
     named = posed or [b for b in places if b.named]
     points = [b for b in places if b.turned is None]
@@ -136,6 +129,10 @@ def _every_fit(
         gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
         return [b for b in some if not gone & {*b.position, *(b.turned or ())}]
 
+    if targets and measured:
+        fits += _fits(numbers, chain, targets, measured)
+        if settled():
+            return fits
     for some, search in ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True)):
         if search:
             watch("looking for the joints' columns")
@@ -144,6 +141,12 @@ def _every_fit(
             fits += _fits(numbers, chain, left(some), measured)
         if settled():
             break
+        if instruments and measured:
+            watch("comparing what distances and directions may mean")
+            sighted = find_sights(numbers, chain, measured, instruments)
+            instruments = ()
+            if sighted is not None:
+                return sighted
     return fits
 
 
@@ -166,37 +169,27 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
-    used = [*body.position, *(body.turned or ()), *(k for j in joint_columns for k in j.columns)]
+    used = [*columns_of(body), *(k for j in joint_columns for k in j.columns)]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
-    held = np.array(body.turned or body.position)
-    rows = rows[~(numbers.values[np.ix_(rows, held)] == 0.0).all(axis=1)]
+    rows = rows[~(numbers.values[np.ix_(rows, zeros_of(body))] == 0.0).all(axis=1)]
     if len(rows) < LEAST_ROWS:
         return None
     values = numbers.values[rows]
     choices: list[ColumnChoice] = []
     postures: list[Postures] = []
     for one in joint_columns:
-        for angle, length in _units(chain, values[:, list(one.columns)]):
+        for angle, length in units(chain, values[:, list(one.columns)]):
             choices.append(ColumnChoice(one, angle, length))
             postures.append(Postures(scales(chain, angle, length) * values[:, list(one.columns)], one.how))
     turned = None if body.turned is None else values[:, list(body.turned)]
-    found = judge(chain, postures, values[:, list(body.position)], turned)
+    position = values[:, list(body.position)]
+    if body.points:
+        poses = rigid_poses(np.stack([values[:, list(triple)] for _, triple in body.points], axis=1))[0]
+        position, turned = poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)
+    found = judge(chain, postures, position, turned)
+    if body.points:  # as the mapping makes them, and no other way
+        found = [f for f in found if f.meaning.turning == Turning(MATRIX, tuple(range(9))) and not f.meaning.inverse]
     return Fitted(body, tuple(choices), tuple(found), rows) if found else None
-
-
-def _units(chain: Chain, q: Array) -> list[tuple[str, str]]:
-    """Units that the joints may be in, of turning and of sliding ones."""
-    turning = np.asarray(chain.revolute, bool)
-    largest = float(np.abs(q[:, turning]).max(initial=0.0))
-    angles = ["deg"] if largest > _MOST_RAD else ["rad", "deg"]
-    lengths = ["m"] if turning.all() else list(LENGTHS)
-    return list(product(angles if turning.any() else ["rad"], lengths))
-
-
-def scales(chain: Chain, angle: str, length: str) -> Array:
-    """What a unit of each joint is in rad or m, (n,)."""
-    turning = np.asarray(chain.revolute, bool)
-    return np.where(turning, np.pi / 180.0 if angle == "deg" else 1.0, LENGTHS[length])
 
 
 def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
@@ -213,7 +206,7 @@ def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[
     values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
     largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
     found = []
-    for scale in (np.pi / 180.0,) if largest > _MOST_RAD else (1.0, np.pi / 180.0):
+    for scale in (np.pi / 180.0,) if largest > MOST_RAD else (1.0, np.pi / 180.0):
         found += likely_orders(chain, values, scale, columns, triples, _ORDERS)
     found.sort(key=lambda order: order.left)
     out: list[Fitted] = []
@@ -234,13 +227,23 @@ def _sure(body: Body) -> bool:
     return body.turned is not None and len(body.turned) > 3
 
 
+def columns_of(body: Body) -> list[int]:
+    """All columns of a body."""
+    return [k for _, triple in body.points for k in triple] or [*body.position, *(body.turned or ())]
+
+
+def zeros_of(body: Body) -> np.ndarray:
+    """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
+    return np.array(body.turned if body.turned is not None and len(body.turned) > 3 else columns_of(body))
+
+
 def _decided(
     numbers: Numbers, chain: Chain, time: Moments, fits: list[Fitted], labelled: Sequence[JointColumns]
 ) -> Findings:
     """The place that is proposed, with what is to be asked and what is to be said."""
     fits.sort(
         key=lambda f: (
-            not f.best.explained(chain), f.computed, f.body.computed, f.body.turned is None, not f.body.named,
+            not f.best.explained(chain), f.computed, f.body.computed, not f.body.posed, not f.body.named,
         )
     )  # fmt: skip
     if not fits[0].best.explained(chain):
@@ -267,7 +270,7 @@ def _decided(
             assumed.append(f"{_names(numbers, other.body)} look computed by the controller and are not used")
         elif set(chosen.body.position) != set(other.body.position):
             questions.append(f"{names} both move with the tool: keep the columns of the target that was measured")
-    if chosen.body.turned is None and any(f.body.turned for f in rest):
+    if not chosen.body.posed and any(f.body.turned for f in rest):
         questions.append(
             "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
             "rotvec or matrix, or leave the orientation out"
@@ -279,17 +282,9 @@ def _decided(
     if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
         named = ", ".join(numbers.shown(k) for k in by_labels[0].columns)
         questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
-    commanded = next((j for j in labelled if j.role == "commanded" and _follows(numbers, j, chosen)), None)
     return Findings(
-        numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(dict.fromkeys(assumed)), others, commanded
+        numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(dict.fromkeys(assumed)), others
     )
-
-
-def _follows(numbers: Numbers, commanded: JointColumns, chosen: Fitted) -> bool:
-    """Whether commanded joints are near the measured ones."""
-    difference = numbers.values[:, list(commanded.columns)] - numbers.values[:, list(chosen.choice.joints.columns)]
-    size = 5.0 if chosen.choice.angle == "deg" else 0.1
-    return bool(np.nanmedian(np.abs(difference)) < size) and bool(np.isfinite(difference).any())
 
 
 def _alike(one: Fitted, other: Fitted) -> bool:
@@ -303,59 +298,3 @@ def _alike(one: Fitted, other: Fitted) -> bool:
 
 def _names(numbers: Numbers, body: Body) -> str:
     return ", ".join(numbers.shown(k) for k in body.position)
-
-
-def missed(judged: Judged) -> str:
-    """What a meaning leaves, in words."""
-    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.turning is not None else ""
-    return f"{1e3 * judged.match.typical:.3g} mm{turn}"
-
-
-def turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
-    """How orientations are read, in words."""
-    turning = judged.meaning.turning
-    if turning is None or body.turned is None:
-        return "positions only"
-    if turning.form == "quaternion":
-        order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
-        return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
-    if turning.form == "matrix":
-        return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
-    columns = ", ".join(numbers.shown(body.turned[i]) for i in turning.order)
-    unit = "degrees" if turning.degrees else "radians"
-    if turning.form == "rotvec":
-        return f"a rotation vector in {unit} ({columns})"
-    fixed = turning.sequence[::-1].lower()
-    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
-
-
-def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
-    """In what another meaning differs from the best: what the best says, and what the other says."""
-    a, b = best.meaning, other.meaning
-    out = []
-    if a.turning != b.turning:
-        out.append((turning_words(numbers, chosen.body, best), turning_words(numbers, chosen.body, other)))
-    if a.unit != b.unit:
-        out.append((f"positions in {a.unit}", f"positions in {b.unit}"))
-    if a.inverse != b.inverse:
-        directions = ("the tool in the tracker", "the tracker in the tool")
-        out.append((directions[a.inverse], directions[b.inverse]))
-    if a.postures != b.postures:
-        one, two = chosen.choices[a.postures], chosen.choices[b.postures]
-        if one.joints != two.joints:
-            shown = [", ".join(numbers.shown(k) for k in c.joints.columns) for c in (one, two)]
-            out.append((f"joints {shown[0]}", f"joints {shown[1]}"))
-        if (one.angle, one.length) != (two.angle, two.length):
-            out.append((f"joints in {one.angle} and {one.length}", f"joints in {two.angle} and {two.length}"))
-    return out
-
-
-def worse(best: Judged, other: Judged) -> str:
-    """By how much another meaning fits worse than the best, in words."""
-    gap = best.match.score - other.match.score
-    return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
-
-
-def second(fitted: Fitted) -> Judged | None:
-    """The meaning that fits second best."""
-    return fitted.found[1] if len(fitted.found) > 1 else None

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import BEARING, POINT, POSE, RANGE, RAY, TOUCH, ReadingTrack
 from modcal_msgs_py.tables.joints import UNITS
 from modcal_msgs_py.tables.orientation import orientation
+from modcal_msgs_py.tables.rigid import rigid_poses
 from modcal_msgs_py.tables.table import Table
 
 # Keys of a mapping, each with the topic that its readings go to
@@ -27,7 +28,6 @@ TOPICS = {
     "plane": "/tracker/plane",
     "ray": "/gripper/range",
 }
-_ROUNDS = 3  # of the mean shape of targets
 
 
 def readings_of(table: Table, entry: Mapping[str, Any], stamps: Array, source: str) -> Iterator[ReadingTrack]:
@@ -110,6 +110,7 @@ def _bearing(table: Table, one: Mapping[str, Any], where: str) -> _Read:
             UNITS[one["unit"]] * table.numbers([one["azimuth"], one.get("elevation", one.get("zenith"))]).T
         )
         up = second if "elevation" in one else np.pi / 2.0 - second
+        azimuth = -azimuth if one.get("clockwise") else azimuth
         u = np.stack([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)], axis=1)
     keys = ("azimuth", "elevation", "zenith")
     there = table.present(one.get("vector") or [one[key] for key in keys if key in one])
@@ -127,17 +128,11 @@ def _targets(table: Table, one: Mapping[str, Any], where: str) -> _Read:
     there = table.present([column for name in names for column in one["points"][name]])
     if not there.any():
         return POSE, np.tile([0.0] * 6 + [1.0], (len(table), 1)), there
-    points = seen[there]
-    centre = points.mean(axis=1)
-    spread = points - centre[:, None]
-    shape = spread[0]
-    for _ in range(_ROUNDS):
-        R = so3.nearest_rotation(np.swapaxes(spread, 1, 2) @ shape)
-        shape = np.mean(spread @ R, axis=0)  # rows are points: R turns the shape onto the row, its transpose back
+    poses, shape = rigid_poses(seen[there])
     if np.linalg.svd(shape, compute_uv=False)[1] < 1e-3:
         raise BadTable(where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point")
     values = np.tile([0.0] * 6 + [1.0], (len(table), 1))
-    values[there] = se3.to_pose(se3.transform(so3.nearest_rotation(np.swapaxes(spread, 1, 2) @ shape), centre))
+    values[there] = se3.to_pose(poses)
     return POSE, values, there
 
 
@@ -151,7 +146,7 @@ def _deviations(table: Table, one: Mapping[str, Any]) -> Array | None:
         if what in stated:
             scale = UNITS[stated.get(unit, "rad" if k else one.get("unit", "m"))]
             columns = stated[what] if isinstance(stated[what], list) else [stated[what]] * 3
-            out[:, k] = scale * np.linalg.norm(table.numbers(columns), axis=1)
+            out[:, k] = scale / stated.get("coverage", 1.0) * np.linalg.norm(table.numbers(columns), axis=1)
     return out
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from modcal_core.errors import BadTable
 from modcal_core.measurements.schema import Schema, require, shown
+from modcal_msgs_py.tables.joints import EFFORTS
 from modcal_msgs_py.tables.orientation import FORMS
 from modcal_msgs_py.tables.readings import TOPICS
 
@@ -81,6 +82,12 @@ _STD = _mapping(
         "unit": _LENGTH,
         "orientation": {"type": ["string", "integer", "array"], "items": _COLUMN, "minItems": 3, "maxItems": 3},
         "orientation_unit": _ANGLE,
+        "coverage": {
+            "type": "number",
+            "minimum": 1,
+            "maximum": 10,
+            "description": "standard deviations in what is stated, such as 2 of expanded uncertainties",
+        },
     }
 )
 _ORIENTATIONS: Schema = {
@@ -118,8 +125,9 @@ _READINGS: Schema = {
     "range": _one_or_many(_mapping({"frame": _FRAME, "unit": _LENGTH, "column": _COLUMN}, "frame", "unit", "column")),
     "bearing": _one_or_many(
         _mapping(
-            {"frame": _FRAME, "vector": _columns(3), "unit": _ANGLE, "azimuth": _COLUMN, "elevation": _COLUMN,
-             "zenith": _COLUMN},
+            {"frame": _FRAME, "vector": _columns(3), "unit": {"type": "string", "enum": ["rad", "deg", "gon"]},
+             "azimuth": _COLUMN, "elevation": _COLUMN, "zenith": _COLUMN,
+             "clockwise": {"type": "boolean", "description": "true: the azimuth grows clockwise, seen from above"}},
             "frame",
         )
     ),
@@ -134,6 +142,8 @@ _TABLE = _mapping(
         "missing": {"type": "string", "enum": ["refuse", "skip"],
                     "description": "rows that lack something: refused, or left out and counted. Default: refuse"},
         "missing_values": {"type": "array", "items": {"type": "string"}, "description": "further texts for no number"},
+        "zeros_missing": {"type": "array", "items": _COLUMN, "minItems": 1,
+                          "description": "columns that are all zero where nothing was read; such rows are missing"},
         "joined": {
             "type": "array",
             "items": _mapping(
@@ -152,7 +162,13 @@ _TABLE = _mapping(
                 "units": {"type": "object", "additionalProperties": _JOINT, "description": "of single joints"},
                 "columns": _BY_JOINT,
                 "velocity": _mapping({"unit": _SPEED, "columns": _BY_JOINT}, "unit", "columns"),
-                "effort": _mapping({"columns": _BY_JOINT}, "columns"),
+                "effort": _mapping(
+                    {"columns": _BY_JOINT,
+                     "unit": {"type": "string", "enum": list(EFFORTS), "description": "Default: N m, and N"},
+                     "of_load": {"type": "boolean",
+                                 "description": "true: the load's torque on the actuator, the opposite sign"}},
+                    "columns",
+                ),
                 "commanded": _mapping(
                     {"unit": _JOINT, "units": {"type": "object", "additionalProperties": _JOINT}, "columns": _BY_JOINT},
                     "columns",

@@ -23,7 +23,7 @@ _PATTERN = {
 }
 _UNIT = re.compile(
     r"[\[(<]?\s*(|-|–|1|mm|cm|m|in|inch|inches|µm|um|deg|degree|degrees|°|grad|rad|radian|radians|mrad|s|sec|seconds|ms|"
-    r"us|µs|ns|°c|degc|c|k|nm|n\s?m|n·m|n|a|v|%|rad/s|deg/s|°/s|mm/s|m/s|hz|bool|int|unitless|none|text|date|datetime)\s*[\])>]?",
+    r"us|µs|ns|°c|degc|c|k|k?nm{1,2}|n\s?m|n·m|n|a|v|%|gon|kg|g|bar|hpa|pa|°f|rad/s|deg/s|°/s|mm/s|m/s|hz|bool|int|unitless|none|text|date|datetime)\s*[\])>]?",
     re.IGNORECASE,
 )
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -51,8 +51,8 @@ class Sniffed:
         return max(len(row) for row in self.rows)
 
 
-def sniff(path: Path) -> Sniffed:
-    """How a file is written. Raises BadTable where no block of rows of numbers is found in it."""
+def sniff(path: Path, least: int = _LEAST_COLUMNS) -> Sniffed:
+    """How a file is written. least: columns with numbers. Raises BadTable where no block of such rows is found."""
     text, encoding, sure = _text(path)
     lines = text.split("\n")
     head = "\n".join(lines[:_LINES])
@@ -65,13 +65,13 @@ def sniff(path: Path) -> Sniffed:
         for sign in ".,":
             if sign == separator:
                 continue
-            count = _block(cells, sign)
+            count = _block(cells, sign, least)
             if count > best[0]:
                 best = (count, separator, sign)
     if not best[0]:
-        said = "holds no block of rows with numbers in three columns or more"
+        said = f"holds no block of rows with numbers in {least} columns or more"
         raise BadTable(str(path), said, "give a text table (CSV, TSV), or write a mapping for it")
-    return _laid_out(path, text, best[1], best[2], encoding, sure)
+    return _laid_out(path, text, best[1], best[2], encoding, sure, least)
 
 
 def _text(path: Path) -> tuple[str, str, bool]:
@@ -104,35 +104,37 @@ def is_number(cell: str, sign: str) -> bool:
     return _PATTERN[sign].fullmatch(cell) is not None
 
 
-def _is_row(cells: list[str], sign: str) -> bool:
-    """Whether cells are a row of numbers: most of those that hold something, and three at least."""
+def _is_row(cells: list[str], sign: str, least: int) -> bool:
+    """Whether cells are a row of numbers: most of those that hold something, and so many at least."""
     numbers = sum(is_number(cell, sign) for cell in cells)
     missing = sum(cell.strip().lower() in MISSING for cell in cells)
-    return numbers >= _LEAST_COLUMNS and numbers >= _NUMBERS * (len(cells) - missing)
+    return numbers >= least and numbers >= _NUMBERS * (len(cells) - missing)
 
 
-def _width(rows: list[list[str]], sign: str) -> int:
+def _width(rows: list[list[str]], sign: str, least: int) -> int:
     """The usual number of columns of rows of numbers; 0 where there are none."""
-    widths = Counter(len(cells) for cells in rows if _is_row(cells, sign))
+    widths = Counter(len(cells) for cells in rows if _is_row(cells, sign, least))
     return widths.most_common(1)[0][0] if widths else 0
 
 
-def _block(rows: list[list[str]], sign: str) -> int:
+def _block(rows: list[list[str]], sign: str, least: int) -> int:
     """Numbers in rows of the usual width."""
-    width = _width(rows, sign)
+    width = _width(rows, sign, least)
     return sum(
-        sum(is_number(cell, sign) for cell in cells) for cells in rows if len(cells) == width and _is_row(cells, sign)
+        sum(is_number(cell, sign) for cell in cells)
+        for cells in rows
+        if len(cells) == width and _is_row(cells, sign, least)
     )
 
 
-def _laid_out(path: Path, text: str, separator: str, sign: str, encoding: str, sure: bool) -> Sniffed:
+def _laid_out(path: Path, text: str, separator: str, sign: str, encoding: str, sure: bool, least: int) -> Sniffed:
     table = [(line, cells) for line, cells in cells_of(text, separator) if any(cell.strip() for cell in cells)]
     every = [cells for _, cells in table]
-    width = _width(every, sign)
-    first = next(i for i, cells in enumerate(every) if len(cells) == width and _is_row(cells, sign))
+    width = _width(every, sign, least)
+    first = next(i for i, cells in enumerate(every) if len(cells) == width and _is_row(cells, sign, least))
     rows = every[first:]
     above = first
-    while above and abs(len(every[above - 1]) - width) <= 1 and not _is_row(every[above - 1], sign):
+    while above and abs(len(every[above - 1]) - width) <= 1 and not _is_row(every[above - 1], sign, least):
         above -= 1
     stacked = [labels(cells, width) for cells in every[above:first]]
     units_rows = 0

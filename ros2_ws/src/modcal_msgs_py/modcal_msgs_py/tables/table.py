@@ -74,6 +74,12 @@ class Table:
             there &= found
         return there
 
+    def blank_zeros(self, keys: Sequence[Any]) -> None:
+        """Rows in which all of these columns are zero have no numbers there."""
+        rows = (self.numbers(keys) == 0.0).all(axis=1)
+        for key in keys:
+            self._read[key] = np.where(rows, np.nan, self.numbers(key))
+
     def lack(self, rows: Iterable[int], what: str) -> None:
         """Note that these rows lack something."""
         lines = [self.sheet.lines[i] for i in rows]

@@ -46,9 +46,10 @@ def proposed(
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    chain = Robot.from_urdf(urdf, base, tip).chain
+    robot = Robot.from_urdf(urdf, base, tip)
     with output.working() as watch:
-        made = proposal(find(tables, chain, watch), os.path.relpath(urdf.resolve(), path.resolve().parent))
+        found = find(tables, robot.chain, watch, robot.inertias)
+        made = proposal(found, os.path.relpath(urdf.resolve(), path.resolve().parent))
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -59,8 +60,8 @@ def proposed(
         *(f"asked: {said}" for said in made.open),
         f"{path}: the mapping; {following}",
     ]
-    found = {
+    result = {
         "mapping": str(path), "proved": list(made.proved), "assumed": list(made.assumed), "undecided": list(made.open),
     }  # fmt: skip
-    output.result(found, partial(tell, lines))
+    output.result(result, partial(tell, lines))
     return made, path

@@ -7,6 +7,7 @@ that from the constraints. Bodies are drawn at a reference posture, roughly put 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -25,15 +26,16 @@ def arm_joint(i: int) -> str:
     return f"arm_{i}"
 
 
-def delta_mjcf(true: Delta, T_tip_tool: Array, at: float) -> str:
+def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0.0) -> str:
     """MJCF text of a Delta with these constants, drawn with all three arms at an angle ``at`` [rad].
 
-    Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
+    unequal: by how much the right rod of each arm is longer than the left one [m]; the constants have their mean. Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
     """
     L1, L2 = true.constants[PROXIMAL], true.constants[DISTAL]
     elbow = float(np.mean(true.constants[OFFSET] + L1 * np.cos(at)))
     height = -float(np.mean(L1)) * np.sin(at) - float(np.sqrt(np.mean(L2) ** 2 - elbow**2))
     inertia = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
+    longer = np.broadcast_to(np.asarray(unequal, dtype=float), ARMS)
     bodies, anchors, links = [], [], []
     for i in range(ARMS):
         turn = so3.exp([0.0, 0.0, true.constants[AZIMUTH, i]])
@@ -48,7 +50,7 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float) -> str:
             way = drawn.T @ (towards - drawn @ here)
             rods.append(
                 f'<body name="{name}" {placed(se3.transform(_along(way), here))}><joint type="ball"/>{inertia}'
-                f'<site name="{name}_end" pos="{L2[i]:.17g} 0 0"/></body>'
+                f'<site name="{name}_end" pos="{L2[i] + 0.5 * side * longer[i]:.17g} 0 0"/></body>'
             )
             point = turn @ [PLATFORM_RADIUS, side * ROD_SPACING, 0.0]
             anchors.append(f'<site name="{name}_anchor" pos="{text(point)}"/>')

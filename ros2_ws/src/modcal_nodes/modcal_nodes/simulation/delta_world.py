@@ -34,11 +34,15 @@ class DeltaWorld(Machine):
         T_tracker_base: Array | None = None,
         T_tip_tool: Array | None = None,
         compliance: ArrayLike = 0.0,
+        unequal: ArrayLike = 0.0,
     ) -> None:
-        """compliance: of the arms and the shaft, one number or one a joint [rad/(N m)]."""
+        """compliance: of the arms and the shaft, one number or one a joint [rad/(N m)].
+
+        unequal: by how much the two rods of each arm differ [m].
+        """
         first = float(np.clip(0.3, true.lower[:ARMS].max(), true.upper[:ARMS].min()))
         tool = true.T_tip_tool if T_tip_tool is None else T_tip_tool
-        super().__init__(true.names, delta_mjcf(true, tool, first), T_tracker_base, compliance)
+        super().__init__(true.names, delta_mjcf(true, tool, first, unequal), T_tracker_base, compliance)
         self._true = true
         joints = [self.model.joint(arm_joint(i)) for i in range(ARMS)] + [self.model.joint(SHAFT)]
         self._at = np.array([j.qposadr[0] for j in joints])

@@ -9,11 +9,15 @@ that differ decide on which side is up.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import PLANE, Kind, Scene, Sight, frame_on_plane, millimetres, plane_of
 from modcal_core.measurements.recording import TOUCH, ReadingTrack
+
+_STEEP = 0.5  # change of heights per metre of the place, one for a plane: less is scatter of touched points
 
 
 class Touch(Kind):
@@ -61,18 +65,26 @@ class Touch(Kind):
         centre = p.mean(axis=0)
         n = np.linalg.svd(p - centre, full_matrices=False)[2][-1]
         up = float(((p - centre) @ n) @ (h - h.mean())) if np.ptp(h) > 1e-9 else -float(n @ centre)
-        n = n if up >= 0.0 else -n
-        across = np.linalg.svd(n[None])[2][1:]
+        starts = [n if up >= 0.0 else -n]
+        # of a gauge over the whole workspace, how heights change with the place says more than where it spreads least
+        steepest = np.linalg.lstsq(p - centre, h - h.mean(), rcond=1e-6)[0]
+        if np.linalg.norm(steepest) > _STEEP:
+            starts.append(steepest / np.linalg.norm(steepest))
+        found = []
+        for n in starts:
+            across = np.linalg.svd(n[None])[2][1:]
 
-        def normal(x: Array) -> Array:
-            tilted = n + x[:2] @ across
-            return tilted / np.linalg.norm(tilted)
+            def normal(x: Array, n: Array = n, across: Array = across) -> Array:
+                tilted = n + x[:2] @ across
+                return np.asarray(tilted / np.linalg.norm(tilted))
 
-        def miss(x: Array) -> Array:
-            return np.asarray((p - centre) @ normal(x) - x[2] - h)
+            def miss(x: Array, normal: Callable[[Array], Array] = normal) -> Array:
+                return np.asarray((p - centre) @ normal(x) - x[2] - h)
 
-        x = least_squares(miss, np.r_[0.0, 0.0, -h.mean()]).x
-        return frame_on_plane(normal(x), float(normal(x) @ centre + x[2])), np.empty(0)
+            fit = least_squares(miss, np.r_[0.0, 0.0, -h.mean()])
+            found.append((float(fit.cost), normal(fit.x), float(fit.x[2])))
+        _, n, offset = min(found, key=lambda one: one[0])
+        return frame_on_plane(n, float(n @ centre + offset)), np.empty(0)
 
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Heights that no arm of this reach comes to."""

@@ -1,0 +1,173 @@
+"""One place of columns with what it may mean, best first, in words and as a mapping states it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.plausibility.conventions import BEYOND_DOUBT
+from modcal_core.plausibility.meanings import LENGTHS, Judged
+from modcal_core.plausibility.turning import EULER, MATRIX, QUATERNION
+from modcal_core.robots.chain import Chain
+from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers
+
+_COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
+
+
+MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+
+
+def units(chain: Chain, q: Array) -> list[tuple[str, str]]:
+    """Units that the joints may be in, of turning and of sliding ones."""
+    turning = np.asarray(chain.revolute, bool)
+    largest = float(np.abs(q[:, turning]).max(initial=0.0))
+    angles = ["deg"] if largest > MOST_RAD else ["rad", "deg"]
+    lengths = ["m"] if turning.all() else list(LENGTHS)
+    return list(product(angles if turning.any() else ["rad"], lengths))
+
+
+def scales(chain: Chain, angle: str, length: str) -> Array:
+    """What a unit of each joint is in rad or m, (n,)."""
+    turning = np.asarray(chain.revolute, bool)
+    return np.where(turning, np.pi / 180.0 if angle == "deg" else 1.0, LENGTHS[length])
+
+
+@dataclass(frozen=True)
+class ColumnChoice:
+    """What the joints' columns are taken for. unit of turning joints, and of sliding ones."""
+
+    joints: JointColumns
+    angle: str
+    length: str
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One place of columns with its meanings, best first."""
+
+    body: Body
+    choices: tuple[ColumnChoice, ...]
+    found: tuple[Judged, ...]
+    rows: np.ndarray
+
+    @property
+    def best(self) -> Judged:
+        """The likeliest meaning."""
+        return self.found[0]
+
+    @property
+    def choice(self) -> ColumnChoice:
+        """What it takes the joints for."""
+        return self.choices[self.best.meaning.postures]
+
+    @property
+    def computed(self) -> bool:
+        """Whether the nominal arm says the same to some micrometres: then nobody measured it."""
+        return self.best.match.typical < _COMPUTED
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Columns of the readings."""
+        of_points = tuple(k for _, triple in self.body.points for k in triple)
+        return of_points or (*self.body.position, *(self.body.turned or ()))
+
+    def entry(self, numbers: Numbers) -> dict[str, Any]:
+        """The readings as a mapping states them: pose, point or targets."""
+        meaning = self.best.meaning
+        reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit}
+        if self.body.points:
+            reading["points"] = {name: [numbers.key(k) for k in triple] for name, triple in self.body.points}
+            return {"targets": reading}
+        reading["position"] = [numbers.key(k) for k in self.body.position]
+        if meaning.turning is None:
+            return {"point": reading}
+        assert self.body.turned is not None
+        stated: dict[str, Any] = {"columns": [numbers.key(self.body.turned[i]) for i in meaning.turning.order]}
+        if meaning.turning.form == EULER:
+            stated["sequence"] = meaning.turning.sequence
+        if meaning.turning.form not in (QUATERNION, MATRIX):
+            stated["unit"] = "deg" if meaning.turning.degrees else "rad"
+        if meaning.turning.conjugate:
+            stated["conjugate"] = True
+        reading[meaning.turning.form] = stated
+        if meaning.inverse:
+            reading["inverse"] = True
+        return {"pose": reading}
+
+    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+        """What the data shows, with what came second."""
+        best = self.best
+        direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"
+        if best.meaning.turning is None:
+            direction = "points of the tool in the tracker"
+        joints = self.choice.angle if np.any(chain.revolute) else self.choice.length
+        said = "; ".join((turning_words(numbers, self.body, best), direction, f"positions in {best.meaning.unit}"))
+        rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
+        out = [f"{said}; joints in {joints}: {rows}"]
+        if (other := second(self)) is not None:
+            pairs = differences(numbers, self, best, other)
+            instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
+            out.append(f"second best, {worse(best, other)}: {instead}")
+        return out
+
+
+def missed(judged: Judged) -> str:
+    """What a meaning leaves, in words."""
+    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.turning is not None else ""
+    return f"{1e3 * judged.match.typical:.3g} mm{turn}"
+
+
+def turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
+    """How orientations are read, in words."""
+    turning = judged.meaning.turning
+    if body.points:
+        return f"the body of {len(body.points)} targets ({', '.join(name for name, _ in body.points)})"
+    if turning is None or body.turned is None:
+        return "positions only"
+    if turning.form == "quaternion":
+        order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
+        return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
+    if turning.form == "matrix":
+        return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
+    columns = ", ".join(numbers.shown(body.turned[i]) for i in turning.order)
+    unit = "degrees" if turning.degrees else "radians"
+    if turning.form == "rotvec":
+        return f"a rotation vector in {unit} ({columns})"
+    fixed = turning.sequence[::-1].lower()
+    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
+
+
+def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
+    """In what another meaning differs from the best: what the best says, and what the other says."""
+    a, b = best.meaning, other.meaning
+    out = []
+    if a.turning != b.turning:
+        out.append((turning_words(numbers, chosen.body, best), turning_words(numbers, chosen.body, other)))
+    if a.unit != b.unit:
+        out.append((f"positions in {a.unit}", f"positions in {b.unit}"))
+    if a.inverse != b.inverse:
+        directions = ("the tool in the tracker", "the tracker in the tool")
+        out.append((directions[a.inverse], directions[b.inverse]))
+    if a.postures != b.postures:
+        one, two = chosen.choices[a.postures], chosen.choices[b.postures]
+        if one.joints != two.joints:
+            shown = [", ".join(numbers.shown(k) for k in c.joints.columns) for c in (one, two)]
+            out.append((f"joints {shown[0]}", f"joints {shown[1]}"))
+        if (one.angle, one.length) != (two.angle, two.length):
+            out.append((f"joints in {one.angle} and {one.length}", f"joints in {two.angle} and {two.length}"))
+    return out
+
+
+def worse(best: Judged, other: Judged) -> str:
+    """By how much another meaning fits worse than the best, in words."""
+    gap = best.match.score - other.match.score
+    return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
+
+
+def second(fitted: Fitted) -> Judged | None:
+    """The meaning that fits second best."""
+    return fitted.found[1] if len(fitted.found) > 1 else None
