@@ -10,6 +10,7 @@ import yaml
 from modcal_nodes.ros.parameters import (
     ACCELERATION_LIMITS,
     ARTICULATION_ESTIMATOR,
+    BOARD_DETECTOR,
     CALIBRATOR,
     CORRECTOR,
     IMPEDANCE_SETPOINT,
@@ -22,6 +23,7 @@ from modcal_nodes.ros.parameters import (
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
 KNOWN = {
     "recorder": RECORDER,
+    "board_detector": BOARD_DETECTOR,
     "calibrator": CALIBRATOR,
     "corrector": CORRECTOR,
     "articulation_estimator": ARTICULATION_ESTIMATOR,

@@ -29,6 +29,7 @@ setup(
         "console_scripts": [
             f"modcal = {PACKAGE}.cli.main:main",
             f"recorder = {PACKAGE}.nodes.recorder:main",
+            f"board_detector = {PACKAGE}.nodes.board_detector:main",
             f"calibrator = {PACKAGE}.nodes.calibrator:main",
             f"corrector = {PACKAGE}.nodes.corrector:main",
             f"articulation_estimator = {PACKAGE}.nodes.articulation_estimator:main",

@@ -56,6 +56,11 @@ CALIBRATOR = {
     ),
 }
 
+BOARD_DETECTOR = {
+    "target": Parameter("", "File of the printed target, as modcal target writes it, or Kalibr's."),
+    "rate_hz": Parameter(5.0, "Images that are looked at, at most [Hz]; the others are passed over.", 0.1, 60.0),
+}
+
 CORRECTOR = {
     "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),

@@ -1,0 +1,115 @@
+"""What is said of each image, the pose with its covariance, and corners as messages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera.boards import BOARD, LENS, SIZE, facing, views
+
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.corners import fill_corners, read_corners
+from modcal_msgs_py.types import message_class
+from modcal_nodes.vision.annotate import annotated
+from modcal_nodes.vision.board_pose import board_pose
+from modcal_nodes.vision.coaching import ENOUGH, Coach
+
+CENTRE = np.r_[0.5 * np.array(BOARD.size), 0.0]
+
+
+def at(tilt: tuple[float, float] = (0.0, 0.0), x: float = 0.0, y: float = 0.0, z: float = 0.5) -> Array:
+    """A pose of the board, tilted about the image's x and y [deg], its middle at (x, y, z) m."""
+    R = so3.exp(np.radians([*tilt, 0.0]))
+    return se3.transform(R, np.array([x, y, z]) - R @ CENTRE)
+
+
+def view(T: Array, seed: int = 0, noise: float = 0.05) -> BoardView:
+    return replace(views(np.random.default_rng(seed), T[None], noise)[0], sharpness=2.0)
+
+
+def shown(coach: Coach, T: Array) -> str:
+    """The same view twice: held still."""
+    coach.image(view(T, 1))
+    return coach.image(view(T, 2))
+
+
+def test_coaching_asks_for_what_is_missing() -> None:
+    coach = Coach(BOARD, SIZE, LENS)
+    assert coach.image(None, "shows no target: bring it into view").startswith("no corners: the image shows no target")
+    assert "hold still" in coach.image(view(at()))
+    assert "1 of 25 views; next: tilt the target left" in coach.image(view(at(), 1))
+    assert "hold still" in coach.image(view(at(x=0.02)))
+    assert "focus" in coach.image(replace(view(at()), sharpness=5.0))
+    # a view like one before does not count
+    assert "1 of 25 views" in shown(coach, at())
+    for asked, tilt in (("left", (0, -30)), ("right", (0, 30)), ("up", (30, 0)), ("down", (-30, 0))):
+        assert coach.missing[0] == f"tilt the target {asked}"
+        shown(coach, at(tilt))
+    assert coach.missing[0].startswith("nearer or farther")
+    shown(coach, at(z=0.9))
+    assert "part of the image" in coach.missing[0]
+    for x in (-0.25, 0.0, 0.25):
+        for y in (-0.12, 0.0, 0.12):
+            shown(coach, at((10, 10), x, y, 0.45))
+    assert coach.missing == ()
+    said = ""
+    for angle in np.linspace(-40, 40, ENOUGH):
+        said = shown(coach, at((angle, 0.3 * angle), 0.0, 0.0, 0.6))
+    assert "enough, calibrate" in said
+
+
+def test_pose_and_its_covariance(rng: np.random.Generator) -> None:
+    """Standard scores of 200 poses are those of six normal numbers."""
+    T = facing(rng, 200)
+    scores = []
+    for one, seen in zip(T, views(rng, T), strict=True):
+        found, cov = board_pose(seen, BOARD, LENS)
+        off = np.r_[one[:3, 3] - found[:3, 3], so3.log(one[:3, :3] @ found[:3, :3].T)]
+        scores.append(off @ np.linalg.solve(cov, off))
+    assert np.mean(scores) == pytest.approx(6.0, rel=0.25)
+
+
+def test_a_pose_that_may_be_its_twin_says_so() -> None:
+    """A small board far away, nearly square on: both tilts fit."""
+    T = at((4.0, 3.0), z=2.5)
+    found, cov = board_pose(view(T, noise=0.3), BOARD, LENS)
+    off = so3.log(T[:3, :3] @ found[:3, :3].T)
+    assert off @ np.linalg.solve(cov[3:, 3:], off) < 16.0
+
+
+def test_corners_as_messages() -> None:
+    cloud, field = message_class("sensor_msgs/msg/PointCloud2"), message_class("sensor_msgs/msg/PointField")
+    time, header = message_class("builtin_interfaces/msg/Time"), message_class("std_msgs/msg/Header")
+    empty = cloud(header(time(0, 0), ""), 0, 0, [], False, 0, 0, np.empty(0, np.uint8), True)
+    seen = replace(view(at()), stamp=12.25)
+    message = fill_corners(empty, field, seen, SIZE, "camera")
+    back, size = read_corners(message)
+    assert size == SIZE
+    assert back.stamp == 12.25
+    assert (back.ids == seen.ids).all()
+    assert np.abs(back.pixels - seen.pixels).max() < 1e-4
+    assert back.cov[0] == pytest.approx(seen.cov[0], rel=1e-5)
+    twice = fill_corners(empty, field, replace(seen, ids=np.zeros(len(seen), int)), SIZE, "camera")
+    with pytest.raises(BadRecording, match="twice"):
+        read_corners(twice)
+    message.data = message.data[:10]
+    with pytest.raises(BadRecording, match="bytes"):
+        read_corners(message)
+    message.fields = message.fields[:2]
+    with pytest.raises(BadRecording, match="board_detector"):
+        read_corners(message)
+
+
+def test_annotated_image_shows_corners_and_words() -> None:
+    grey = np.full((SIZE[1], SIZE[0]), 120, np.uint8)
+    seen = view(at())
+    out = annotated(grey, seen, "24 corners: hold still")
+    x, y = np.rint(seen.pixels[0]).astype(int)
+    around = out[y - 8 : y + 9, x - 8 : x + 9].astype(int)
+    assert (np.ptp(around, axis=2) > 50).any()
+    assert (out[-20:] != 120).all(axis=2).any()
+    assert (annotated(grey, None, "no corners")[-5, 0] != out[-5, 0]).any()
