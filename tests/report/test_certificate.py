@@ -59,6 +59,13 @@ def test_a_pass_is_calm_only_where_nothing_is_left_in_doubt(
     assert all(reason.split("'")[0] in page for reason in one.reservations)
 
 
+def test_a_tolerance_below_the_floor_is_named_as_what_it_is() -> None:
+    one = certificate(report(replace(FLOOR, floor_mm=0.4), 0.001), INSTRUMENT)
+    assert one.result == "FAIL"
+    assert one.reservations[0].startswith("Arm and instrument alone scatter by 0.4 mm RMS, more than the tolerance")
+    assert not certificate(report(replace(FLOOR, floor_mm=0.0005), 0.001), INSTRUMENT).reservations
+
+
 def test_the_recording_that_a_calibration_was_made_from_proves_nothing() -> None:
     made = record(4, 60, "point")
     calibration = calibrate(made.samples, ur10(), np.random.default_rng(0), look_for_effects=False).calibration

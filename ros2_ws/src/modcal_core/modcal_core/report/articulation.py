@@ -126,7 +126,7 @@ def _tables(data: dict[str, Any]) -> list[PageTable]:
 
     def add(name: str, value: float, unit: str, factor: float = 1.0, deviation: float | None = None) -> None:
         known = deviation is not None and np.isfinite(deviation)
-        rows[unit].append((name, number(factor * value, 5), number(factor * deviation, 2) if known else ""))  # type: ignore[operator]
+        rows[unit].append((name, number(factor * value), number(factor * deviation, 2) if known else ""))  # type: ignore[operator]
 
     if joint["point"] is not None:
         for k, name in enumerate("xyz"):
@@ -188,6 +188,9 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
         rows = thinned(len(x), MOST_POINTS // 3)
         axes.plot(x[rows], y[rows], marker, ms=2.8, mfc="none", mew=0.7, color=LIGHT[colour], label="xyz"[k])
+    if shown.any():  # a few gross outliers do not stretch it
+        reach = 1.15e3 * max(float(np.percentile(np.abs(left[shown]), 99.5)), 1e-6)
+        axes.set_ylim(-reach, reach)
     label(axes, f"motion of the joint, {unit}" if unit else "motion of the joint", "residual, mm")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=3)
     far = int((~shown).sum())

@@ -54,11 +54,11 @@ class Scale:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """A row of before and after: mean, RMS, 95th percentile and largest [mm], RMS and 95th percentile [deg] or None."""
+    """A row of before and after: mean, RMS, 95th percentile and largest, in mm, and in degrees or None."""
 
     name: str
     mm: tuple[float, float, float, float]
-    deg: tuple[float, float] | None
+    deg: tuple[float, float, float, float] | None
 
 
 @dataclass(frozen=True)
@@ -145,14 +145,21 @@ def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
     if out_of := report.rejected_stations():
         out.append(_rejected(report, out_of))
     if report.grounds.convention:
-        out.append(f"The readings were taken as: {report.grounds.convention}.")
+        out.append(f"The readings are in another convention than usual ({report.grounds.convention}): it was undone.")
     return tuple(out)
 
 
 def _reasons(report: Report) -> tuple[str, ...]:
     """What stands behind another result than PASS: the reasons of an open verdict, and what was left out."""
-    out = list(report.open_because[:MAX_REASONS])
-    if (more := len(report.open_because) - MAX_REASONS) > 0:
+    out = []
+    floor = None if report.judged is None else report.judged.floor_mm
+    if floor is not None and report.tolerance is not None and floor > report.tolerance.asked.mm:
+        out.append(
+            f"Arm and instrument alone scatter by {floor:.3g} mm RMS, more than the tolerance: no calibration meets it."
+        )
+    shown = MAX_REASONS - len(out)
+    out += report.open_because[:shown]
+    if (more := len(report.open_because) - shown) > 0:
         out.append(f"And {counted(more, 'more reason')}, in report.json.")
     if report.status == "cannot_tell" and report.judged is not None and report.judged.remedy:
         out.append(f"The floor is not known. {report.judged.remedy}")
@@ -251,7 +258,7 @@ def _errors(report: Report) -> tuple[ErrorRow, ...]:
     for stage, name in _STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
         if size is not None:
-            turned = None if angle is None else (angle.rms, angle.p95)
+            turned = None if angle is None else (angle.mean, angle.rms, angle.p95, angle.max)
             rows.append(ErrorRow(name, (size.mean, size.rms, size.p95, size.max), turned))
     return tuple(rows)
 

@@ -11,6 +11,7 @@ from modcal_core.report.page import PageTable
 
 _FIRST = ("mrad", "mm")  # then the others by name, numbers without a unit last
 _GROUPED = (1e4, 1e7)  # numbers between are written in full, their thousands apart
+_STAMP = 1e8  # s; larger ones are moments, of which every second counts
 
 Sizes = Mapping[str, Mapping[str, Any]]  # name of a quantity: value, std and unit, as in report.json
 
@@ -38,6 +39,8 @@ def with_deviation(quantity: Mapping[str, Any]) -> str:
     """Value and standard deviation in the unit that ``scaled`` gives, without it."""
     factor = scaled(quantity["unit"])[1]
     std = quantity["std"]
+    if quantity["unit"] == "s" and abs(quantity["value"]) > _STAMP:
+        return f"{quantity['value']:.1f}" + (f" ± {number(std, 1)}" if std else "")
     return number(factor * quantity["value"]) + (f" ± {number(factor * std, 1)}" if std else "")
 
 

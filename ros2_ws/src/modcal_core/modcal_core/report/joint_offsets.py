@@ -3,8 +3,12 @@ nearest to the calibrated one, base and tool being free.
 
 A fit has no such parameters of its own: a turn about a joint's axis passes through the joint and is seen at the next
 place, so that it stands in several of them. An offset that base or tool can take up, mostly of the first and the last
-joint, is not determined and left out. How sure an offset is follows from the covariance of the fit: what its parameters
-do at the tool is projected on the offsets as the difference itself is.
+joint, is not determined and left out.
+
+How sure an offset is has two parts. The covariance of the fit: what its parameters do at the tool is projected on the
+offsets as the difference itself is. And the postures: offsets alone do not make one arm of the other, so that what is
+nearest over these postures is another than over others like them. That part is the sandwich estimator of least squares
+with a posture as the unit (Liang & Zeger 1986), with the usual factor for small numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ _TAKEN_UP = 1e-3  # of a joint's motion at the tool, that is left when base and 
 
 @dataclass(frozen=True)
 class JointOffset:
-    """Of one joint. value, std: with its standard deviation [rad; m of a sliding joint]; std None where not known."""
+    """Of one joint. value, std: with its standard deviation [rad; m of a sliding joint], over recordings of postures
+    like these; std None where the fit's uncertainty is not known.
+    """
 
     joint: str
     value: float
@@ -75,7 +81,7 @@ def joint_offsets(model: Model, samples: Samples, known: Uncertainty | None = No
     to_offsets = np.linalg.pinv(J, rcond=1e-6)
     values = to_offsets @ apart.ravel()
     left = apart - (J @ values).reshape(apart.shape)
-    std = _deviations(bare, q, known, taken, part, to_offsets)
+    std = _deviations(bare, q, known, taken, to_offsets, left)
     return JointOffsets(
         tuple(
             JointOffset(model.chain.names[j], float(values[k]), std[k], bool(model.chain.revolute[j]))
@@ -87,15 +93,25 @@ def joint_offsets(model: Model, samples: Samples, known: Uncertainty | None = No
 
 
 def _deviations(
-    bare: Model, q: Array, known: Uncertainty | None, taken: Array, part: slice, to_offsets: Array
+    bare: Model, q: Array, known: Uncertainty | None, taken: Array, to_offsets: Array, left: Array
 ) -> list[float | None]:
-    """Standard deviations of the offsets, from the covariance of the arm's and the tool's parameters."""
+    """Standard deviations of the offsets: of the fit's parameters of arm and tool, and of the choice of postures.
+
+    taken, left: (N, 6 or 3, 12) and (N, 6 or 3). to_offsets: from differences to offsets (k, rows).
+    """
     rows = [] if known is None else [k for k, p in enumerate(known.parameters) if p.frame < 0 and p.instrument < 0]
     if known is None or not rows:
         return [None] * len(to_offsets)
-    motions = parameter_motions(bare, [known.parameters[k] for k in rows], q)[..., part]
+    count, of_each = left.shape
+    motions = parameter_motions(bare, [known.parameters[k] for k in rows], q)[..., :of_each]
     A = to_offsets @ without(motions, taken).reshape(len(rows), -1).T
-    return [float(x) for x in np.sqrt(np.einsum("ij,jk,ik->i", A, known.covariance[np.ix_(rows, rows)], A))]
+    of_fit = np.einsum("ij,jk,ik->i", A, known.covariance[np.ix_(rows, rows)], A)
+    pulls = np.einsum("knr,nr->kn", to_offsets.reshape(-1, count, of_each), left)
+    free = left.size - len(to_offsets) - taken.shape[-1]
+    if free < 1 or count < 2:
+        return [None] * len(to_offsets)
+    of_postures = np.sum(pulls**2, axis=1) * count / (count - 1.0) * (left.size - 1.0) / free
+    return [float(x) for x in np.sqrt(of_fit + of_postures)]
 
 
 def _rms_mm(motions: Array) -> float:

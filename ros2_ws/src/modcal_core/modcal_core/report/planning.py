@@ -190,11 +190,11 @@ def _draw(plan: Plan, axes: Axes, plane: tuple[int, int]) -> None:
     origin = pool.model.T_frame_base[0][:3, 3]
     could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
     could = could[thinned(len(could), MOST_POINTS)]
-    axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"], label="could be chosen")
+    axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"])
     axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color=LIGHT["after"], label="stations")
     axes.plot(0.0, 0.0, "s", ms=6.0, color=LIGHT["ink"], label="base")
     if tracker is not None:
         axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color=LIGHT["bad"], label="tracker")
     label(axes, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=2)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=3)

@@ -172,7 +172,7 @@ def _errors(pdf: FPDF, one: Certificate, size: float, line: float) -> None:
         (("position, mm", "mean", "RMS", "95 %", "largest"), positions)
     ]
     if turned:
-        tables.append((("orientation, °", "RMS", "95 %"), turned))
+        tables.append((("orientation, °", "mean", "RMS", "95 %", "largest"), turned))
     for header, rows in tables:
         pdf.set_font("text", "", size)
         _ink(pdf, "soft")
