@@ -180,7 +180,9 @@ def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array
                     rows = 6 if term.direction < RODS else LEAN + 1
                     twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
                     if len(twist) < rows:
-                        twist = twists[term.place] = np.concatenate([twist, np.zeros((rows - len(twist), len(drivers)))])
+                        twist = twists[term.place] = np.concatenate(
+                            [twist, np.zeros((rows - len(twist), len(drivers)))]
+                        )
                     twist[term.direction] += amplitude * term.size
     return twists, scale
 
