@@ -120,7 +120,7 @@ CALIBRATION = _all(
     ("sweeps.moments", "sign of the moment", "S[..., 0, y, z] - S[..., 0, z, y]", "S[..., 0, z, y] - S[..., 0, y, z]"),
     ("columns.Columns.combination", "lever in the wrong frame",
      "so3.hat(M[:, :3, 3]) @ R", "R @ so3.hat(M[:, :3, 3])"),
-    ("plausibility.require_plausible", "mistake found but not named", "if best[1] and best[0]", "if False and best[0]"),
+    ("plausibility.require_plausible", "mistake found but not named", "if best[1] and best[0] <= limit:", "if False:"),
     ("mistakes.of_pairing", "early and late swapped", "if shift > 0 else", "if shift < 0 else"),
 )
 
@@ -242,7 +242,7 @@ ARTICULATION = _all(
     ("models.revolute.RevoluteJoint.configuration", "lever of the handle forgotten", "_LENGTH**2 / (_LENGTH**2 + r * r)", "0.5"),
     ("online.Tracker._checked", "poses out of order", "stamp < self._stamp:", "False:"),
     ("online.Tracker._stuck", "locked and jammed swapped", "if self._moved < _UNMOVED *", "if self._moved >= _UNMOVED *"),
-    ("online.Tracker._accepted", "a lone jump is learned from", "if far > _JUMP[0] or turn > _JUMP[1]:", "if False:"),
+    ("online.Tracker._accepted", "a lone jump is learned from", "if not on_path and (far > leap or turn > fling):", "if False:"),
 )
 
 MODULES = _all(
@@ -261,7 +261,7 @@ MEASUREMENTS = _all(
     "measurements",
     ("pairing.averaged", "stamped when it began", "0.5 * (start + end)", "start"),
     ("dwells.deviation_of_mean", "correlation half counted", "/ (1.0 + min(max(rho, 0.0), 0.99))", ""),
-    ("dwells.find_dwells", "settling time counted in", "spans[:, 0] += rules.settle - 0.5 * rules.window", "pass"),
+    ("dwells.find_dwells", "settling time counted in", "out.append((start + settle, end))", "out.append((start, end))"),
     ("dwells.inliers", "glitches are averaged in", "return off <= limit", "return off >= 0.0"),
     ("pairing._approach", "sign of the last motion",
      "np.sign(apart[last, np.arange(q.shape[1])])", "-np.sign(apart[last, np.arange(q.shape[1])])"),
@@ -336,7 +336,7 @@ NODES = _all(
     ("articulation_estimator.ArticulationEstimator._follow", "frames are mixed",
      "if self._frame and frame != self._frame:", "if False:"),
     ("articulation_estimator.ArticulationEstimator._due", "time that goes back is waited for",
-     "if stamp < self._last - _BACK:", "if False:"),
+     'if order == "restart":', 'if order == "never":'),
     ("articulation_estimator.ArticulationEstimator._reset", "description stays latched",
      'self._description.publish(String(data=""))', "pass"),
     ("articulation_estimator.ArticulationEstimator._take_wrench", "sensor's offset counts as a pull",
