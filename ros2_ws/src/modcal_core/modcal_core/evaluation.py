@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, refit_cell, with_frames
@@ -60,6 +62,8 @@ def evaluate(
     else:
         sets = hold_out_all(samples)
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
+    beyond = calibration.fallback(models["final"], models["geometric"])
+    models["final"] = replace(models["final"], fallback=beyond)
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
     wrong[sets.held_out] = outlying(models["final"], calibration.noise, calibration.with_scatter(held_out))

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.finalise import finalise
@@ -21,11 +21,12 @@ from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
-from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, split
+from modcal_core.calibration.starts import fit_geometry
+from modcal_core.calibration.stated_places import contradicted_places
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
 from modcal_core.diagnosis.locate import located
@@ -96,7 +97,8 @@ def calibrate(
     # the drawing, then the geometry
     nominal = fit_cell(chain, train, cell, inertias, regimes)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
-    geometric = identify_moved(nominal.model, train, choice.parameters, cell.distances)
+    choice = replace(choice, parameters=free_cell(choice.parameters, cell))
+    geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train, samples)
 
@@ -112,7 +114,7 @@ def calibrate(
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes)
+    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     left = {
@@ -132,6 +134,7 @@ def calibrate(
         contradictions=(
             *contradictions_of_distances(distances),
             *contradicted_together(final, train, cell.distances),
+            *contradicted_places(final, cell.tool, cell.known),
             *doubtful(left, scored, samples, chain),
             *samples.origin.doubts,
             *absurd,

@@ -13,15 +13,16 @@ from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.moves import Move, What, identify_moved
-from modcal_core.calibration.parameters import with_prior
+from modcal_core.calibration.parameters import ModelParameter, with_prior
 from modcal_core.calibration.stated import Stated
+from modcal_core.calibration.stated_places import StatedTool, stated_std, stated_tool
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-_WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
+WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Cell:
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
     instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
     stated: repeatability and accuracy that were stated. moved: when base or tool are known to have been moved.
-    own_in_recordings: what each of several recordings has of its own.
+    own_in_recordings: what each of several recordings has of its own. tool: where it is, where that is known.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -43,11 +44,12 @@ class Cell:
     sockets: tuple[str, ...] = ()
     moved: tuple[Move, ...] = ()
     own_in_recordings: What | None = None
+    tool: StatedTool | None = None
 
     @property
     def kept(self) -> tuple[str, ...]:
         """Patterns of parameters that must not change: those fixed, and frames that are known in the base."""
-        return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base"))
+        return (*self.fixed, *(f"frame {k.frame}" for k in self.known if k.to == "base" and k.std is None))
 
     def with_move(self, move: Move) -> Cell:
         """The same with one more move that is known of."""
@@ -91,7 +93,7 @@ def fit_cell(
     cell.require_frames(samples.frames)
     start = replace(start, arm=place_model(chain, samples.frames, inertias).arm)
     choice = choose_parameters(start, views_of(samples), cell.kept, cell.distances, among=lambda p: not p.of_arm)
-    return identify_moved(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, FITTED)
+    return identify_moved(start, samples, _wide(choice.parameters, cell), cell.distances, FITTED)
 
 
 def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, tool: bool = True) -> Fit:
@@ -103,6 +105,8 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
     cell.require_frames(samples.frames)
     if base and tool:
         start = locate(place_model(model.chain, samples.frames), samples, cell.known, cell.own_target)
+        if cell.tool is not None:
+            start = with_bases(replace(start, T_tip_tool=stated_tool(cell.tool, start.T_tip_tool)), samples, cell)
     elif base:
         unplaced = Model(
             model.chain, samples.frames, _identities(samples), model.T_tip_tool, instruments=model.instruments
@@ -119,7 +123,32 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
         among=lambda p: not p.of_arm and ((base and p.place <= 0) or (tool and p.place > 0)),
     )
     start = start.with_effects(model.effects)
-    return identify(start, samples, with_prior(choice.parameters, _WIDE), cell.distances, keep_effects=True)
+    return identify(start, samples, _wide(choice.parameters, cell), cell.distances, keep_effects=True)
+
+
+def with_bases(model: Model, samples: Samples, cell: Cell) -> Model:
+    """The model, its tool kept, with base frames and instruments where its arm then has them."""
+    unplaced = replace(model, T_frame_base=_identities(samples), instruments=(), leaders=())
+    return replace(locate_base(unplaced, samples, cell.known, cell.own_target), arm=model.arm)
+
+
+def _wide(parameters: Sequence[ModelParameter], cell: Cell) -> list[ModelParameter]:
+    """Parameters of base, tool and instruments with wide priors, but for what is stated."""
+    return [
+        wide if (stated := stated_std(p, cell.tool, cell.known)) is None else replace(p, prior_std=stated)
+        for p, wide in zip(parameters, with_prior(parameters, WIDE), strict=True)
+    ]
+
+
+def free_cell(parameters: Sequence[ModelParameter], cell: Cell) -> tuple[ModelParameter, ...]:
+    """The same parameters, those of base and tool with no prior but what is stated of them.
+
+    Where the nominal arm puts base and tool says little of where they are, least of all where they hardly turn.
+    """
+    return tuple(
+        replace(wide, seen_std=p.expected) if p.name.startswith(("frame ", "tool/")) else p
+        for p, wide in zip(parameters, _wide(parameters, cell), strict=True)
+    )
 
 
 def with_frames(model: Model, frames: Sequence[str]) -> Model:

@@ -9,23 +9,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import (
-    RowView,
-    apply_deviations,
-    deviations,
-    geometry_rows,
-    model_at,
-)
+from modcal_core.calibration.linearise import RowView, deviations, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import all_columns
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.geometry.twists import local_twists
+from modcal_core.geometry.twists import error_transform, local_twists
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
 
+_TOUCHING = 1e-9  # m; ends that lie in one point have no direction
 _NEAR = 0.5  # s between a stamp that is stated and the station that it means
 
 
@@ -90,43 +84,60 @@ def distance_rows(
 
     values: of the parameters, and behind them, where given, those of the model's effects.
     """
-    rows = [
-        _between_stations(model, parameters, values, known)
-        if isinstance(known, StationDistance)
-        else _between_frames(model, parameters, values, known)
-        for known in distances
-    ]
-    J = np.stack([row for _, row in rows], axis=1)
-    return DistanceRows(np.array([r for r, _ in rows]), J, np.array([d.std for d in distances]))
+    origin = _origins(model, parameters, values)
+    motion = _motions(model, parameters, values, origin)
+    residual, rows = [], []
+    for known in distances:
+        if isinstance(known, StationDistance):
+            length, row = _between_stations(model, parameters, values, known)
+        else:
+            gap = _gap(model, known, origin)
+            length = max(float(np.linalg.norm(gap)), _TOUCHING)
+            row = _gap(model, known, motion) @ (gap / length)
+        residual.append(known.distance - length)
+        rows.append(row)
+    return DistanceRows(np.array(residual), np.stack(rows, axis=1), np.array([d.std for d in distances]))
 
 
 def distance_cost(
     model: Model, parameters: Sequence[ModelParameter], values: Array, distances: Sequence[AnyDistance]
 ) -> float:
     """What known distances add to the cost of a fit with the parameters at these values."""
-    return distance_rows(model, parameters, values, distances).cost
+    if any(isinstance(known, StationDistance) for known in distances):
+        return distance_rows(model, parameters, values, distances).cost
+    origin = _origins(model, parameters, values)
+    gaps = [_gap(model, known, origin) for known in distances if isinstance(known, Distance)]
+    missed = (np.array([d.distance for d in distances]) - np.linalg.norm(gaps, axis=1)) / [d.std for d in distances]
+    return float(missed @ missed)
 
 
-def _between_frames(
-    model: Model, parameters: Sequence[ModelParameter], values: Array, known: Distance
-) -> tuple[float, Array]:
+def _origins(model: Model, parameters: Sequence[ModelParameter], values: Array) -> Array:
+    """Origins of the frames as seen from the root (F, 3) [m], with the parameters at these values."""
     errors = deviations(model, parameters, values[: len(parameters)])
-    now = apply_deviations(model, errors)
-    T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
-    origin = T_root_frame[:, :3, 3]
-    twists = local_twists(errors.frames)
+    poses = model.T_frame_base @ model.chain.T_base_root @ error_transform(errors.frames)
+    return np.asarray(-np.einsum("fji,fj->fi", poses[:, :3, :3], poses[:, :3, 3]))
+
+
+def _motions(model: Model, parameters: Sequence[ModelParameter], values: Array, origin: Array) -> Array:
+    """How these origins move per unit of every value, (F, K, 3)."""
+    out = np.zeros((len(model.frames), len(values), 3))
+    of_frames = [j for j, p in enumerate(parameters) if p.place == 0]
+    if not of_frames:
+        return out
+    frame = np.array([parameters[j].frame for j in of_frames])
+    errors = deviations(model, parameters, values[: len(parameters)])
+    twist = local_twists(errors.frames)[frame, [parameters[j].direction for j in of_frames]]
+    # the frame's error carries the root, so its origin moves the other way when seen from the root
+    moved = -(twist[:, :3] + np.cross(twist[:, 3:], origin[:, None]))
+    leader = np.array([model.leader(f) for f in range(len(model.frames))])
+    out[:, of_frames] = np.where((frame == leader[:, None])[..., None], moved, 0.0)
+    return out
+
+
+def _gap(model: Model, known: Distance, at: Array) -> Array:
+    """From one end to the other, of values (F, …) of all frames."""
     a, b = (model.frames.index(name) for name in known.between)
-    gap = origin[a] - origin[b]
-    length = max(float(np.linalg.norm(gap)), 1e-9)
-    row = np.zeros(len(values))
-    for j, parameter in enumerate(parameters):
-        if parameter.place == 0:
-            v, w = np.split(twists[parameter.frame][parameter.direction], 2)
-            for f, sign in ((a, 1.0), (b, -1.0)):
-                if model.leader(f) == parameter.frame:
-                    # the frame's error carries the root, so its origin moves the other way when seen from the root
-                    row[j] -= sign * float((gap / length) @ (v + np.cross(w, origin[f])))
-    return known.distance - length, row
+    return np.asarray(at[a] - at[b])
 
 
 def _between_stations(
@@ -137,9 +148,9 @@ def _between_stations(
     at = model.drivers(known.ends)
     view = RowView.of(now, known.ends, at)
     gap = view.f.p[-1][:, 1] - view.f.p[-1][:, 0]
-    length = max(float(np.linalg.norm(gap)), 1e-9)
+    length = max(float(np.linalg.norm(gap)), _TOUCHING)
     rows = [geometry_rows(view, model, parameters, values)]
     if len(values) > len(parameters):
         rows += [view.moved_by(terms)[None] for terms in all_columns(now.effects, at)]
     moved = np.concatenate(rows).reshape(len(values), 3, 2)
-    return known.distance - length, (moved[:, :, 1] - moved[:, :, 0]) @ (gap / length)
+    return length, (moved[:, :, 1] - moved[:, :, 0]) @ (gap / length)

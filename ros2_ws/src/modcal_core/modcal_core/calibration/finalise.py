@@ -12,11 +12,13 @@ from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
+from modcal_core.calibration.outermost import geometry_is_better
 from modcal_core.calibration.score import typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.effects.effect import is_move
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
@@ -33,25 +35,27 @@ def finalise(
     scored: Fit | None = None,
     wrong: np.ndarray | None = None,
     regimes: Model | None = None,
+    geometry: Fit | None = None,
 ) -> Calibration:
     """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
 
     scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
     (N,): they are left out, and no others; by default the fit decides. regimes: a model to begin from where base or
-    tool moved.
+    tool moved. geometry: the fit of geometry alone, from whose start all fits here begin; None: from the nominal arm's.
     """
     decided = wrong is not None
     watched = float(samples.stamps.min()), float(samples.stamps.max())
     if wrong is not None and wrong.any():
         samples = samples.select(np.flatnonzero(~wrong))
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
-    fit = last = identify_moved(nominal.model, samples, choice.parameters, cell.distances, reject=not decided)
+    begun = nominal.model if geometry is None else geometry.start
+    fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
     fits = [nominal, fit]
     geometric = fit.model
     if scored is None or not scored.model.effects:
         tidy = least_change(fit.model, chain)
     else:
-        start = nominal.model.with_effects(sharpened(scored.model, samples).effects)
+        start = begun.with_effects(sharpened(scored.model, samples).effects)
         fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)
         fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
         # places moved by what was passed through the joints: effects settle where they are now
@@ -68,6 +72,14 @@ def finalise(
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
+        geometry_outside=geometry_is_better(tidy, geometric, samples, choice, cell),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
     )
+
+
+def _geometry(start: Model, samples: Samples, choice: ParameterChoice, cell: Cell, at: Fit | None, reject: bool) -> Fit:
+    """The fit of geometry alone, from where another fit of it ended."""
+    if at is None or any(is_move(effect) for effect in start.effects):
+        return identify_moved(start, samples, choice.parameters, cell.distances, reject=reject)
+    return identify(start, samples, choice.parameters, cell.distances, begin=at.values, reject=reject)

@@ -38,7 +38,7 @@ class Identifiability:
 
 def identifiability(fit: Fit) -> Identifiability:
     """Rank, condition and unobservable combinations of a fit."""
-    prior = np.array([p.prior_std if np.isfinite(p.prior_std) else 1.0 for p in fit.parameters])
+    prior = np.array([p.expected if np.isfinite(p.expected) else 1.0 for p in fit.parameters])
     value, vector = np.linalg.eigh(fit.information * np.outer(prior, prior))
     seen = value >= 1.0
     rank = int(seen.sum())

@@ -27,12 +27,14 @@ _GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no furth
 @dataclass(frozen=True)
 class Known:
     """A frame whose place relative to another is known. to: that frame, or "base". T_frame_to: pose of ``to`` in the
-    frame, (4, 4) [m].
+    frame, (4, 4) [m]. std: how well position [m] and orientation [rad] are known, of a frame in the base; None:
+    exactly, as of any other.
     """
 
     frame: str
     to: str
     T_frame_to: Array
+    std: tuple[float, float] | None = None
 
     def T_frame_base(self, frames: Sequence[str], T_frame_base: Array) -> Array:
         """The pose of the base in the frame, where those of the other frames (F, 4, 4) are."""

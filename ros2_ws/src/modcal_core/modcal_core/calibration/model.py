@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modcal_core.calibration.fallback import Fallback
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, motion
@@ -28,7 +29,8 @@ class Model:
     base in each, (F, 4, 4) [m]. T_tip_tool: pose of what the instruments see, in the tip, (4, 4) [m]. effects: what
     geometry cannot say. arm: the nominal arm that loads are computed from; None where there are no effects.
     instruments: those whose readings are no positions. leaders: for each frame the one whose errors it shares, by
-    index, where some are known relative to others; empty where each stands for itself.
+    index, where some are known relative to others; empty where each stands for itself. fallback: what counts outside
+    the ranges that a frozen model has seen; None while it is fitted.
     """
 
     chain: Mechanism
@@ -39,6 +41,7 @@ class Model:
     arm: NominalArm | None = None
     instruments: tuple[Instrument, ...] = ()
     leaders: tuple[int, ...] = ()
+    fallback: Fallback | None = None
 
     def leader(self, frame: int) -> int:
         """The frame whose errors this one shares."""
@@ -60,7 +63,7 @@ class Model:
         T_root_tool = tool_frames(self.chain, self.T_tip_tool, samples.q, twists).transform(-1)
         T = (self.T_frame_base @ self.chain.T_base_root)[samples.frame] @ T_root_tool
         T[:, :3, 3] *= scale[:, None]
-        return T
+        return T if self.fallback is None else self.fallback.blended(T, samples)
 
     def drivers(self, samples: Samples) -> Drivers:
         """The drivers at these samples."""

@@ -47,7 +47,8 @@ class ModelParameter:
 
     name: "frame NAME/rx", "JOINT/x" or "tool/z". place: 0 … n. direction: 0 … 5, index into x y z rx ry rz of the
     place's frame with the joint's axis along z; from 6 on a constant of a Delta's arm. frame: index of the frame at
-    place 0, else -1. prior_std: in its unit, inf where nothing at all is expected. instrument: index of the instrument
+    place 0, else -1. prior_std: in its unit, inf where nothing at all is expected. seen_std: what it must be known
+    better than to count as observed; NaN: the prior's. instrument: index of the instrument
     that it is a constant of (place INSTRUMENT, direction the constant's number, own_unit its unit), else -1.
     """
 
@@ -58,11 +59,17 @@ class ModelParameter:
     prior_std: float = np.inf
     instrument: int = -1
     own_unit: str = ""
+    seen_std: float = np.nan
 
     @property
     def of_arm(self) -> bool:
         """Whether it changes the arm itself, rather than where its base or tool are."""
         return not self.name.startswith(("frame ", "tool/", "instrument "))
+
+    @property
+    def expected(self) -> float:
+        """How far an arm, its base or its tool are expected to be from their drawing, in its unit."""
+        return self.prior_std if np.isnan(self.seen_std) else self.seen_std
 
     @property
     def turns(self) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.calibration.fallback import Fallback, curved_joints
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
@@ -57,8 +58,9 @@ class Calibration:
     explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
-    clock: whether these are times. ranges: smallest and largest value of each temperature and signal that effects
-    depend on. typical: for each effect what it was on average, where a recording may lack its driver.
+    clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
+    what was seen. ranges: smallest and largest value of each temperature and signal that effects depend on.
+    typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
     """
@@ -77,6 +79,7 @@ class Calibration:
     scatter: tuple[float, float] = (0.0, 0.0)
     converged: bool = True
     clock: bool = True
+    geometry_outside: bool = False
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
 
@@ -101,7 +104,8 @@ class Calibration:
         more: temperatures, efforts, times, and the frame. frame: one of ``frames``; None: the first. Raises
         MissingDriver where an effect depends on what is not given, and BadTable for an unknown frame.
         """
-        return predict(self.calibrated, self.nominal.chain, self.driver_limits, q, frame)
+        model = replace(self.calibrated, fallback=self.fallback(self.calibrated, self.geometric))
+        return predict(model, self.nominal.chain, self.driver_limits, q, frame)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -130,6 +134,13 @@ class Calibration:
     def robot(self) -> str:
         """Fingerprint of the nominal kinematics."""
         return fingerprint(self.nominal.chain)
+
+    def fallback(self, model: Model, alone: Model) -> Fallback | None:
+        """What counts outside the joint ranges that were seen, of a model and geometry alone with the same frames."""
+        curved = curved_joints(model.effects, self.nominal.chain.names)
+        if not (self.geometry_outside and curved.any()):
+            return None
+        return Fallback(alone.with_effects(()), *self.seen, curved)
 
     @property
     def driver_limits(self) -> DriverLimits:
@@ -207,6 +218,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             "postures": [floats(q) for q in calibration.postures],
             **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
+            **({"geometry_outside": True} if calibration.geometry_outside else {}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -239,7 +251,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         known = uncertainty_from_data(data.get("uncertainty"), calibrated)
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
-        clock = bool(recorded.get("clock", True))
+        clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
@@ -252,7 +264,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, ranges, typical),
+        *(watched, alone, converged, clock, outside, ranges, typical),
     )
 
 

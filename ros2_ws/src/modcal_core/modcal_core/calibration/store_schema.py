@@ -33,7 +33,8 @@ SCHEMA: Schema = _keys(
     parameters=_list_of(_keys("name", "value", "std", "unit")),
     effects=_list_of(_keys(*_EFFECT, rivals=_list_of(_keys(*_EFFECT)), usual=_keys("mean", "cost_m2"))),
     recorded=_keys(
-        "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges"
+        "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges",
+        "geometry_outside",
     ),
     uncertainty=_keys(
         "covariance",

@@ -12,18 +12,21 @@ drifts, and a tracker's scale, show in tracker frames only; a tracker's delay sh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration.canonical import passing_directions
+from modcal_core.calibration.fallback import between
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.arm_state import ArmState
 from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import JOINTS, READING, Term, columns, motion, shape_columns
+from modcal_core.effects.effect import JOINTS, READING, Effect, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform
 from modcal_core.measurements.recording import SignalTrack
@@ -42,10 +45,9 @@ class Correction:
         self.model = calibration.calibrated
         self.chain = self.model.serial
         self._arm = replace(self.model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
-        true = [e for e in self.model.effects if e.direction != JOINTS]
-        self._of_arm = tuple(e for e in true if e.place not in ("base", "tool", "tracker"))
-        self._of_tool = tuple(e for e in true if e.place == "tool")
-        self._of_cell = tuple(e for e in true if e.place in ("base", "tracker"))
+        self._full = _Parts.of(self.model)
+        self._fallback = calibration.fallback(self.model, calibration.geometric)
+        self._outside = self._full if self._fallback is None else _Parts.of(self._fallback.model)
         self._covariance = _deviations_covariance(calibration)
 
     @property
@@ -79,18 +81,26 @@ class Correction:
         return self.poses(q[None], at, target, frame)[0]
 
     def poses(self, postures: Array, at: ArmState, target: Target = "tip", frame: str = "") -> Array:
-        """The same for many postures (N, n) under the same conditions, (N, 4, 4). Raises BadTable: unknown frame."""
+        """The same for many postures (N, n) under the same conditions, (N, 4, 4). Raises BadTable: unknown frame.
+
+        Outside the joint ranges that were seen they are those of the calibration's other model, as far as it counts.
+        """
         around = self._around(postures, at)
-        twists, _ = motion(self._of_arm, around)
-        if not frame:
-            return self._behind(frames(self.chain, postures, twists).transform(-1), around, target)
-        in_cell, scale = motion(self._of_cell, around)
-        for place, twist in in_cell.items():
-            twists[place] = twists[place] + twist if place in twists else twist
-        T = self._behind(frames(self.chain, postures, twists).transform(-1), around, target)
-        T = self.base_in(frame) @ T
-        T[:, :3, 3] *= scale[:, None]
-        return T
+        T = self._full.poses(postures, around, target, self.base_in(frame) if frame else None)
+        if self._fallback is None:
+            return T
+        share = self._fallback.share(postures)
+        rows = np.flatnonzero(share > 0.0)
+        if not len(rows):
+            return T
+        bases = self._outside.model.T_frame_base
+        base = bases[self.model.frames.index(frame)] if frame else None
+        other = self._outside.poses(postures[rows], self._around(postures[rows], at), "tool", base)
+        if base is None:  # both bases are where the first frame sees them
+            other = se3.inverse(self.model.T_frame_base[0]) @ bases[0] @ other
+        if target == "tip":  # what is measured is the tool; the tip is where the full model has it on the tool
+            other = other @ se3.inverse(self.model.T_tip_tool)
+        return between(T, rows, share[rows], other)
 
     def base_in(self, frame: str) -> Array:
         """Pose (4, 4) of the base link in a tracker frame; raises BadTable for one that was not calibrated."""
@@ -101,11 +111,10 @@ class Correction:
 
     def joints(self, q: Array, at: ArmState) -> Array:
         """Where the joints truly stand when they report q (n,): with what effects turn them about their own axes."""
-        twists, _ = motion(self._of_arm, self._around(q[None], at))
-        out = np.array(q, dtype=float)
-        for place, twist in twists.items():
-            if place < self.chain.n:
-                out[place] += twist[5 if self.chain.revolute[place] else 2, 0]
+        around = self._around(q[None], at)
+        out = self._full.joints(q, around)
+        if self._fallback is not None and (share := float(self._fallback.share(q[None])[0])) > 0.0:
+            out += share * (self._outside.joints(q, around) - out)
         return out
 
     def covariance(self, q: Array, at: ArmState, target: Target = "tip") -> Array:
@@ -119,9 +128,9 @@ class Correction:
         if self._covariance is None:
             return out
         around = self._around(q[None], at)
-        twists, _ = motion(self._of_arm, around)
+        twists, _ = motion(self._full.of_arm, around)
         f = frames(self.chain, q[None], twists)
-        end = self._behind(f.transform(-1), around, target)[0]
+        end = self._full.behind(f.transform(-1), around, target)[0]
         n = self.chain.n
         units = np.stack([_unit_motions(f, place, end[:3, 3]) for place in range(n)] + [_at_end(end)])
         rows = np.zeros((6, len(self._covariance)))
@@ -130,7 +139,7 @@ class Correction:
         if target == "tool":
             rows[:, 6 * (n - 1) : 6 * n] = units[n]
         j = 6 * n
-        shown = (*self._of_arm, *self._of_tool) if target == "tool" else self._of_arm
+        shown = (*self._full.of_arm, *self._full.of_tool) if target == "tool" else self._full.of_arm
         for effect in self.model.effects:
             if any(effect is e for e in shown):
                 for terms in (*columns(effect, around), *shape_columns(effect, around)):
@@ -149,7 +158,8 @@ class Correction:
 
     def unwatched(self, stamp: float) -> bool:
         """Whether something depends on time and this is longer past the calibration than it lasted, or before it."""
-        timed = any(e.driver == "time" for e in (*self._of_arm, *self._of_tool, *self._of_cell))
+        of = self._full
+        timed = any(e.driver == "time" for e in (*of.of_arm, *of.of_tool, *of.of_cell))
         return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
     def _around(self, postures: Array, at: ArmState) -> Drivers:
@@ -157,12 +167,55 @@ class Correction:
         samples = replace(at, signals=signals).samples(self.chain, postures, self._arm)
         return Drivers(samples, self._arm)
 
-    def _behind(self, T_base_tip: Array, around: Drivers, target: Target) -> Array:
+
+@dataclass(frozen=True)
+class _Parts:
+    """A model's effects by what they move: the arm, the tool, or the cell."""
+
+    model: Model
+    of_arm: tuple[Effect, ...]
+    of_tool: tuple[Effect, ...]
+    of_cell: tuple[Effect, ...]
+
+    @classmethod
+    def of(cls, model: Model) -> _Parts:
+        true = [e for e in model.effects if e.direction != JOINTS]
+        return cls(
+            model,
+            tuple(e for e in true if e.place not in ("base", "tool", "tracker")),
+            tuple(e for e in true if e.place == "tool"),
+            tuple(e for e in true if e.place in ("base", "tracker")),
+        )
+
+    def poses(self, postures: Array, around: Drivers, target: Target, base: Array | None) -> Array:
+        """Poses of the target (N, 4, 4) in the base link, or seen from where the base (4, 4) is, with the cell's."""
+        twists, _ = motion(self.of_arm, around)
+        chain = self.model.serial
+        if base is None:
+            return self.behind(frames(chain, postures, twists).transform(-1), around, target)
+        in_cell, scale = motion(self.of_cell, around)
+        for place, twist in in_cell.items():
+            twists[place] = twists[place] + twist if place in twists else twist
+        T = base @ self.behind(frames(chain, postures, twists).transform(-1), around, target)
+        T[:, :3, 3] *= scale[:, None]
+        return T
+
+    def joints(self, q: Array, around: Drivers) -> Array:
+        """Where the joints stand when they report q (n,)."""
+        chain = self.model.serial
+        twists, _ = motion(self.of_arm, around)
+        out = np.array(q, dtype=float)
+        for place, twist in twists.items():
+            if place < chain.n:
+                out[place] += twist[5 if chain.revolute[place] else 2, 0]
+        return out
+
+    def behind(self, T_base_tip: Array, around: Drivers, target: Target) -> Array:
         """Poses of the target, (N, 4, 4)."""
         if target == "tip":
             return T_base_tip
         T = T_base_tip @ self.model.T_tip_tool
-        twists, _ = motion(self._of_tool, around)
+        twists, _ = motion(self.of_tool, around)
         for twist in twists.values():
             T = T @ error_transform(twist.T)
         return T

@@ -19,8 +19,8 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import Move as Move
 from modcal_core.calibration.moves import What, identify_moved
@@ -28,6 +28,7 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
 from modcal_core.calibration.score import errors, outlying, squared_residuals
+from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
@@ -72,7 +73,8 @@ def find_regimes(
         samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST).astype(int)))
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
-    geometric = identify(nominal.model, samples, choice.parameters, cell.distances, tolerance=_TOLERANCE)
+    choice = replace(choice, parameters=free_cell(choice.parameters, cell))
+    geometric = fit_geometry(nominal.model, samples, choice.parameters, cell, tolerance=_TOLERANCE)
     if not stated and not _suspicious(geometric, samples):
         return None
     search = _Search(nominal.model, samples, choice.parameters, cell, places)

@@ -48,5 +48,12 @@ def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0)
     ]
     return (
         f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
-        f"{', '.join(worst)}. Learned curves are not continued there.",
+        f"{', '.join(worst)}. {_spoken(calibration)}",
     )
+
+
+def _spoken(calibration: Calibration) -> str:
+    """What is done outside the ranges."""
+    if calibration.fallback(calibration.calibrated, calibration.geometric) is None:
+        return "Learned curves are not continued there."
+    return "Learned curves are not continued there: the geometry that is best alone counts instead."

@@ -28,6 +28,7 @@ _STAMPS = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
 _DISTANCE = {"distance_m": _NUMBER, "std_m": _NUMBER}
 _PLANE = _mapping({"normal": _THREE, "offset_m": _NUMBER}, "normal", "offset_m")
 _QUATERNION = {"type": "array", "items": _NUMBER, "minItems": 4, "maxItems": 4}
+_POSE = {"position_m": _THREE, "quaternion": _QUATERNION}
 SCHEMA = _mapping(
     {
         "distances": _list(
@@ -44,11 +45,15 @@ SCHEMA = _mapping(
         "sockets": _TEXTS,
         "known": _list(
             _mapping(
-                {"frame": _TEXT, "in": _TEXT, "plane": _PLANE, "position_m": _THREE, "quaternion": _QUATERNION},
+                {"frame": _TEXT, "in": _TEXT, "plane": _PLANE, **_POSE, "std_m": _NUMBER, "std_deg": _NUMBER},
                 "frame",
                 "in",
             )
         ),
+        "tool": {
+            **_mapping({**_POSE, "std_m": _NUMBER, "std_deg": _NUMBER}, "position_m", "std_m"),
+            "type": ["object", "null"],
+        },
         "moved": _list(_mapping({"stamp": _NUMBER, "what": _WHAT}, "stamp", "what")),
         "own_in_recordings": {**_WHAT, "type": ["string"]},
         "repeatability_mm": _NUMBER,

@@ -15,10 +15,12 @@ from modcal_core.calibration.distances import AnyDistance, Distance, StationDist
 from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.moves import WHATS, Move, What
 from modcal_core.calibration.stated import Stated
+from modcal_core.calibration.stated_places import StatedTool
 from modcal_core.calibration.store import Calibration, from_data
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.schema import require, shown, told
 from modcal_core.report.particulars import Particulars
@@ -36,12 +38,14 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
+_LEAST_STD = 1e-7  # m, deg; what is stated better is stated as fixed
 _MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
 _AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
+_AS_TOOL = "{position_m: [0, 0, 0.055], std_m: 0.001}, and with orientation quaternion and std_deg"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
 
@@ -90,6 +94,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(str(f) for f in data.get("sockets") or ()),
         tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
         None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
+        None if data.get("tool") is None else _part(path, _tool, "tool", data["tool"], _AS_TOOL),
     )
 
 
@@ -164,9 +169,34 @@ def _distance(data: Mapping[str, Any]) -> AnyDistance:
     return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
 
 
+def _tool(data: Mapping[str, Any]) -> StatedTool:
+    """Where the tool is in the tip, and how well that is known."""
+    if ("quaternion" in data) != ("std_deg" in data):
+        raise ValueError("an orientation needs quaternion and std_deg, both")
+    std_m, std_rad = _deviations({"std_deg": np.inf, **data})
+    return StatedTool(_pose(data), std_m, std_rad)
+
+
+def _deviations(data: Mapping[str, Any]) -> tuple[float, float]:
+    """Deviations [m, rad] that are stated as std_m and std_deg."""
+    std_m, std_deg = float(data["std_m"]), float(data["std_deg"])
+    if not (_LEAST_STD <= std_m < 1.0 and std_deg >= _LEAST_STD):
+        raise ValueError(f"std_m from {_LEAST_STD:g} to 1 m and std_deg from {_LEAST_STD:g} are allowed")
+    return std_m, float(np.radians(std_deg))
+
+
+def _pose(data: Mapping[str, Any]) -> Array:
+    """The transform (4, 4) of position_m and quaternion."""
+    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
+    values = np.array([float(x) for x in pose])
+    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
+        raise ValueError("a position has three numbers, a quaternion four and length one")
+    return se3.from_pose(values)
+
+
 def _known(data: Mapping[str, Any]) -> Known:
     """A frame in another: its plane, its pose, or, for the same plane, nothing."""
-    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion"}
+    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion", "std_m", "std_deg"}
     if extra:
         raise ValueError(f"unknown {', '.join(sorted(extra))}")
     frame, to = str(data["frame"]), str(data["in"])
@@ -175,8 +205,9 @@ def _known(data: Mapping[str, Any]) -> Known:
         if normal.shape != (3,) or not 0.99 < float(np.linalg.norm(normal)) < 1.01:
             raise ValueError("a normal has three numbers and length one")
         return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
-    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
-    values = np.array([float(x) for x in pose])
-    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
-        raise ValueError("a position has three numbers, a quaternion four and length one")
-    return Known(frame, to, se3.inverse(se3.from_pose(values)))
+    std: tuple[float, float] | None = None
+    if "std_m" in data or "std_deg" in data:
+        if to != "base" or not {"std_m", "std_deg"} <= set(data):
+            raise ValueError("std_m and std_deg go together, of a frame in the base")
+        std = _deviations(data)
+    return Known(frame, to, se3.inverse(_pose(data)), std)

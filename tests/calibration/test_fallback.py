@@ -1,0 +1,139 @@
+"""Outside the joint ranges that were seen: no worse than geometry alone, no jump on the way there, also when commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import samples_of, ur10
+
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.fallback import BLEND
+from modcal_core.calibration.finalise import finalise
+from modcal_core.calibration.identify import identify
+from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.correction.arm_state import ArmState
+from modcal_core.correction.correction import Correction
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.kinematics import forward
+
+ELBOW, LOW, HIGH = 2, -1.6, 0.0
+CURVE = Effect(
+    "gear_harmonic",
+    "elbow_joint",
+    AXIS,
+    "position:elbow_joint",
+    Shape("spline", {"low": LOW, "high": HIGH, "count": 12.0}),
+)
+
+
+Curve = Callable[[Array], Array]
+
+
+def ripple(q: Array) -> Array:
+    """Quicker than the functions of the curve are apart: followed wrongly, it leads the geometry astray."""
+    return np.asarray(2e-4 * np.sin(20.0 * q + 1.0))
+
+
+def bend(q: Array) -> Array:
+    """Slow enough for the curve; geometry alone takes its mean for a joint zero."""
+    return np.asarray(4e-4 * np.cos(1.3 * q))
+
+
+def readings(rng: np.random.Generator, low: float, high: float, count: int, curve: Curve = ripple) -> Samples:
+    """Exact poses of an arm whose elbow is off by a curve, at random postures."""
+    chain = ur10()
+    q = rng.uniform(-1.5, 1.5, (count, 6))
+    q[:, ELBOW] = rng.uniform(low, high, count)
+    bent = q.copy()
+    bent[:, ELBOW] += curve(q[:, ELBOW])
+    base, tool = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
+    return samples_of(chain, q, base @ forward(chain, bent) @ tool)
+
+
+def calibrated(curve: Curve) -> Calibration:
+    """The calibration with a curve over the elbow, of twelve functions, from half of its range."""
+    samples = readings(np.random.default_rng(0), LOW, HIGH, 150, curve)
+    nominal = fit_cell(ur10(), samples, Cell())
+    choice = choose_parameters(nominal.model, views_of(samples))
+    choice = replace(choice, parameters=free_cell(choice.parameters, Cell()))
+    start = nominal.model.with_effects((CURVE.started(np.zeros(12)),))
+    return finalise(samples, ur10(), choice, Cell(), None, identify(start, samples, choice.parameters))
+
+
+@pytest.fixture(scope="module")
+def made() -> Calibration:
+    return calibrated(ripple)
+
+
+def missed(T: Array, samples: Samples) -> float:
+    """RMS [mm]."""
+    return 1e3 * float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - samples.reading) ** 2, axis=1))))
+
+
+def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng: np.random.Generator) -> None:
+    outside = readings(rng, HIGH + BLEND + 0.01, 1.5, 60)
+    alone = missed(made.geometric.predict_samples(outside), outside)
+    assert missed(made.calibrated.predict_samples(outside), outside) > 3.0 * alone
+    assert missed(made.predict(outside.q), outside) == pytest.approx(alone)
+    report = evaluate(made, outside, rng)
+    final, geometric = (report.size_mm(stage) for stage in ("final", "geometric"))
+    assert final is not None
+    assert geometric is not None
+    assert final.rms == pytest.approx(geometric.rms)
+    assert any("best alone" in note for note in report.notes)
+
+
+def test_elsewhere_the_full_model_goes_on(rng: np.random.Generator) -> None:
+    bent, outside = calibrated(bend), readings(rng, HIGH + BLEND + 0.01, 1.5, 60, bend)
+    assert not bent.geometry_outside
+    alone = missed(bent.geometric.predict_samples(outside), outside)
+    assert missed(bent.predict(outside.q), outside) < 0.5 * alone
+
+
+def test_nothing_jumps_on_the_way_out(made: Calibration) -> None:
+    q = np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (401, 1))
+    q[:, ELBOW] = np.linspace(HIGH - 0.1, HIGH + 0.1, 401)
+    # where it is, less what the joint's own motion does: 0.5 mrad more or less of a step is a micrometre
+    off = made.predict(q)[:, :3, 3] - made.geometric.predict(q)[:, :3, 3]
+    step = np.linalg.norm(np.diff(off, axis=0), axis=1)
+    assert np.linalg.norm(off[0]) > 5e-5
+    assert np.abs(off[-1]).max() < 1e-12
+    assert step.max() < 4e-5
+
+
+@pytest.mark.parametrize("frame", ["", "tracker"])
+def test_commands_follow_the_same_models(made: Calibration, frame: str) -> None:
+    correction = Correction(made)
+    q = np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (5, 1))
+    q[:, ELBOW] = [HIGH - 0.2, HIGH + 0.02, HIGH + 0.04, HIGH + 0.06, 1.0]
+    at = ArmState.at_rest(q[0], 0.0)
+    T = correction.poses(q, at, "tool", frame)
+    expected = made.predict(q)
+    if not frame:
+        expected = se3.inverse(made.calibrated.T_frame_base[0]) @ expected
+    np.testing.assert_allclose(T, expected, atol=1e-12)
+    tip = correction.poses(q, at, "tip", frame) @ made.calibrated.T_tip_tool
+    np.testing.assert_allclose(tip, expected, atol=1e-12)
+    assert correction.joints(q[-1], at)[ELBOW] == q[-1, ELBOW]  # no curve turns the joint any more
+
+
+def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) -> None:
+    other = replace(made, geometry_outside=False)
+    q = np.array([[0.3, -1.2, 1.0, 0.4, 0.8, 0.1]])
+    np.testing.assert_allclose(other.predict(q), made.calibrated.predict(q), atol=1e-12)
+    assert not from_data(to_data(other)).geometry_outside
+    assert from_data(to_data(made)).geometry_outside
+
+
+def test_models_without_curves_go_on(made: Calibration) -> None:
+    plain = replace(made, calibrated=made.calibrated.with_effects(()))
+    assert plain.fallback(plain.calibrated, plain.geometric) is None
