@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import yaml
-
-from modcal_core.errors import BadRecording
+from modcal_core.errors import BadRecording, BadTable
+from modcal_core.files import parse_yaml
 
 SUFFIXES = tuple(f"{kind}{packed}" for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
 
@@ -31,7 +30,7 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
     if metadata.is_file():
         try:
             names = listed_files(path)
-        except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
+        except (BadTable, KeyError, TypeError, ValueError) as error:
             raise BadRecording(
                 str(metadata), f"is damaged ({type(error).__name__})", "remove it; the other files are enough"
             ) from error
@@ -52,13 +51,13 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
 def listed_files(folder: Path) -> list[Path]:
     """The files that metadata.yaml names, wherever it was written; of packed ones the name with or without suffix.
 
-    Raises what YAML, or another layout than rosbag2's, leads to.
+    Raises BadTable for what is no YAML, and what another layout than rosbag2's leads to.
     """
     file = folder / "metadata.yaml"
     if file.stat().st_size > _MAX_METADATA:
         raise ValueError("it is too large")
     text = file.read_text(encoding="utf-8")
-    stated = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
+    stated = parse_yaml(text, str(file))["rosbag2_bagfile_information"]["relative_file_paths"]
     if not isinstance(stated, list) or not stated or not all(isinstance(name, str) and name for name in stated):
         raise ValueError("relative_file_paths is not a list of names")
     if any(len(Path(name).name.encode()) > _MAX_NAME for name in stated):

@@ -21,6 +21,7 @@ from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
 from modcal_msgs_py.choosing import Topics, resolve
 from modcal_msgs_py.fields import KNOWN, fields_of
+from modcal_msgs_py.gathering import gathered
 from modcal_msgs_py.layout import Bytes, Fields, MessageLayout
 from modcal_msgs_py.mcap_walk import Block
 from modcal_msgs_py.messages import RecordingBuilder, why_left_out
@@ -72,7 +73,7 @@ def read_pieces(
             file = bag_file(name)
             try:
                 reader = _Reader(file, builder, layouts)
-                for block in file.blocks():
+                for block in gathered(file.blocks()):
                     reader.take(block)
                     heard((i + file.share) / len(files))
                     if most is not None and builder.joint_states >= most:

@@ -16,7 +16,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import yaml
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -24,7 +23,8 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
-from modcal_core.errors import BadRecording
+from modcal_core.errors import BadRecording, BadTable
+from modcal_core.files import parse_yaml
 from modcal_msgs_py.bag_files import appearing, bag_files, listed_files
 from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
 from modcal_msgs_py.bag_open import PACKED
@@ -91,8 +91,8 @@ def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     if metadata.is_file():
         try:
             names = listed_files(path)
-            stated = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
+            stated = parse_yaml(metadata.read_text(encoding="utf-8"), str(metadata))["rosbag2_bagfile_information"]
+        except (BadTable, KeyError, TypeError, ValueError):
             stated = None
     if not isinstance(stated, dict):
         found = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))

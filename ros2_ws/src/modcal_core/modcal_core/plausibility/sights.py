@@ -22,12 +22,12 @@ from modcal_core.plausibility.meanings import ARM_SHARE, OF_MOTION
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
-_MOST = 120  # rows, evenly along the table; each trial of a tool places the instruments anew
+_MOST = 120  # rows, evenly along the table; each trial of a tool places the instruments again
 _INDEPENDENT = 100  # rows that count, as of poses: errors of a nominal arm are alike in neighbouring postures
 _ASTRAY = 0.05  # share of readings that may say anything
 _NOMINAL = {"m": 1e-3, "rad": 1e-3}  # of the reach, and rad, per direction: finer says nothing of a nominal arm
 _STARTS, _GOOD = 0.15, 0.005  # of the reach: starts of the tool, and a median miss that needs no further one
-_HOPELESS = 0.1  # of the reach; no other start mends what misses by more after three
+_HOPELESS = 0.1  # of the reach; no other start improves what misses by more after three
 _STEPS = 30  # iterations
 _SOFT = 1e-4  # m²; misses beyond a centimetre count less
 _SCALES = 24  # halvings of a scatter that are tried

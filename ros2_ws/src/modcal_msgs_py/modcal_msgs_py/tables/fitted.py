@@ -105,7 +105,7 @@ class Fitted:
         if best.meaning.turning is None:
             direction = "points of the tool in the tracker"
         joints = self.choice.angle if np.any(chain.revolute) else self.choice.length
-        said = "; ".join((turning_words(numbers, self.body, best), direction, f"positions in {best.meaning.unit}"))
+        said = "; ".join((turning_words(numbers, self.body, best), direction, _positions(best)))
         rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
         out = [f"{said}; joints in {joints}: {rows}"]
         if (other := second(self)) is not None:
@@ -141,6 +141,11 @@ def turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
     return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
 
 
+def _positions(judged: Judged) -> str:
+    unit = judged.meaning.unit
+    return f"positions in {'inches' if unit == 'in' else unit}"
+
+
 def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
     """In what another meaning differs from the best: what the best says, and what the other says."""
     a, b = best.meaning, other.meaning
@@ -148,7 +153,7 @@ def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -
     if a.turning != b.turning:
         out.append((turning_words(numbers, chosen.body, best), turning_words(numbers, chosen.body, other)))
     if a.unit != b.unit:
-        out.append((f"positions in {a.unit}", f"positions in {b.unit}"))
+        out.append((_positions(best), _positions(other)))
     if a.inverse != b.inverse:
         directions = ("the tool in the tracker", "the tracker in the tool")
         out.append((directions[a.inverse], directions[b.inverse]))

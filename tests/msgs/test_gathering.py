@@ -1,0 +1,73 @@
+"""Bags in many small chunks are read as those in few large ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from modcal_core.measurements.recording import Recording
+from modcal_msgs_py import mcap_read
+from modcal_msgs_py.gathering import gathered
+from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block, McapFile
+
+ROOT = Path(__file__).resolve().parents[2]
+BAG = ROOT / "bags" / "ur10_cell"
+
+
+def arrays(recording: Recording) -> list[NDArray[np.float64]]:
+    out = []
+    for track in (*recording.joints, *recording.readings):
+        out += [
+            track.stamps,
+            track.received,
+            *(getattr(track, name) for name in ("position", "values") if hasattr(track, name)),
+        ]
+    return out
+
+
+def test_the_recording_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit, warnings and the order of tracks included."""
+    merged = mcap_read.read_bag(BAG)
+    monkeypatch.setattr(mcap_read, "gathered", lambda blocks: blocks)
+    apart = mcap_read.read_bag(BAG)
+    assert [track.topic for track in merged.joints] == [track.topic for track in apart.joints]
+    assert [track.topic for track in merged.readings] == [track.topic for track in apart.readings]
+    assert (merged.warnings, merged.robot_description) == (apart.warnings, apart.robot_description)
+    pairs = list(zip(arrays(merged), arrays(apart), strict=True))
+    assert len(pairs) == 6
+    assert all(a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+def test_there_are_far_fewer_blocks_with_the_same_messages() -> None:
+    (file,) = BAG.glob("*.mcap")
+    apart = list(McapFile(file).blocks())
+    merged = list(gathered(McapFile(file).blocks()))
+    assert len(merged) < 0.05 * len(apart)
+
+    def messages(blocks: list[Block]) -> list[tuple[int, bytes]]:
+        return [
+            (int(head["channel"]), bytes(block.content[start:stop]))
+            for block in blocks
+            for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True)
+        ]
+
+    assert messages(merged) == messages(apart)
+    assert all(bytes(block.content[-len(PADDING) :]) == PADDING for block in merged)
+
+
+def test_a_channel_that_is_new_is_met_where_it_was() -> None:
+    """Else topics would be met in the order of their channels, and not of their first messages."""
+
+    def block(*channels: int) -> Block:
+        heads = np.zeros(len(channels), HEAD)
+        heads["channel"] = channels
+        places = np.arange(len(channels), dtype=np.int64)
+        return Block(bytes(len(channels)) + PADDING, heads, places, places + 1)
+
+    found = [
+        b.heads["channel"].tolist() for b in gathered([block(7), block(7), block(7, 3), block(3), block(7), block(1)])
+    ]
+    assert found == [[7], [7], [7, 3], [3, 7], [1]]
