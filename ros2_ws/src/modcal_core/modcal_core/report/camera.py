@@ -114,6 +114,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
         "identifiability": None,
         "status": "open" if problems else "cannot_tell",
         "open_because": list(problems),
+        "remedy": decision.because[0] if decision.word == CANNOT_TELL else None,
         "converged": fit.converged,
         "regimes": [],
         "convention": None,

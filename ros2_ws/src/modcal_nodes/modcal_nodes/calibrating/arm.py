@@ -83,6 +83,11 @@ class KnownArm:
                 raise BadRecording(f"joint {self.chain.names[worst]}", said, "publish radians and metres")
             self.stream.joint_state(seconds(message.header.stamp), position, effort)
 
+    def position(self, message: Any) -> np.ndarray | None:
+        """The arm's joints in a joint state, (n,); None where it does not name the whole arm."""
+        order = self._order.get(tuple(message.name))
+        return None if order is None else np.frombuffer(message.position)[order].copy()
+
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""
         if self.stream is not None:
