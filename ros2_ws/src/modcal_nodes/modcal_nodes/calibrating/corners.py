@@ -66,6 +66,7 @@ class CornerJob:
     effects: bool
     heard: SampleMemory
     clock_limit: float
+    page: bool = True
 
 
 def solve_corners(job: CornerJob) -> CameraSolved:
@@ -90,7 +91,7 @@ def solve_corners(job: CornerJob) -> CameraSolved:
     report = camera_report(solution, robot, len(job.views), {})
     middle, _, high = solution.in_view.interval
     return CameraSolved(
-        camera_files(solution, robot, len(job.views), {}),
+        camera_files(solution, robot, len(job.views), {}, page=job.page),
         str(report["verdict"]),
         solution.decision.word == APPLY,
         solution.fit,

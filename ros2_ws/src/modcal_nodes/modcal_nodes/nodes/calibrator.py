@@ -244,6 +244,7 @@ class Calibrator(GuardedNode):
             effects=self._chosen["effects"],
             heard=self._buffer.collected(),
             clock_limit=self._chosen["clock_limit_s"],
+            page=bool(self._chosen["out"] or self._folder),
         )
         done, fail = partial(self._solved_camera, self._buffer.forgotten), partial(self._answer, False)
         self._worker.give(_SOLVE, solve_corners, job, finish=done, fail=fail)
