@@ -60,7 +60,10 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
     assert run([*arguments(where), "--out", str(where / "out")]) == 0
     assert "APPLY:" in capsys.readouterr().out
-    names = {"report.json", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
+    page = (where / "out" / "report.html").read_text()
+    for words in ("Apply. The calibrated arm", "Error at the tool, mm RMS", "What knowing more would be worth", "fx"):
+        assert words in page
+    names = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
     assert {p.name for p in (where / "out").iterdir()} == names
     report = json.loads((where / "out" / "report.json").read_text())
     assert report["modcal_report"] == 1

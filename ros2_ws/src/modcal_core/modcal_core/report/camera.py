@@ -54,14 +54,19 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
     )
 
 
-def camera_files(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, str]:
-    """Names and texts of everything a calibration by camera leaves behind."""
+def camera_files(
+    solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], page: bool = True
+) -> dict[str, str]:
+    """Names and texts of everything a calibration by camera leaves behind. page: report.html too."""
+    from modcal_core.report.camera_page import to_html  # templates, which a page alone needs
+
     assert robot.description is not None
     calibration = camera_calibration(solution)
     calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
-    return {
+    html = {"report.html": to_html(solution, robot, images, left_out)} if page else {}
+    return html | {
         "report.json": to_json(camera_report(solution, robot, images, left_out)),
         "calibration.yaml": to_yaml(to_data(calibration)),
         "calibrated.urdf": corrected,
@@ -114,6 +119,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
         "identifiability": None,
         "status": "open" if problems else "cannot_tell",
         "open_because": list(problems),
+        "remedy": decision.because[0] if decision.word == CANNOT_TELL else None,
         "converged": fit.converged,
         "regimes": [],
         "convention": None,

@@ -100,6 +100,11 @@ class KnownArm:
                 ]
                 self.stream.command(track.stamps, np.stack(columns, axis=1))
 
+    def position(self, message: Any) -> np.ndarray | None:
+        """The arm's joints in a joint state, (n,); None where it does not name the whole arm."""
+        order = self._order.get(tuple(message.name))
+        return None if order is None else np.frombuffer(message.position)[order].copy()
+
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""
         if self.stream is not None:

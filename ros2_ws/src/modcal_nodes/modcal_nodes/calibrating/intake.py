@@ -15,6 +15,7 @@ from modcal_msgs_py.stamps import seconds
 from modcal_msgs_py.topics import JOINT_COMMANDS, TYPES
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
+from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
 
 
@@ -22,11 +23,18 @@ class Intake:
     """times: how long messages took, and how late they came. refused: how many could not be used."""
 
     def __init__(
-        self, node: Node, buffer: Buffer, arm: KnownArm, supervisor: Supervisor, recognise: Callable[[], None]
+        self,
+        node: Node,
+        buffer: Buffer,
+        arm: KnownArm,
+        supervisor: Supervisor,
+        recognise: Callable[[], None],
+        camera: CornerIntake | None = None,
     ) -> None:
-        """recognise: called with each joint state while the arm is not known."""
+        """recognise: called with each joint state while the arm is not known. camera: takes corners, if any."""
         self._clock, self._log = node.get_clock(), node.get_logger()
         self._buffer, self._arm, self._supervisor, self._recognise = buffer, arm, supervisor, recognise
+        self._camera = camera
         self.times = Times()
         self.refused = 0
 
@@ -37,6 +45,8 @@ class Intake:
             if self._arm.chain is None:
                 self._recognise()
             self._feed(partial(self._arm.joint_state, message))
+            if self._camera is not None and (q := self._arm.position(message)) is not None:
+                self._camera.joint_state(seconds(message.header.stamp), q)
         self.times.took.append(time.thread_time() - began)
 
     def reading(self, topic: str, kind: str, message: Any) -> None:
@@ -52,6 +62,14 @@ class Intake:
         if self.remember(JOINT_COMMANDS, message, type_name):
             received = 1e-9 * self._clock.now().nanoseconds
             self._feed(partial(self._arm.command, type_name, message, received))
+
+    def corners(self, message: Any) -> None:
+        """Take the corners of an image."""
+        assert self._camera is not None
+        try:
+            self._camera.corners(message)
+        except ModcalError as error:
+            self._refuse(error)
 
     def remember(self, topic: str, message: Any, type_name: str | None = None) -> bool:
         """Put a message into the buffer; returns whether it could be used. type_name: None for the topic's own."""

@@ -9,6 +9,7 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, String
 
+from modcal_core.camera.watching import Moved
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import Estimator
 from modcal_core.recalibrate import ModelComparison
@@ -58,6 +59,21 @@ class Publishers:
             "size_mm": 1e3 * hypothesis.size,
             "same_as": list(hypothesis.same_as),
             "sentence": hypothesis.sentence,
+        }
+        self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
+        self._trusted.publish(Bool(data=False))
+
+    def moved(self, moved: Moved) -> None:
+        """Publish that images show something to have been moved."""
+        data = {
+            "place": moved.what,
+            "direction": "all",
+            "driver": "time",
+            "since_s": moved.since,
+            "size_mm": 1e3 * moved.shift_m,
+            "size_deg": float(np.degrees(moved.turn_rad)),
+            "same_as": [],
+            "sentence": moved.sentence,
         }
         self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
         self._trusted.publish(Bool(data=False))

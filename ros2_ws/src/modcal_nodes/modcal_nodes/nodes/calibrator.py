@@ -11,10 +11,11 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState, PointCloud2, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from modcal_core.camera.watching import Moved
 from modcal_core.errors import BadRobot, BadTable, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
@@ -29,6 +30,7 @@ from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.commands import CommandSubscription
+from modcal_nodes.calibrating.corners import LEAST, CameraSolved, CornerIntake, solve_corners
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
 from modcal_nodes.calibrating.intake import Intake
 from modcal_nodes.calibrating.publishers import Publishers
@@ -52,6 +54,7 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 _NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
 _NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
+_NO_CORNERS = "corners: not received yet: start board_detector, or remap its topic"
 _NO_TRACKER = "tracker/pose, tracker/point: not received yet: start the tracker, or remap its topic"
 
 
@@ -87,7 +90,10 @@ class Calibrator(GuardedNode):
         self._outputs = Publishers(self)
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
-        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise)
+        self._camera = CornerIntake(Path(chosen["target"])) if chosen["target"] else None
+        self._camera_solved: CameraSolved | None = None
+        self._moved: Moved | None = None
+        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, self._camera)
         self._inputs = self._listen(chosen["silence_timeout_s"])
         self._commands = CommandSubscription(self, self._intake.command)
         self._health = Health(self, self._statuses)
@@ -119,6 +125,8 @@ class Calibrator(GuardedNode):
         inputs.append(
             hear(Temperature, "temperature", partial(self._intake.remember, "temperature"), SENSOR, single=False)
         )
+        if self._camera is not None:
+            inputs.append(hear(PointCloud2, "corners", self._intake.corners, SENSOR))
         description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
         return [*inputs, description]
 
@@ -162,6 +170,8 @@ class Calibrator(GuardedNode):
             if not self._arm.description:
                 return _NO_DESCRIPTION
             return self._arm.trouble or _NO_JOINTS
+        if self._camera is not None:
+            return "" if any(ear.count for ear in self._inputs if ear.topic.endswith("corners")) else _NO_CORNERS
         if not any(ear.count for ear in self._inputs if "tracker/" in ear.topic):
             return _NO_TRACKER
         return ""
@@ -177,6 +187,9 @@ class Calibrator(GuardedNode):
         self._buffer.clear()
         self._supervisor.reset()
         self._candidate = None
+        if self._camera is not None:
+            self._camera.forget()
+            self._moved = None
         self._outputs.no_change()
         response.success, response.message = True, "recording and candidate cleared; the trusted model stays"
         return response
@@ -201,6 +214,8 @@ class Calibrator(GuardedNode):
         if self._worker.doing:  # something else is in the worker, which takes a moment
             self._solve_next = True
             return ""
+        if self._camera is not None:
+            return self._begin_camera()
         job = Job(
             self._buffer.collected(),
             self._arm.chain,
@@ -216,6 +231,48 @@ class Calibrator(GuardedNode):
         page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
         self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
+
+    def _begin_camera(self) -> str:
+        """Have the corners solved by the worker; returns why not, or nothing."""
+        camera = self._camera
+        assert camera is not None
+        if len(camera.images) < LEAST:
+            return f"{len(camera.images)} images of the target at different postures, at least {LEAST} are needed"
+        job = camera.job(
+            urdf=self._arm.description,
+            base=self._chosen["base"],
+            tip=self._arm.chain.tip if self._arm.chain is not None else self._chosen["tip"],
+            seed=self._chosen["seed"],
+            effects=self._chosen["effects"],
+            heard=self._buffer.collected(),
+            clock_limit=self._chosen["clock_limit_s"],
+            page=bool(self._chosen["out"] or self._folder),
+        )
+        done, fail = partial(self._solved_camera, self._buffer.forgotten), partial(self._answer, False)
+        self._worker.give(_SOLVE, solve_corners, job, finish=done, fail=fail)
+        return ""
+
+    def _solved_camera(self, then: int, solved: CameraSolved) -> None:
+        """Publish what corners have led to; trust it where that is its advice and the policy."""
+        camera = self._camera
+        if then != self._buffer.forgotten or camera is None:
+            self._answer(False, "the data it was solved from have been cleared since")
+            return
+        if self._chosen["out"]:
+            write_folder(Path(self._chosen["out"]), solved.files)
+        camera.solved(solved)
+        self._camera_solved, self._moved = solved, None
+        self._verdict = solved.verdict
+        if solved.apply and self._chosen["accept"] == BETTER:
+            self._trust_camera(solved)
+        self.get_logger().info(self._verdict)
+        self._answer(True, self._verdict)
+
+    def _trust_camera(self, solved: CameraSolved) -> None:
+        self._files, self._camera_solved = solved.files, None
+        self._standing = standing_of_json(solved.files.get("report.json"))
+        self._outputs.model(solved.files)
+        self._outputs.no_change()
 
     def _poll(self) -> None:
         """Take what the worker has finished, and give it what is due."""
@@ -282,6 +339,10 @@ class Calibrator(GuardedNode):
     # trusting
 
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._camera is not None and self._camera_solved is not None:
+            self._trust_camera(self._camera_solved)
+            response.success, response.message = True, "accepted"
+            return response
         response.success = self._candidate is not None and self._supervisor.accept()
         response.message = "nothing to accept: the last result is trusted already, or there is none"
         if response.success and self._candidate is not None:
@@ -346,6 +407,8 @@ class Calibrator(GuardedNode):
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP
             self.get_logger().info(collected(self._supervisor))
+        if self._camera is not None:
+            self._tell_moved(self._camera.moved)
         live = self._supervisor.live
         if live is None:
             return
@@ -357,8 +420,20 @@ class Calibrator(GuardedNode):
             self._said = live.hypothesis
             self._health.publish()
 
+    def _tell_moved(self, moved: Moved | None) -> None:
+        """Say what images show to have been moved, once."""
+        if moved is None or (self._moved is not None and self._moved.what == moved.what):
+            return
+        self._moved = moved
+        self._outputs.moved(moved)
+        self.get_logger().warning(f"{moved.sentence}; the last trusted model is still published")
+        self._health.publish()
+
     def _statuses(self) -> Iterable[Status]:
-        yield tracker_status(subscription_status(self._inputs), self._inputs)
+        heard = subscription_status(self._inputs)
+        yield heard if self._camera is not None else tracker_status(heard, self._inputs)
+        if self._camera is not None:
+            yield self._camera.status()
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
         solving = self._worker.doing == _SOLVE

@@ -33,6 +33,7 @@ CALIBRATOR = {
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
     "out": Parameter("", "Folder for the files of a solve; empty: none are written."),
     "state": Parameter("", "Folder where the trusted model and the stations survive restarts; empty: none."),
+    "target": Parameter("", "File of a printed target whose corners are taken from the topic corners; empty: none."),
     "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
     "seed": Parameter(0, "Seed of the split into train, explain and held-out.", 0, 2**31 - 1),
     "clock_limit_s": Parameter(

@@ -1,0 +1,197 @@
+"""Corners of a printed target on their way into a calibration: whose joints they belong to, and what is kept of them.
+
+One image a posture is kept, of an arm that stands; images that come while it moves say where it was to no better than
+the clocks agree. With a calibration, each image that is kept is also held against it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modcal_core.camera.beside import beside
+from modcal_core.camera.clean import enough_corners
+from modcal_core.camera.decision import APPLY
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.solve import solve_camera
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target_file import read_target
+from modcal_core.camera.views import BoardView
+from modcal_core.camera.watching import CameraWatch, Moved
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.geometry.so3 import Array
+from modcal_core.recalibrate import SampleMemory
+from modcal_core.report.camera import camera_files, camera_report
+from modcal_core.robot import Robot
+from modcal_msgs_py.corners import read_corners
+from modcal_nodes.ros.health import OK, WARN, Status
+
+LEAST = 8  # images, from which a solve is tried
+_JOINTS_S = 10.0  # s of joint states that are remembered
+_STILL = 1e-3  # rad or m that a joint of an arm that stands moves around an image
+_AROUND_S = 0.1  # s on either side of an image
+_OTHER = 0.02  # rad or m by which a joint differs between two postures
+_MOST = 400  # images; older ones go
+_BEFORE = 5  # images of the calibration that those behind it are compared with
+_WAITING = 50  # images whose joint states have not come yet
+
+
+@dataclass(frozen=True)
+class CameraSolved:
+    """What a solve of corners brings back. apply: whether its advice is to use it."""
+
+    files: dict[str, str]
+    verdict: str
+    apply: bool
+    fit: CameraFit
+    error_mm: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CornerJob:
+    """All that a calibration from corners needs, so that it can be done elsewhere. heard: of other instruments."""
+
+    views: tuple[BoardView, ...]
+    q: Array
+    size: tuple[int, int]
+    target: PrintedTarget
+    urdf: str
+    base: str
+    tip: str
+    seed: int
+    effects: bool
+    heard: SampleMemory
+    clock_limit: float
+    page: bool = True
+
+
+def solve_corners(job: CornerJob) -> CameraSolved:
+    """Calibrate from corners, and from what other instruments have read meanwhile. Raises ModcalError."""
+    robot = Robot.from_urdf(job.urdf, job.base or None, job.tip or None)
+    try:
+        samples, _, _ = job.heard.prepared(robot.chain, job.clock_limit)
+        others = beside(robot.chain, samples, robot.inertias)
+    except ModcalError:  # no other instrument, or too little of it
+        others = None
+    solution = solve_camera(
+        robot.chain,
+        job.q,
+        job.views,
+        job.target,
+        job.size,
+        np.random.default_rng(job.seed),
+        inertias=robot.inertias,
+        beside=others,
+        look_for_effects=job.effects,
+    )
+    report = camera_report(solution, robot, len(job.views), {})
+    middle, _, high = solution.in_view.interval
+    return CameraSolved(
+        camera_files(solution, robot, len(job.views), {}, page=job.page),
+        str(report["verdict"]),
+        solution.decision.word == APPLY,
+        solution.fit,
+        (1e3 * middle, 1e3 * high),
+    )
+
+
+class CornerIntake:
+    """Images' corners with their joints. moved: what was moved since the calibration, as far as images show."""
+
+    def __init__(self, target: Path) -> None:
+        """target: file of the printed target. Raises BadTable."""
+        self.target = read_target(target)
+        self.images: list[tuple[BoardView, Array]] = []
+        self.size: tuple[int, int] | None = None
+        self.moved: Moved | None = None
+        self.verdict = ""
+        self.passed_over = 0
+        self._joints: deque[tuple[float, Array]] = deque()
+        self._waiting: deque[BoardView] = deque(maxlen=_WAITING)
+        self._watch: CameraWatch | None = None
+
+    def joint_state(self, stamp: float, q: Array) -> None:
+        """Remember where the joints were, and take the images that waited for it."""
+        if self._joints and stamp <= self._joints[-1][0]:
+            if stamp < self._joints[-1][0] - _JOINTS_S:  # the clock was set back
+                self._joints.clear()
+                self._waiting.clear()
+            else:
+                return
+        self._joints.append((stamp, q))
+        while self._joints[0][0] < stamp - _JOINTS_S:
+            self._joints.popleft()
+        while self._waiting and self._waiting[0].stamp + _AROUND_S <= stamp:
+            self._take(self._waiting.popleft())
+
+    def corners(self, message: Any) -> None:
+        """Take the corners of an image. Raises BadRecording for what are none of this target."""
+        view, size = read_corners(message)
+        if view.ids.max(initial=-1) >= len(self.target.points):
+            said = f"number {int(view.ids.max())}, the target has {len(self.target.points)}"
+            raise BadRecording("corners", said, "give board_detector and calibrator the same target")
+        if self.size is not None and size != self.size:
+            said = f"are of images of {size[0]} × {size[1]}, those before of {self.size[0]} × {self.size[1]}"
+            raise BadRecording("corners", said, "keep the camera's resolution, or call ~/reset")
+        self.size = size
+        if enough_corners(self.target.points[view.ids]):
+            self._waiting.append(view)
+
+    def _take(self, view: BoardView) -> None:
+        q = self._standing_at(view.stamp)
+        if q is None:
+            self.passed_over += 1
+            return
+        if self.images and np.abs(self.images[-1][1] - q).max() < _OTHER:
+            return
+        self.images.append((view, q))
+        del self.images[:-_MOST]
+        if self._watch is not None:
+            self.moved = self._watch.image(view, q)
+
+    def _standing_at(self, stamp: float) -> Array | None:
+        """Where the joints were, None where they moved or nobody says."""
+        near = [q for t, q in self._joints if abs(t - stamp) <= _AROUND_S]
+        before = any(t <= stamp for t, _ in self._joints)
+        if len(near) < 2 or not before:
+            return None
+        at = np.array(near)
+        return np.median(at, axis=0) if float(np.ptp(at, axis=0).max()) < _STILL else None
+
+    def forget(self) -> None:
+        """Begin anew with the images; the calibration stays."""
+        self.images.clear()
+        self._waiting.clear()
+        self.size, self.moved = None, None
+        if self._watch is not None:
+            self._watch.forget()
+
+    def job(self, **rest: Any) -> CornerJob:
+        """What a solve needs. rest: fields that the arm and the node know."""
+        assert self.size is not None
+        views = tuple(replace(view, name=f"{i}") for i, (view, _) in enumerate(self.images))
+        return CornerJob(views, np.array([q for _, q in self.images]), self.size, self.target, **rest)
+
+    def solved(self, found: CameraSolved) -> None:
+        """Hold what comes from now on against this calibration."""
+        self.verdict, self.moved = found.verdict, None
+        self._watch = CameraWatch(found.fit, self.target)
+        # a move shows most plainly against images from before it
+        for view, q in self.images[-_BEFORE:]:
+            self._watch.image(view, q)
+
+    def status(self) -> Status:
+        """How many images there are, what they led to, and whether anything was moved since."""
+        facts: dict[str, object] = {"images": len(self.images), "passed over, the arm moved": self.passed_over}
+        if self.verdict:
+            facts["last result"] = self.verdict
+        if self.moved is not None:
+            return Status("camera", WARN, f"{self.moved.sentence}: solve again from images since", facts)
+        if len(self.images) < LEAST:
+            said = f"{len(self.images)} of {LEAST} images at different postures, 25 to 30 are better"
+            return Status("camera", WARN if not self.verdict else OK, said, facts)
+        return Status("camera", OK, self.verdict or f"{len(self.images)} images: call ~/solve", facts)

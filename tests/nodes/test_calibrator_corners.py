@@ -1,0 +1,118 @@
+"""The calibrator with corners: images of a target and joint states over DDS to a calibrated arm, and a kicked tripod."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from camera.boards import views
+from camera.scenes import PANDA, CameraScene, scene
+from camera.test_camera_fit import MEASURED
+from nodes.beside_a_cell import latched
+from nodes.cell import call
+from nodes.processes import Process, fresh_domain, listener, running
+from nodes.talking import LATCHED, Diagnostics
+from rclpy.node import Node
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+from std_msgs.msg import String
+
+from modcal_core.files import to_yaml
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.corners import fill_corners
+from modcal_msgs_py.stamps import set_seconds
+
+pytestmark = pytest.mark.dds
+STATUS = "/calibrator: camera"
+TARGET = {
+    "modcal_target": 1, "type": "charuco", "columns": 7, "rows": 5, "square_m": 0.03, "marker_m": 0.022,
+    "dictionary": "DICT_5X5_100",
+    "rulers": {"x_m": 0.21, "y_m": 0.15, "measured_x_m": 0.21, "measured_y_m": 0.15},
+}  # fmt: skip
+
+
+class Cell:
+    """An arm and a camera that a test plays: it stands at a posture, and one image of it is looked at."""
+
+    def __init__(self, node: Node, wait: Callable[[Callable[[], Any], float], Any], s: CameraScene) -> None:
+        self.node, self.wait, self.scene = node, wait, s
+        self.states = node.create_publisher(JointState, "joint_states", 100)
+        self.corners = node.create_publisher(PointCloud2, "corners", 100)
+        self.description = node.create_publisher(String, "robot_description", LATCHED)
+        self.health = Diagnostics(node)
+        self.stamp = 1000.0
+        self.description.publish(String(data=PANDA.read_text()))
+
+    def stop_at(self, q: Array, T: Array, seed: int) -> None:
+        """Joint states of a second, and the corners of an image in its middle."""
+        s = self.scene
+        (seen,) = views(np.random.default_rng(seed), (se3.inverse(T) if s.on_tip else T)[None], board=s.board)
+        for k in range(11):
+            message = JointState(name=list(s.chain.names), position=q.tolist())
+            set_seconds(message.header.stamp, self.stamp + 0.05 * k)
+            self.states.publish(message)
+            if k == 5:
+                view = replace(seen, stamp=self.stamp + 0.25)
+                self.corners.publish(fill_corners(PointCloud2(), PointField, view, s.lens.size, "camera"))
+        self.stamp += 1.0
+
+    @property
+    def images(self) -> int:
+        return int(self.health.value(STATUS, "images") or 0)
+
+
+def test_corners_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path: Path) -> None:
+    """A process solves as a user has it solve, which takes its seconds."""
+    s = scene(8, False, count=20, board=MEASURED)
+    (tmp_path / "target.yaml").write_text(to_yaml(TARGET))
+    domain = fresh_domain()
+    process = Process(
+        "calibrator", domain, tmp_path, target=tmp_path / "target.yaml", tip="panda_link8", effects=False,
+        out=tmp_path / "out",
+    )  # fmt: skip
+    with running(process), listener(domain) as (node, wait):
+        cell = Cell(node, wait, s)
+        trusted, models, changes = (
+            latched(node, f"calibrator/{topic}", kind)
+            for topic, kind in (("trusted", _bool()), ("robot_description", String), ("change", String))
+        )
+        wait(lambda: cell.states.get_subscription_count() and cell.corners.get_subscription_count(), 60.0)
+        wait(lambda: trusted, 60.0)
+        cell.stop_at(s.q[0], s.T[0], 0)  # by which it knows the arm
+        refused = call(node, wait, "calibrator/solve")
+        assert not refused.success
+        assert "at least 8 are needed" in refused.message
+        for i, (q, T) in enumerate(zip(s.q, s.T, strict=True)):
+            cell.stop_at(q, T, i)
+        cell.stop_at(s.q[0], s.T[0], 0)  # whose joint states come after the last image
+        wait(lambda: cell.images >= len(s.q), 60.0)
+        solved = call(node, wait, "calibrator/solve")
+        assert solved.success, solved.message
+        assert solved.message.startswith("Apply."), solved.message
+        wait(lambda: models and trusted[-1], 60.0)
+        report = json.loads((tmp_path / "out" / "report.json").read_text())
+        assert report["camera"]["mounting"] == "world"
+        assert report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"] < 5.0
+        # a tripod is kicked by 2 mm: named within five images
+        kick = se3.exp([0.0, 2e-3, 0.0, 0.0, 0.0, 0.0])
+        for i, (q, T) in enumerate(zip(s.q[:6], s.T[:6], strict=True)):
+            cell.stop_at(q, kick @ T, 100 + i)
+        wait(lambda: any("sentence" in text for text in changes), 15.0)
+        said = json.loads(next(text for text in changes if "sentence" in text))
+        assert said["place"] == "camera"
+        assert said["size_mm"] == pytest.approx(2.0, rel=0.5)
+        wait(lambda: not trusted[-1], 60.0)
+        wait(lambda: cell.health.said(STATUS, "The camera was moved by"), 60.0)
+        # corners of another target are refused, and counted
+        assert process.stop() == 0
+
+
+def _bool() -> type:
+    from std_msgs.msg import Bool
+
+    return Bool
