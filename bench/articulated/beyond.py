@@ -1,6 +1,7 @@
 """Tracks of things that are no one joint: plain trigonometry, no code of what is tested.
 
-``DESIGN`` were looked at while thresholds were chosen, ``KEPT`` were not before all was done.
+``DESIGN`` were looked at while thresholds were chosen; ``KEPT`` were not before all was done, but before the rule of two
+motions; ``LATER`` were written after that rule, and run once.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handl
 DEGREE = np.pi / 180.0
 DESIGN: dict[str, Callable[[np.random.Generator, int], Path]] = {}
 KEPT: dict[str, Callable[[np.random.Generator, int], Path]] = {}
+LATER: dict[str, Callable[[np.random.Generator, int], Path]] = {}
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ def seen(kind: str, seed: int) -> Seen:
     """What a camera notes of a kind: even seeds see poses, odd ones points."""
     rng = np.random.default_rng([seed, *kind.encode()])
     n = int(rng.integers(120, 300))
-    p, R = {**DESIGN, **KEPT}[kind](rng, n)
+    p, R = {**DESIGN, **KEPT, **LATER}[kind](rng, n)
     world, hold = Rotation.random(rng=rng), Rotation.random(rng=rng)
     p = world.apply(p) + rng.uniform(-1.0, 1.0, 3) + rng.normal(0.0, np.exp(rng.uniform(-8.1, -6.2)), (n, 3))
     R = world * R * hold * Rotation.from_rotvec(rng.normal(0.0, DEGREE * rng.uniform(0.1, 0.8), (n, 3)))
@@ -187,3 +189,81 @@ def door_with_a_new_grasp(rng: np.random.Generator, n: int) -> Path:
     radius = np.where(np.arange(n) < n // 2, 0.75, 0.75 - rng.uniform(0.08, 0.15))
     p = radius[:, None] * np.stack([np.cos(a), np.sin(a), np.zeros(n)], axis=1)
     return p, _about_z(a)
+
+
+def later(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+    LATER[maker.__name__] = maker
+    return maker
+
+
+@later
+def geared_arm_of_a_screen(rng: np.random.Generator, n: int) -> Path:
+    """Two links of a wall mount whose joints turn against each other, the second one farther."""
+    a = np.linspace(0.0, rng.uniform(50.0, 80.0) * DEGREE, n)
+    b = -rng.uniform(1.3, 1.8) * a
+    p = 0.3 * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1)
+    return p + rng.uniform(0.2, 0.28) * np.stack([np.cos(a + b), np.sin(a + b), 0.0 * a], axis=1), _about_z(a + b)
+
+
+@later
+def door_of_a_van(rng: np.random.Generator, n: int) -> Path:
+    """Out round a bend of some 15 cm, and then back along the side."""
+    bend, out = rng.uniform(0.12, 0.18), rng.uniform(0.25, 0.4)
+    s = np.linspace(0.0, out + bend * 50.0 * DEGREE, n)
+    a = np.clip(s / bend, 0.0, 50.0 * DEGREE)
+    along = np.maximum(s - bend * 50.0 * DEGREE, 0.0)
+    x = bend * np.sin(a) + along * np.cos(a)
+    y = bend * (1.0 - np.cos(a)) + along * np.sin(a)
+    return np.stack([x, y, 0.0 * s], axis=1), _about_z(0.3 * a)
+
+
+@later
+def up_and_over_door(rng: np.random.Generator, n: int) -> Path:
+    """A panel whose lower end runs up a wall and whose upper end runs along the ceiling."""
+    a, length = np.linspace(0.0, rng.uniform(60.0, 85.0) * DEGREE, n), rng.uniform(0.6, 0.9)
+    at = rng.uniform(0.25, 0.4)
+    p = length * np.stack([(1.0 - at) * np.sin(a), np.zeros(n), at * np.cos(a)], axis=1)
+    return p, Rotation.from_rotvec(np.outer(a, [0.0, 1.0, 0.0]))
+
+
+@later
+def pin_in_a_wavy_slot(rng: np.random.Generator, n: int) -> Path:
+    """A slider whose slot goes to one side and back, by three centimetres."""
+    s = np.linspace(0.0, rng.uniform(0.3, 0.45), n)
+    side = rng.uniform(0.02, 0.035) * np.sin(2.0 * np.pi * s / rng.uniform(0.3, 0.5))
+    return np.stack([s, side, 0.0 * s], axis=1), _still(n)
+
+
+@later
+def barrel_that_rolls(rng: np.random.Generator, n: int) -> Path:
+    """A handle on a barrel that rolls along the floor."""
+    a, radius, at = np.linspace(0.0, rng.uniform(70.0, 110.0) * DEGREE, n), 0.25, rng.uniform(0.18, 0.24)
+    p = np.stack([radius * a - at * np.sin(a - 0.6), np.zeros(n), at * np.cos(a - 0.6)], axis=1)
+    return p, Rotation.from_rotvec(np.outer(a, [0.0, 1.0, 0.0]))
+
+
+@later
+def hinge_of_two_pins(rng: np.random.Generator, n: int) -> Path:
+    """A door that turns about one pin as far as it goes, and from there on about another."""
+    k = n // 2
+    a = np.linspace(0.0, rng.uniform(30.0, 45.0) * DEGREE, k)
+    b = np.linspace(0.0, rng.uniform(30.0, 45.0) * DEGREE, n - k)
+    return _then((_arc(a, 0.7), _about_z(a)), (_arc(b, rng.uniform(0.3, 0.45)), _about_z(b)))
+
+
+@later
+def tray_that_drops(rng: np.random.Generator, n: int) -> Path:
+    """A keyboard's tray comes straight out, and then down at a slant."""
+    k = n // 2
+    out = np.outer(np.linspace(0.0, rng.uniform(0.15, 0.25), k), [1.0, 0.0, 0.0])
+    slant = rng.uniform(20.0, 35.0) * DEGREE
+    down = np.outer(np.linspace(0.0, rng.uniform(0.1, 0.2), n - k), [np.cos(slant), 0.0, -np.sin(slant)])
+    return _then((out, _still(k)), (down, _still(n - k)))
+
+
+@later
+def cord_on_a_drum(rng: np.random.Generator, n: int) -> Path:
+    """A crank whose arm is drawn in as it turns."""
+    a = np.linspace(0.0, rng.uniform(110.0, 170.0) * DEGREE, n)
+    radius = 0.3 - rng.uniform(0.03, 0.05) * a
+    return radius[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), _about_z(a)

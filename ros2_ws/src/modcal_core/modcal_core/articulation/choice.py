@@ -21,7 +21,7 @@ from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.phases import best_cut
+from modcal_core.articulation.phases import best_cut, two_explain
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.telling import telling, travelled
 from modcal_core.articulation.track import FEWEST, Track
@@ -155,7 +155,7 @@ def _weighed(
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
-        doubt = predicted(used, kind, rivals, own, by_name, left).doubt
+        doubt = predicted(used, kind, rivals, own, by_name, left).doubt or two_explain(used, noise[0])
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)

@@ -1,12 +1,16 @@
 """Where a pull of two motions is cut: a handle that is pressed and then a door, a latch that slides and then a gate.
 
 Each side of a cut is a line or a circle, fitted in closed form; the best cut is where both together leave least.
+
+What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
+leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.articulation.furniture import PLAY
 from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
@@ -14,6 +18,9 @@ from modcal_core.geometry.so3 import Array
 _LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 LEAST = 10  # samples of it
 _TRIED = 24  # places for the cut
+_PARAMETERS = 6  # of a circle in space
+_WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be thought of
+_VANISHES = 0.1  # of its squares may be left by two
 _CAP = 0.03  # m: a sample farther off costs no more
 
 
@@ -29,6 +36,25 @@ def best_cut(track: Track) -> int | None:
     step = max(1, len(inside) // _TRIED)
     fine = [int(k) for k in inside if abs(int(k) - int(best)) <= step]
     return min(fine[:: max(1, len(fine) // _TRIED)], key=lambda k: _cost(track.positions, k))
+
+
+def two_explain(track: Track, white: float) -> str:
+    """Why two motions, one after the other, are to be thought of, for a person; empty where one is enough.
+
+    white: noise of a sample on an axis [m].
+    """
+    cut, n = best_cut(track), len(track)
+    if cut is None or 2 * n <= 4 * _PARAMETERS:
+        return ""
+    one = _left(track.positions) / (2 * n - _PARAMETERS) - white**2
+    two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - white**2
+    if one <= (_WORTH * np.exp(PLAY[0])) ** 2 / 2.0 or two > _VANISHES * one:
+        return ""
+    at = 1e2 * float(travelled(track)[cut])
+    return (
+        f"two motions, cut at {at:.0f} cm, leave {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where one "
+        f"leaves {1e3 * np.sqrt(2.0 * one):.1f} mm"
+    )
 
 
 def _cost(p: Array, k: int) -> float:
