@@ -60,9 +60,13 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
     assert run([*arguments(where), "--out", str(where / "out")]) == 0
     assert "APPLY:" in capsys.readouterr().out
-    names = {"report.json", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
+    names = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
     assert {p.name for p in (where / "out").iterdir()} == names
     report = json.loads((where / "out" / "report.json").read_text())
+    page = (where / "out" / "report.html").read_text()
+    size = report["camera"]["tool_error_mm"]["in_view"]["calibrated"]
+    assert f"<strong>apply</strong>{report['camera']['because'][0][:20]}" in page
+    assert f"{size['low95']:.2f} … {size['high95']:.2f}" in page
     assert report["modcal_report"] == 1
     assert report["camera"]["decision"] == "apply"
     assert report["camera"]["mounting"] == "tip"

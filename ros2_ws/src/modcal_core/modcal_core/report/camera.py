@@ -23,6 +23,7 @@ from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
+from modcal_core.report import camera_page
 from modcal_core.report.as_json import FORMAT
 from modcal_core.report.contents import STAGES
 from modcal_core.report.effect_sizes import at_tool, parameters
@@ -61,13 +62,16 @@ def camera_files(solution: CameraSolution, robot: Robot, images: int, left_out: 
     calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
-    return {
-        "report.json": to_json(camera_report(solution, robot, images, left_out)),
+    report = camera_report(solution, robot, images, left_out)
+    files = {
+        "report.json": to_json(report),
         "calibration.yaml": to_yaml(to_data(calibration)),
         "calibrated.urdf": corrected,
         "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         "camera.yaml": to_yaml(camera_info(solution.fit)),
     }
+    page = camera_page.to_html(report, solution.model, solution.fit.poses.q, files)
+    return {"report.json": files.pop("report.json"), "report.html": page, **files}
 
 
 def camera_info(fit: CameraFit) -> dict[str, Any]:

@@ -1,0 +1,126 @@
+"""The page of a calibration by camera: the advice, the error at the tool in millimetres, what was found, the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.geometry.so3 import Array
+from modcal_core.report.counted import counted
+from modcal_core.report.effect_tables import number, size_tables
+from modcal_core.report.figures import thinned
+from modcal_core.report.page import PageTable, plain_page
+from modcal_core.report.parameter_tables import parameter_tables
+from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+
+TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
+_HOLDS = {
+    "report.json": "all numbers of this page, for programs",
+    "calibration.yaml": "everything needed for prediction: nominal and calibrated arm, covariance",
+    "calibrated.urdf": "the robot description with corrected origins, as a proposal",
+    "kinematics.yaml": "the same numbers in the manufacturer's format, or by joint name",
+    "camera.yaml": "the lens, in the form of camera_info",
+}
+_PLACES = (("in_view", "where the target is in view"), ("anywhere", "anywhere within the joint limits"))
+
+
+def to_html(data: Mapping[str, Any], model: Model, q: Array, files: Iterable[str] = ()) -> str:
+    """The page. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m]."""
+    camera = data["camera"]
+    files_held = [(name, _HOLDS[name]) for name in files if name in _HOLDS]
+    return plain_page(
+        f"{data['trace']['robot'] or 'arm'}: calibration by camera",
+        " ".join(camera["because"]),
+        _sentences(data),
+        [],
+        files_held,
+        _tables(data),
+        _robot(model, q),
+        heading=camera["decision"],
+        tone=TONES.get(camera["decision"], "warn"),
+        expert_tables=_parameters(data),
+    )
+
+
+def _sentences(data: Mapping[str, Any]) -> list[str]:
+    camera, images = data["camera"], data["camera"]["images"]
+    where = "on the tip, the target stands still" if camera["mounting"] == "tip" else "beside the arm, the target moves"
+    px = {name: "not known" if x is None else f"{x:.2f} px" for name, x in camera["held_out_px"].items()}
+    out = [
+        f"The camera is {where}. {camera['target']}, {images['used']} of {counted(images['given'], 'image')}, "
+        f"{camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS.",
+        f"Held-out images: {px['nominal']} with the nominal arm, {px['calibrated']} with the calibrated one. "
+        "Pixels are no accuracy: an arm can get worse while its pixels get better.",
+    ]
+    if moved := camera["moved"]:
+        out.append(
+            f"The {moved['what']} was moved before {moved['before_image']}, by {moved['shift_mm']:.2f} mm and "
+            f"{moved['turn_deg']:.2f}°."
+        )
+    out += [f"Left out: {name}: {why}." for name, why in images["left_out"].items()]
+    return [*out, *data["notes"]]
+
+
+def _tables(data: Mapping[str, Any]) -> list[PageTable]:
+    """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
+    camera = data["camera"]
+    rows = []
+    for place, words in _PLACES:
+        for arm in ("nominal", "calibrated"):
+            size = camera["tool_error_mm"][place][arm]
+            rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
+    tables = [PageTable("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
+    effects = [(f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}", e) for e in data["effects"]]
+    if effects:
+        tables.append(
+            PageTable(
+                "Unmodelled effects",
+                ("effect", "driver", "moves the tool by, mm", "p"),
+                tuple(
+                    (name, e["driver"].replace(":", " of "), f"{e['rms_mm_at_tool']:.3f}", f"{e['p_value']:.1g}")
+                    for name, e in effects
+                ),
+                words=2,
+                below="p is the chance that noise would look as good.",
+            )
+        )
+        tables += size_tables([((name,), [e["parameters"]]) for name, e in effects], ("effect", "value"))
+    lens: dict[bool, list[tuple[str, str, str]]] = {True: [], False: []}
+    for name, known in camera["lens"].items():
+        lens[name in ("fx", "fy", "cx", "cy")].append((name, number(known["value"], 5), number(known["std"], 2)))
+    for pixels, title, end in ((True, "Lens, px", ", px"), (False, "Distortion of the lens", "")):
+        if lens[pixels]:
+            header = ("constant", f"value{end}", f"± one standard deviation{end}")
+            tables.append(PageTable(title, header, tuple(lens[pixels])))
+    return tables
+
+
+def _parameters(data: Mapping[str, Any]) -> list[PageTable]:
+    """All of the arm, the tool and the target, a table for each unit."""
+    rows = tuple((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
+    out = []
+    for table in parameter_tables(rows):
+        end = "" if table.unit == "1" else f", {table.unit}"
+        cells = tuple((name, f"{value:.4f}", f"{std:.4f}") for name, value, std in table.rows)
+        header = ("parameter", f"value{end}", f"± one standard deviation{end}")
+        out.append(PageTable(f"{table.title} of all parameters{end}", header, cells))
+    sheet = data["camera"]["sheet"]
+    if sheet:
+        cells = tuple((name, number(s["value"]), number(s["std"], 2)) for name, s in sheet.items())
+        out.append(PageTable("The sheet, in SI units", ("constant", "value", "± one standard deviation"), cells))
+    return out
+
+
+def _robot(model: Model, q: Array) -> RobotScene | None:
+    """The arm in the postures of the images."""
+    if not len(q):
+        return None
+    chain = model.serial
+    rows = thinned(len(q), MOST_POSTURES)
+    paths = arm_paths(chain, q[rows])
+    said = [f"Image {row + 1} of {len(q)}: {joints_in_words(chain, q[row])}." for row in rows]
+    alt = f"The arm in the postures of {counted(len(q), 'image')}."
+    return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt)
