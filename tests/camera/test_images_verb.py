@@ -60,12 +60,15 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
     assert run([*arguments(where), "--out", str(where / "out")]) == 0
     assert "APPLY:" in capsys.readouterr().out
-    page = (where / "out" / "report.html").read_text()
-    for words in ("Apply. The calibrated arm", "Error at the tool, mm RMS", "What knowing more would be worth", "fx"):
-        assert words in page
     names = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
     assert {p.name for p in (where / "out").iterdir()} == names
     report = json.loads((where / "out" / "report.json").read_text())
+    page = (where / "out" / "report.html").read_text()
+    size = report["camera"]["tool_error_mm"]["in_view"]["calibrated"]
+    assert f"<strong>apply</strong>{report['camera']['because'][0][:20]}" in page
+    assert f"{size['low95']:.2f} … {size['high95']:.2f}" in page
+    for words in ("What knowing more would be worth", "Where corners were in the images", "fx"):
+        assert words in page
     assert report["modcal_report"] == 1
     assert report["camera"]["decision"] == "apply"
     assert report["camera"]["mounting"] == "tip"

@@ -8,7 +8,9 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+from cells import ur10
 from report.browser import CONTRASTS, LEAST, Page, browser
 from report.judged import FLOOR
 from report.reports import points
@@ -16,7 +18,8 @@ from report.test_certificate import full, report
 from report.test_comparison import side
 from report.test_page import Elements, page
 
-from modcal_core.report import certificate_page, comparison_page
+from modcal_core.calibration.model import place_model
+from modcal_core.report import camera_page, certificate_page, comparison_page
 from modcal_core.report.certificate import certificate
 from modcal_core.report.comparison import compare
 from modcal_core.report.html import to_html
@@ -27,6 +30,40 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = str(ROOT / "examples" / "robots" / "ur10.urdf")
 DOOR = str(ROOT / "examples" / "tables" / "door.txt")
+_SIZE = {"rms": 0.8, "low95": 0.5, "high95": 1.2}
+PHOTOGRAPHED = {
+    "trace": {"robot": "ur10"},
+    "notes": ["The board was seen at one distance only."],
+    "effects": [
+        {
+            "family": "gear_harmonic",
+            "place": "elbow_joint",
+            "direction": "axis",
+            "driver": "position:elbow_joint",
+            "parameters": {"amplitude": {"value": 3e-4, "std": 2e-5, "unit": "rad"}},
+            "p_value": 1e-6,
+            "rms_mm_at_tool": 0.3,
+        }
+    ],
+    "parameters": [
+        {"name": "elbow_joint/x", "value": 2e-4, "std": 1e-5, "unit": "m"},
+        {"name": "elbow_joint/rx", "value": 1e-3, "std": 1e-4, "unit": "rad"},
+    ],
+    "camera": {
+        "decision": "apply",
+        "because": ["The error at the tool is 0.80 mm RMS instead of 3.10 mm."],
+        "mounting": "tip",
+        "target": "ChArUco 7x5",
+        "images": {"given": 30, "used": 28, "left_out": {"007.png": "no corner was found"}},
+        "corners": {"used": 600, "left_out_share": 0.0},
+        "tool_error_mm": {k: {"calibrated": _SIZE, "nominal": _SIZE} for k in ("in_view", "anywhere")},
+        "held_out_px": {"nominal": 3.1, "calibrated": 0.3},
+        "rms_px": 0.25,
+        "lens": {name: {"value": 500.0 if "f" in name else 0.1, "std": 0.2} for name in ("fx", "fy", "k1")},
+        "sheet": {"scale": {"value": 1e-3, "std": 1e-4}},
+        "moved": {"what": "target", "before_image": "011.png", "shift_mm": 2.0, "turn_deg": 0.3},
+    },
+}
 VERBS: dict[str, list[str]] = {
     "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60", "--starts", "1"],
     "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
@@ -38,6 +75,9 @@ MADE: dict[str, Callable[[], str]] = {
     "evaluate": lambda: to_html(replace(points(), searched=None), calibration="cell_3"),
     "certificate": lambda: certificate_page.to_html(certificate(report(FLOOR))),
     "certificate_full": lambda: certificate_page.to_html(full()),
+    "camera": lambda: camera_page.to_html(
+        PHOTOGRAPHED, place_model(ur10(), ("camera",)), np.zeros((3, 6)), ["report.json"]
+    ),
     "compare": lambda: comparison_page.to_html(compare(side("a", 1, 10), side("b", 2, 11), 0.2)),
 }
 OPEN_ALL = """(async () => { document.querySelectorAll("details").forEach((d) => { d.open = true; });
@@ -90,6 +130,14 @@ def test_on_a_phone_in_both_colours(tab: Page, tmp_path: Path, written: Callable
         read = tab.run(CONTRASTS)
         assert len(read) > 30
         assert not [said for said, contrast in read if contrast < LEAST]
+
+
+def test_faint_letters_would_be_seen(tab: Page, tmp_path: Path) -> None:
+    file = tmp_path / "faint.html"
+    file.write_text("<body style='background:#fff'><p style='color:#999'>faint</p><p>plain</p></body>")
+    tab.dark(False)
+    tab.open(file)
+    assert [said for said, contrast in tab.run(CONTRASTS) if contrast < LEAST] == ["faint"]
 
 
 @pytest.mark.parametrize("name", [*MADE, *VERBS])

@@ -58,21 +58,26 @@ def camera_files(
     solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], page: bool = True
 ) -> dict[str, str]:
     """Names and texts of everything a calibration by camera leaves behind. page: report.html too."""
-    from modcal_core.report.camera_page import to_html  # templates, which a page alone needs
+    from modcal_core.report import camera_charts, camera_page  # templates, which a page alone needs
 
     assert robot.description is not None
     calibration = camera_calibration(solution)
     calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
-    html = {"report.html": to_html(solution, robot, images, left_out)} if page else {}
-    return html | {
-        "report.json": to_json(camera_report(solution, robot, images, left_out)),
+    report = camera_report(solution, robot, images, left_out)
+    files = {
+        "report.json": to_json(report),
         "calibration.yaml": to_yaml(to_data(calibration)),
         "calibrated.urdf": corrected,
         "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         "camera.yaml": to_yaml(camera_info(solution.fit)),
     }
+    if not page:
+        return files
+    charts = camera_charts.camera_charts(solution.fit)
+    html = camera_page.to_html(report, solution.model, solution.fit.poses.q, files, charts)
+    return {"report.html": html, **files}
 
 
 def camera_info(fit: CameraFit) -> dict[str, Any]:

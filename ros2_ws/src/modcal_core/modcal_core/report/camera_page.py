@@ -1,105 +1,135 @@
-"""The page of a calibration by camera: the advice, errors in millimetres with intervals, and what the images lack."""
+"""The page of a calibration by camera: the advice, the error at the tool in millimetres, what was found, the robot."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from modcal_core.camera.clean import distances_of_views
-from modcal_core.camera.solve import CameraSolution
-from modcal_core.camera.tool_error import ToolError
-from modcal_core.report.camera import camera_report, notes
+from modcal_core.calibration.model import Model
+from modcal_core.geometry.so3 import Array
+from modcal_core.report.counted import counted
+from modcal_core.report.effect_tables import number, size_tables
+from modcal_core.report.figures import thinned
 from modcal_core.report.page import Chart, PageTable, plain_page
-from modcal_core.report.palette import AFTER
-from modcal_core.report.panel import Panel
-from modcal_core.robot import Robot
+from modcal_core.report.parameter_tables import parameter_tables
+from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 
-_FILES = [
-    ("report.json", "all numbers, for programs"),
-    ("calibrated.urdf", "the corrected arm, geometry alone"),
-    ("calibration.yaml", "everything that is needed to predict, effects included"),
-    ("kinematics.yaml", "the corrected arm as a table"),
-    ("camera.yaml", "the lens, in the form of camera_info"),
-]
-_DIGITS = {"fx": 1, "fy": 1, "cx": 1, "cy": 1}
-_DRAWN = 4000  # corners in a picture; more only make the page heavy
-
-
-def to_html(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> str:
-    """The page. images, left_out: as in the report."""
-    data = camera_report(solution, robot, images, left_out)
-    fit = solution.fit
-    lines = [
-        f"{solution.target.label}; {solution.mounting.label}; {fit.table.views} of {images} images, "
-        f"{int(fit.table.weight.sum())} corners.",
-        "What has a length that somebody measured: " + (", ".join(solution.metric) or "nothing") + ".",
-        *notes(solution),
-        f"Held-out images: {solution.held_out_px[0]:.2f} px with the nominal arm, {solution.held_out_px[1]:.2f} px "
-        "with the calibrated one. Pixels are no accuracy: an arm can get worse while they get fewer.",
-    ]
-    return plain_page(
-        f"{robot.name}: calibration by camera", data["verdict"], lines, _charts(solution), _FILES,
-        _tables(solution, data),
-    )  # fmt: skip
+TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
+_HOLDS = {
+    "report.json": "all numbers of this page, for programs",
+    "calibration.yaml": "everything needed for prediction: nominal and calibrated arm, covariance",
+    "calibrated.urdf": "the robot description with corrected origins, as a proposal",
+    "kinematics.yaml": "the same numbers in the manufacturer's format, or by joint name",
+    "camera.yaml": "the lens, in the form of camera_info",
+}
+_PLACES = (("in_view", "where the target is in view"), ("anywhere", "anywhere within the joint limits"))
 
 
-def _tables(solution: CameraSolution, data: dict) -> list[PageTable]:  # type: ignore[type-arg]
+def to_html(
+    data: Mapping[str, Any], model: Model, q: Array, files: Iterable[str] = (), charts: Sequence[Chart] = ()
+) -> str:
+    """The page. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m].
+
+    charts: of :func:`modcal_core.report.camera_charts.camera_charts`.
+    """
     camera = data["camera"]
-    out = [
-        PageTable(
-            "Error at the tool, mm RMS, 95 % interval",
-            ("postures", "nominal arm", "calibrated arm"),
-            (
-                ("where the target is in view", *_errors(solution.in_view)),
-                ("anywhere within the joint limits", *_errors(solution.anywhere)),
-            ),
-        )
-    ]
-    if data["effects"]:
-        rows = tuple((e["sentence"], f"{e['rms_mm_at_tool']:.3f}", f"{e['p_value']:.1g}") for e in data["effects"])
-        out.append(PageTable("Effects beyond geometry", ("effect", "at the tool, mm RMS", "chance of noise"), rows))
-    shares = tuple((one["what"], f"{one['value']:.3f}") for one in camera["account_mm2"])
-    if shares:
-        below = "By how much the mean square error at the tool would fall, were this known exactly."
-        out.append(PageTable("What knowing more would be worth, mm²", ("known", "mm²"), shares, below=below))
-    lens = tuple(
-        (name, f"{one['value']:.{_DIGITS.get(name, 4)}f}", f"{one['std']:.2g}") for name, one in camera["lens"].items()
+    files_held = [(name, _HOLDS[name]) for name in files if name in _HOLDS]
+    return plain_page(
+        f"{data['trace']['robot'] or 'arm'}: calibration by camera",
+        " ".join(camera["because"]),
+        _sentences(data),
+        list(charts),
+        files_held,
+        _tables(data),
+        _robot(model, q),
+        heading=camera["decision"],
+        tone=TONES.get(camera["decision"], "warn"),
+        expert_tables=_parameters(data),
     )
-    out.append(PageTable("Lens", ("parameter", "value", "standard deviation"), lens))
-    sheet = tuple((name, f"{one['value']:.5f}", f"{one['std']:.2g}") for name, one in camera["sheet"].items())
-    below = "Size over what is stated, less one; bow in metres at the sheet's corner."
-    out.append(PageTable("Sheet", ("parameter", "value", "standard deviation"), sheet, below=below))
-    gone = tuple(camera["images"]["left_out"].items())
-    if gone:
-        out.append(PageTable("Images left out", ("image", "why"), gone, words=2))
+
+
+def _sentences(data: Mapping[str, Any]) -> list[str]:
+    camera, images = data["camera"], data["camera"]["images"]
+    where = "on the tip, the target stands still" if camera["mounting"] == "tip" else "beside the arm, the target moves"
+    px = {name: "not known" if x is None else f"{x:.2f} px" for name, x in camera["held_out_px"].items()}
+    out = [
+        f"The camera is {where}. {camera['target']}, {images['used']} of {counted(images['given'], 'image')}, "
+        f"{camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS.",
+        f"Held-out images: {px['nominal']} with the nominal arm, {px['calibrated']} with the calibrated one. "
+        "Pixels are no accuracy: an arm can get worse while its pixels get better.",
+    ]
+    if moved := camera["moved"]:
+        out.append(
+            f"The {moved['what']} was moved before {moved['before_image']}, by {moved['shift_mm']:.2f} mm and "
+            f"{moved['turn_deg']:.2f}°."
+        )
+    out += [f"Left out: {name}: {why}." for name, why in images["left_out"].items()]
+    return [*out, *data["notes"]]
+
+
+def _tables(data: Mapping[str, Any]) -> list[PageTable]:
+    """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
+    camera = data["camera"]
+    rows = []
+    for place, words in _PLACES:
+        for arm in ("nominal", "calibrated"):
+            size = camera["tool_error_mm"][place][arm]
+            rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
+    tables = [PageTable("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
+    effects = [(f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}", e) for e in data["effects"]]
+    if effects:
+        tables.append(
+            PageTable(
+                "Unmodelled effects",
+                ("effect", "driver", "moves the tool by, mm", "p"),
+                tuple(
+                    (name, e["driver"].replace(":", " of "), f"{e['rms_mm_at_tool']:.3f}", f"{e['p_value']:.1g}")
+                    for name, e in effects
+                ),
+                words=2,
+                below="p is the chance that noise would look as good.",
+            )
+        )
+        tables += size_tables([((name,), [e["parameters"]]) for name, e in effects], ("effect", "value"))
+    worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
+    if worth:
+        below = "By how much the mean square error at the tool would fall, were this known exactly."
+        tables.append(PageTable("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
+    lens: dict[bool, list[tuple[str, str, str]]] = {True: [], False: []}
+    for name, known in camera["lens"].items():
+        lens[name in ("fx", "fy", "cx", "cy")].append((name, number(known["value"], 5), number(known["std"], 2)))
+    for pixels, title, end in ((True, "Lens, px", ", px"), (False, "Distortion of the lens", "")):
+        if lens[pixels]:
+            header = ("constant", f"value{end}", f"± one standard deviation{end}")
+            tables.append(PageTable(title, header, tuple(lens[pixels])))
+    return tables
+
+
+def _parameters(data: Mapping[str, Any]) -> list[PageTable]:
+    """All of the arm, the tool and the target, a table for each unit."""
+    rows = tuple((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
+    out = []
+    for table in parameter_tables(rows):
+        end = "" if table.unit == "1" else f", {table.unit}"
+        cells = tuple((name, f"{value:.4f}", f"{std:.4f}") for name, value, std in table.rows)
+        header = ("parameter", f"value{end}", f"± one standard deviation{end}")
+        out.append(PageTable(f"{table.title} of all parameters{end}", header, cells))
+    sheet = data["camera"]["sheet"]
+    if sheet:
+        cells = tuple((name, number(s["value"]), number(s["std"], 2)) for name, s in sheet.items())
+        out.append(PageTable("The sheet, in SI units", ("constant", "value", "± one standard deviation"), cells))
     return out
 
 
-def _errors(error: ToolError) -> tuple[str, str]:
-    parts = (error.nominal_interval, error.interval)
-    nominal, calibrated = (f"{1e3 * m:.2f} ({1e3 * low:.2f} to {1e3 * high:.2f})" for m, low, high in parts)
-    return nominal, calibrated
-
-
-def _charts(solution: CameraSolution) -> list[Chart]:
-    fit = solution.fit
-    used = np.flatnonzero(fit.table.weight > 0.0)
-    rows = used[np.unique(np.linspace(0, len(used) - 1, min(len(used), _DRAWN)).astype(int))]
-    w, h = fit.state.lens.size
-    covered = Panel((0.0, float(w)), (-float(h), 0.0))
-    covered.hollow(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER, "circle")
-    off = np.sqrt(distances_of_views(fit) / 6.0)
-    number = np.arange(1, len(off) + 1, dtype=float)
-    apart = Panel((0.0, float(len(off) + 1)), (0.0, 1.1 * max(float(off.max()), 2.0)))
-    apart.hollow(number, off, AFTER, "circle")
-    return [
-        covered.chart(
-            "covered", "u, px", "−v, px", "Where corners were in the images.",
-            "where corners were in the images: the lens is known where they are",
-        ),
-        apart.chart(
-            "apart", "image", "distance from the arm, σ", "How far each image is from where the arm has its target.",
-            "how far each image's target is from where the arm has it; one is usual",
-        ),
-    ]  # fmt: skip
+def _robot(model: Model, q: Array) -> RobotScene | None:
+    """The arm in the postures of the images."""
+    if not len(q):
+        return None
+    chain = model.serial
+    rows = thinned(len(q), MOST_POSTURES)
+    paths = arm_paths(chain, q[rows])
+    said = [f"Image {row + 1} of {len(q)}: {joints_in_words(chain, q[row])}." for row in rows]
+    alt = f"The arm in the postures of {counted(len(q), 'image')}."
+    return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt)

@@ -62,7 +62,7 @@ def size_tables(rows: Iterable[tuple[tuple[str, ...], Sequence[Sizes | None]]], 
     ranked = sorted(found, key=lambda unit: (_FIRST.index(unit) if unit in _FIRST else len(_FIRST), unit == "1", unit))
     return [
         PageTable(
-            "Without a unit" if unit == "1" else f"In {unit}",
+            "Sizes without a unit" if unit == "1" else f"Sizes in {unit}",
             (*head[:words], "quantity", *(name + ("" if unit == "1" else f", {unit}") for name in head[words:])),
             tuple(found[unit]),
             words=words + 1,

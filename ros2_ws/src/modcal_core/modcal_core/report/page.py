@@ -88,20 +88,25 @@ def plain_page(
     tables: Sequence[PageTable] = (),
     robot: RobotScene | None = None,
     expert: Sequence[Chart] = (),
+    expert_tables: Sequence[PageTable] = (),
+    heading: str = "Result",
+    tone: str = "plain",
 ) -> str:
     """A page of an answer, sentences, tables and pictures. verdict: the answer. files: names and what each holds.
 
-    robot: the arm in three dimensions, where there is one to show. expert: pictures that are folded away.
+    robot: the arm in three dimensions, where there is one to show. expert, expert_tables: what is folded
+    away. heading, tone: a word over the answer, and its colour (plain, good, warn, bad).
     """
     return render(
         "plain.html.j2",
         title=title,
         verdict=verdict,
-        tone="plain",
-        heading="Result",
+        tone=tone,
+        heading=heading,
         lines=lines,
         charts=charts,
         expert=expert,
+        expert_tables=expert_tables,
         files=files,
         tables=tables,
         scene=None if robot is None else as_script_data(robot.to_data()),

@@ -147,7 +147,7 @@ def calibrate_images(
     write_folder(out, files)
     data = camera_report(solution, robot, images, found.left_out)
     said = [arm_line(robot), *lines(solution, images, found.left_out)]
-    output.result(data, partial(tell, said), written(out, files, first="report.json"))
+    output.result(data, partial(tell, said), written(out, files))
     return 0
 
 
