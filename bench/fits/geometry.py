@@ -42,7 +42,7 @@ def fitted(cell: Fitted, seed: int, geometry_only: bool) -> dict[str, object]:
         "distance_mm": max((1e3 * abs(d.residual) for d in done.report.distances), default=0.0),
         "status": done.report.judged.status,
         "rejected": done.report.rejected,
-        "effects": [f"{e.effect.family} {e.effect.place}" for e in done.report.effects],
+        "effects": [f"{e.family} {e.place}" for e in done.scored.model.effects],
         "s": time.perf_counter() - begun,
     }
 

@@ -118,10 +118,11 @@ def test_a_stated_base_is_held_within_its_tolerance() -> None:
 def test_the_cell_file_states_tool_and_base(tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text(
-        "tool: {position_m: [0, 0, 0.055], std_m: 0.001}\n"
+        "tool: {position_m: [0, 0, 0.055], std_m: 0.001}\ngravity: [0, -9.81, 0]\n"
         "known:\n  - {frame: tracker, in: base, position_m: [1, 2, 3], std_m: 0.002, std_deg: 0.1}\n"
     )
     cell = read_cell(file)
+    assert cell.gravity == (0.0, -9.81, 0.0)
     assert cell.tool is not None
     assert cell.tool.T_tip_tool[:3, 3].tolist() == [0.0, 0.0, 0.055]
     assert (cell.tool.std_m, cell.tool.std_rad) == (0.001, np.inf)
@@ -139,6 +140,7 @@ def test_the_cell_file_states_tool_and_base(tmp_path: Path) -> None:
         "tool: {position_m: [0, 0, 0.055], std_m: 0.001, std_deg: 1}",
         "known: [{frame: a, in: base, std_m: 0.001}]",
         "known: [{frame: a, in: b, std_m: 0.001, std_deg: 1}]",
+        "gravity: [0, 0, 0]",
     ],
 )
 def test_half_a_statement_is_refused(tmp_path: Path, text: str) -> None:

@@ -42,7 +42,7 @@ from modcal_core.report.joint_offsets import joint_offsets
 from modcal_core.report.notes import instrument_notes
 from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.readings import doubtful
@@ -89,6 +89,8 @@ def calibrate(
     require_enough(samples, count, len(cell.distances), share=SHARES[0])
     samples, convention = proved(samples, chain)
     inertias, absurd = sane_inertias(inertias, chain)
+    if cell.gravity is not None:
+        inertias = (inertias or weightless(chain.n)).pulled(cell.gravity)
     regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])

@@ -33,7 +33,8 @@ class Cell:
     place or pattern. known: frames whose place relative to others, or to the base, is known. own_target: frames whose
     instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
     stated: repeatability and accuracy that were stated. moved: when base or tool are known to have been moved.
-    own_in_recordings: what each of several recordings has of its own. tool: where it is, where that is known.
+    own_in_recordings: what each of several recordings has of its own. tool: where it is, where that is known. gravity:
+    the way in which weight pulls in the base, (3,), of any length; None: as the robot description has it.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -45,6 +46,7 @@ class Cell:
     moved: tuple[Move, ...] = ()
     own_in_recordings: What | None = None
     tool: StatedTool | None = None
+    gravity: tuple[float, float, float] | None = None
 
     @property
     def kept(self) -> tuple[str, ...]:

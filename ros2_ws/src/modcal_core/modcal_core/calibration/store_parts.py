@@ -24,6 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.schema import shown
+from modcal_core.robots.branches import Hanging, Step
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -124,7 +125,45 @@ def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
     """The bodies of the nominal arm, which loads are computed from."""
     if arm is None or arm.inertias is None:
         return None
-    return {"mass": floats(arm.inertias.mass), "com": [floats(c) for c in arm.inertias.com]}
+    return {
+        "mass": floats(arm.inertias.mass),
+        "com": [floats(c) for c in arm.inertias.com],
+        "down": floats(arm.inertias.down),
+        **({"branches": [_hanging_to_data(b) for b in arm.inertias.branches]} if arm.inertias.branches else {}),
+    }
+
+
+def _hanging_to_data(body: Hanging) -> dict[str, Any]:
+    return {
+        "carrier": body.carrier,
+        "mass": float(body.mass),
+        "com": floats(body.com),
+        "steps": [
+            {
+                "origin": _matrix(s.origin),
+                "axis": floats(s.axis),
+                "turns": s.turns,
+                "joint": s.joint,
+                "motion": [float(s.factor), float(s.offset)],
+            }
+            for s in body.steps
+        ],
+    }
+
+
+def _hanging_from_data(data: Any) -> Hanging:
+    steps = tuple(
+        Step(
+            _transform(s["origin"]),
+            np.array(s["axis"], dtype=float).reshape(3),
+            bool(s["turns"]),
+            str(s["joint"]),
+            float(s["motion"][0]),
+            float(s["motion"][1]),
+        )
+        for s in data["steps"]
+    )
+    return Hanging(int(data["carrier"]), steps, float(data["mass"]), np.array(data["com"], dtype=float).reshape(3))
 
 
 def inertias_from_data(data: Any) -> Inertias | None:
@@ -132,7 +171,11 @@ def inertias_from_data(data: Any) -> Inertias | None:
     if data is None:
         return None
     mass, com = np.array(data["mass"], dtype=float), np.array(data["com"], dtype=float)
-    return Inertias(mass, com, np.zeros((len(mass), 3, 3)))
+    down = np.array(data.get("down", (0.0, 0.0, -1.0)), dtype=float).reshape(3)
+    branches = tuple(_hanging_from_data(b) for b in data.get("branches", ()))
+    if not np.isfinite(down).all() or any(not 0 <= b.carrier < len(mass) for b in branches):
+        raise ValueError("bodies beside the chain hang on none of its joints")
+    return Inertias(mass, com, np.zeros((len(mass), 3, 3)), branches, down)
 
 
 def model_to_data(model: Model) -> dict[str, Any]:

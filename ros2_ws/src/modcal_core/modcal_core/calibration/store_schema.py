@@ -40,5 +40,10 @@ SCHEMA: Schema = _keys(
         "covariance",
         parameters=_list_of(_keys("name", "place", "direction", "frame", "prior", "instrument", "unit")),
     ),
-    arm=_keys("mass", "com"),
+    arm=_keys(
+        "mass", "com", "down",
+        branches=_list_of(
+            _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))
+        ),
+    ),
 )  # fmt: skip

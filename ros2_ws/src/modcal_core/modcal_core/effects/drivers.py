@@ -18,8 +18,11 @@ import numpy as np
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.other_joints import others_by_name
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.branches import moved_centres
+from modcal_core.robots.gravity import DOWN
 from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -84,17 +87,28 @@ class Drivers:
         chain = self.arm.chain
         if self.arm.inertias is None or not self.arm.weighed:
             return np.zeros((chain.n, 6, len(self)))
-        return gravity_wrench(chain, self.arm.inertias, self.samples.q)
+        inertias, count = self.arm.inertias, len(self)
+        moved = moved_centres(inertias.branches, inertias.mass, self._positions, count) if inertias.branches else None
+        return gravity_wrench(chain, inertias, self.samples.q, moved)
+
+    @property
+    def _positions(self) -> dict[str, Array]:
+        """Positions (N,) of the joints that are known, the arm's and others that were recorded, by name."""
+        return {**others_by_name(self.samples), **dict(zip(self.samples.names, self.samples.q.T, strict=True))}
+
+    @property
+    def _down(self) -> Array:
+        return DOWN if self.arm.inertias is None else self.arm.inertias.down
 
     @cached_property
     def payload(self) -> Array:
         """Weight of 1 kg at the tip, (n, 6, N)."""
-        return payload_wrench(self.arm.chain, self.samples.q)
+        return payload_wrench(self.arm.chain, self.samples.q, self._down)
 
     @cached_property
     def offset(self) -> Array:
         """What the latter changes by for each metre that the mass lies beside the tip, along x, y, z: (3, n, 6, N)."""
-        return offset_wrench(self.arm.chain, self.samples.q)
+        return offset_wrench(self.arm.chain, self.samples.q, self._down)
 
     def _signal(self, name: str, lag: float) -> Array:
         for track in self.samples.signals:

@@ -39,6 +39,12 @@ def others_at(samples: Samples) -> Array:
     return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
 
 
+def others_by_name(samples: Samples) -> dict[str, Array]:
+    """Positions of these joints at the samples, (N,), by the joint's name."""
+    tracks = [track for track in samples.signals if _MARK in track.name]
+    return {spoken_name(t.name): np.interp(samples.stamps, t.stamps, t.values[:, 0]) for t in tracks}
+
+
 def moving_beside(samples: Samples) -> tuple[str, ...]:
     """Names of the joints that were recorded moving and are none of the arm's."""
     return tuple(spoken_name(track.name) for track in samples.signals if _MARK in track.name)

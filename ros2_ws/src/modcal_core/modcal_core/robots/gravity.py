@@ -9,41 +9,44 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames
 from modcal_core.robots.urdf_inertias import Inertias
 
-STANDARD_GRAVITY = 9.80665  # m/s², along −z of the base
+STANDARD_GRAVITY = 9.80665  # m/s²
+DOWN = np.array([0.0, 0.0, -1.0])  # in the base, where nothing else is known
 
 
-def gravity_wrench(chain: Chain, inertias: Inertias, q: Array) -> Array:
+def gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | None = None) -> Array:
     """Weight of the bodies beyond each joint, (n, 6, N): force [N], moment about the joint's origin [N m].
 
     Both in the frame just before the joint's motion, with its axis along z, so row 5 is the torque about a turning
-    joint's axis and row 2 the force along a sliding one's. q: joint positions (N, n).
+    joint's axis and row 2 the force along a sliding one's. q: joint positions (N, n). moved: how
+    far bodies' centres are from where the inertias have them, behind each joint, (n, N, 3) [m].
     """
     f = frames(chain, q)
-    centres = np.stack([_centre(chain, inertias, q, f, k) for k in range(chain.n)])
-    return _wrench(chain, f, inertias.mass, centres)
+    centres = np.stack([_centre(chain, inertias, q, f, k, moved) for k in range(chain.n)])
+    return _wrench(chain, f, inertias.mass, centres, inertias.down)
 
 
-def payload_wrench(chain: Chain, q: Array) -> Array:
-    """The same, (n, 6, N), of a mass of 1 kg at the tip."""
+def payload_wrench(chain: Chain, q: Array, down: Array = DOWN) -> Array:
+    """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base."""
     f = frames(chain, q)
     mass = np.zeros(chain.n)
     mass[-1] = 1.0
-    return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)))
+    return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)), down)
 
 
-def offset_wrench(chain: Chain, q: Array) -> Array:
+def offset_wrench(chain: Chain, q: Array, down: Array = DOWN) -> Array:
     """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
     f = frames(chain, q)
     mass = np.zeros(chain.n)
     mass[-1] = 1.0
     at = np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape))
-    own = _wrench(chain, f, mass, at)
-    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d]) - own for d in range(3)])
+    own = _wrench(chain, f, mass, at, down)
+    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d], down) - own for d in range(3)])
 
 
-def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int) -> Array:
+def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved: Array | None) -> Array:
     """Centre of mass of body k in the base, (3, N)."""
-    x, y, z = chain.joint_basis[k].T @ inertias.com[k]
+    com = inertias.com[k] if moved is None else inertias.com[k] + moved[k]
+    x, y, z = (com @ chain.joint_basis[k]).T
     if chain.revolute[k]:
         c, s = np.cos(q[:, k]), np.sin(q[:, k])
         local = (c * x - s * y, s * x + c * y, z)
@@ -53,16 +56,15 @@ def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int) -> Ar
     return out
 
 
-def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array) -> Array:
+def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array) -> Array:
     out = np.empty((chain.n, 6, f.p.shape[2]))
     weight, moment_of_mass = 0.0, np.zeros_like(f.p[0])
     for k in range(chain.n - 1, -1, -1):
         weight += float(mass[k]) * STANDARD_GRAVITY
         moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
-        # (c − p) × (0, 0, −w), summed over the bodies
-        x, y = moment_of_mass[0] - weight * f.p[k, 0], moment_of_mass[1] - weight * f.p[k, 1]
-        moment = np.stack([-y, x, np.zeros_like(x)])
-        for d in range(3):
-            out[k, d] = -weight * f.axes[k, d, 2]
-            out[k, 3 + d] = np.einsum("cn,cn->n", f.axes[k, d], moment)
+        x, y, z = moment_of_mass - weight * f.p[k]
+        # (c − p) × w down, summed over the bodies
+        moment = np.stack([y * down[2] - z * down[1], z * down[0] - x * down[2], x * down[1] - y * down[0]])
+        out[k, :3] = weight * np.einsum("dcn,c->dn", f.axes[k], down)
+        out[k, 3:] = np.einsum("dcn,cn->dn", f.axes[k], moment)
     return out

@@ -134,7 +134,7 @@ def _(robot: Chain, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array]
 
 
 @singledispatch
-def payload_wrench(robot: Mechanism, q: Array) -> Array:
+def payload_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN) -> Array:
     """Weight of 1 kg at the tip as every joint bears it, (n, 6, N), as in :mod:`modcal_core.robots.gravity`."""
     raise NotImplementedError(type(robot).__name__)
 
@@ -143,12 +143,12 @@ payload_wrench.register(Chain, gravity.payload_wrench)
 
 
 @payload_wrench.register
-def _(robot: Delta, q: Array) -> Array:
+def _(robot: Delta, q: Array, down: Array = gravity.DOWN) -> Array:
     return delta_kinematics.payload_wrench(robot, q, gravity.STANDARD_GRAVITY)
 
 
 @singledispatch
-def offset_wrench(robot: Mechanism, q: Array) -> Array:
+def offset_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN) -> Array:
     """How the weight of 1 kg as every joint bears it changes with its offset from the tip, (3, n, 6, N), as in
     :mod:`modcal_core.robots.gravity`; of others than serial arms nothing is known of it, and it is zero.
     """
@@ -159,7 +159,7 @@ offset_wrench.register(Chain, gravity.offset_wrench)
 
 
 @singledispatch
-def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike) -> Array:
+def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike, moved: Array | None = None) -> Array:
     """Weight of the links beyond each joint, (n, 6, N), as in :mod:`modcal_core.robots.gravity`; of others than serial
     arms nothing is known of it, and it is zero.
     """

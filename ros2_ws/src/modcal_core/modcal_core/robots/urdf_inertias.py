@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.robots.branches import Hanging, Step
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
@@ -21,24 +24,38 @@ class Inertias:
     """Lumped bodies of a chain's joints, each in the frame of its joint after the joint's motion.
 
     mass: (n,) [kg]. com: centres of mass, (n, 3) [m]. inertia: about those centres, (n, 3, 3) [kg m²]. All are zero for
-    a joint whose links state no mass.
+    a joint whose links state no mass. branches: those of the bodies, contained in the others with all joints beside the
+    chain at zero, that such joints move. down: unit vector (3,) in the base in which gravity pulls.
     """
 
     mass: Array
     com: Array
     inertia: Array
+    branches: tuple[Hanging, ...] = ()
+    down: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
 
     @property
     def known(self) -> bool:
         """Whether the robot description states any mass."""
         return bool(self.mass.any())
 
+    def pulled(self, way: ArrayLike) -> Inertias:
+        """The same bodies where weight pulls this way (3,) in the base, of any length."""
+        down = np.asarray(way, dtype=float)
+        return replace(self, down=down / np.linalg.norm(down))
+
+
+def weightless(joints: int) -> Inertias:
+    """Bodies of a chain of so many joints of which no mass is known."""
+    return Inertias(np.zeros(joints), np.zeros((joints, 3)), np.zeros((joints, 3, 3)))
+
 
 def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
     """The lumped bodies of a chain that was read from this URDF.
 
     With each joint moves everything that hangs on its link up to the chain's next joint: fixed parts, and branches such
-    as grippers, which are taken with their joints at zero. Raises BadRobot when the chain is not of this URDF.
+    as grippers, which are taken with their joints at zero; where joints move these is kept beside that. Down is where
+    the root's z points away from. Raises BadRobot when the chain is not of this URDF.
     """
     from modcal_core.robots.urdf_tree import parse  # few need what reads XML; a table or a Delta does not
 
@@ -60,7 +77,43 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
             inertia[k] += own + m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
     for array in (mass, com, inertia):
         array.flags.writeable = False
-    return Inertias(mass, com, inertia)
+    hanging = tuple(
+        body for k, name in enumerate(chain.names)
+        for body in _hanging(tree, joints[name].child, (), set(chain.names[k + 1 :]), k)
+    )  # fmt: skip
+    return Inertias(mass, com, inertia, hanging, _down(tree, chain.base))
+
+
+def _hanging(tree: Tree, link: str, steps: tuple[Step, ...], stop: set[str], carrier: int) -> Iterator[Hanging]:
+    """The bodies of a link and of what hangs on it that some joint moves."""
+    if link in tree.inertials and any(step.joint for step in steps) and tree.inertials[link].mass > 0.0:
+        own = tree.inertials[link]
+        yield Hanging(carrier, steps, own.mass, own.centre)
+    for joint in tree.below[link]:
+        if joint.name not in stop:
+            yield from _hanging(tree, joint.child, (*steps, _step(joint)), stop, carrier)
+
+
+def _step(joint: Joint) -> Step:
+    turns = joint.kind != "prismatic"
+    if not joint.moves or not joint.axis.any():
+        return Step(joint.T_parent_joint, np.zeros(3), turns, "")
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    if joint.mimics is None:
+        return Step(joint.T_parent_joint, axis, turns, joint.name)
+    return Step(joint.T_parent_joint, axis, turns, joint.mimics, joint.mimic_factor, joint.mimic_offset)
+
+
+def _down(tree: Tree, base: str) -> Array:
+    """Where the weight pulls, (3,), in the base: away from the root's z, the joints between them at zero."""
+    above = {joint.child: joint for joint in tree.joints}
+    R, link = np.eye(3), base
+    while link in above:
+        R = (above[link].T_parent_joint @ _at_zero(above[link]))[:3, :3] @ R
+        link = above[link].parent
+    down = -R[2]
+    down.flags.writeable = False
+    return np.asarray(down)
 
 
 def _carried(tree: Tree, link: str, T: Array, stop: set[str]) -> list[tuple[float, Array, Array]]:

@@ -57,7 +57,7 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
 @dataclass(frozen=True)
 class Joint:
     """One joint. T_parent_joint (4, 4) [m]; axis (3,) as written; limits [rad or m]; ``mimic_offset`` is its position
-    while the joint that it mimics stands at zero.
+    while the joint that it mimics stands at zero, ``mimic_factor`` what it moves by per unit of that.
     """
 
     name: str
@@ -70,6 +70,7 @@ class Joint:
     upper: float
     mimics: str | None
     mimic_offset: float
+    mimic_factor: float = 1.0
 
     @property
     def moves(self) -> bool:
@@ -219,6 +220,7 @@ def _joint(joint: Any) -> Joint:
         raise BadRobot(f"joint {joint.name}", f"its limits run from {lower:g} to {upper:g}", _FIX)
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
     offset = 0.0 if joint.mimic is None else float(joint.mimic.offset or 0.0)
+    factor = 1.0 if joint.mimic is None or joint.mimic.multiplier is None else float(joint.mimic.multiplier)
     return Joint(
         name=joint.name,
         kind=joint.type,
@@ -230,6 +232,7 @@ def _joint(joint: Any) -> Joint:
         upper=upper,
         mimics=None if joint.mimic is None else joint.mimic.joint,
         mimic_offset=float(_finite([offset], 1, f"joint {joint.name}: <mimic offset>")[0]),
+        mimic_factor=float(_finite([factor], 1, f"joint {joint.name}: <mimic multiplier>")[0]),
     )
 
 

@@ -45,6 +45,7 @@ _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
 _AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
+_AS_GRAVITY = "[0, 0, -9.81], in the base link"
 _AS_TOOL = "{position_m: [0, 0, 0.055], std_m: 0.001}, and with orientation quaternion and std_deg"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
@@ -95,6 +96,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
         None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
         None if data.get("tool") is None else _part(path, _tool, "tool", data["tool"], _AS_TOOL),
+        None if data.get("gravity") is None else _part(path, _gravity, "gravity", data["gravity"], _AS_GRAVITY),
     )
 
 
@@ -167,6 +169,13 @@ def _distance(data: Mapping[str, Any]) -> AnyDistance:
         first, second = (float(t) for t in data["stamps"])
         return StationDistance((first, second), distance, std)
     return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
+
+
+def _gravity(data: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in data)
+    if not 0.0 < np.linalg.norm([x, y, z]) < np.inf:
+        raise ValueError("a direction has a length")
+    return x, y, z
 
 
 def _tool(data: Mapping[str, Any]) -> StatedTool:

@@ -41,7 +41,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, name, AXIS, f"payload:{name},{signal}", Shape("product"))
                 beside = ",".join(f"offset_{axis}:{name}" for axis in "xyz")
                 yield Effect(NAME, name, AXIS, f"{beside},{signal}", Shape("products"))
-        if drivers.arm.weighed and drivers.arm.chain.revolute[j]:
+        if drivers.arm.weighed:  # a sliding joint's column is bent by the moment as a bearing is
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
 
 
@@ -98,7 +98,7 @@ def sentence(entry: ReportEntry) -> str:
             f"{entry.place} deflects under load by {1e6 * abs(size):.3g} {angle} per {per} that 1 kg at the tip "
             "exerts; the description states no masses, so no stiffness is known"
         )
-    what = f"{entry.place}'s bearing tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
+    what = f"{entry.place}'s bearing or column tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
     stiffness, _, unit = entry.sizes.get("stiffness", (float("inf"), 0.0, "N m/rad"))
     return f"{what} under load, stiffness {stiffness:.3g} {unit}"
 
