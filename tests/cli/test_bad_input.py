@@ -146,6 +146,11 @@ def text_file(folder: Path) -> Path:
     return folder / "notes.mcap"
 
 
+def table(folder: Path) -> Path:
+    (folder / "tracker.CSV").write_text("J1,J2,X,Y,Z\n0,0,1,1,1\n")
+    return folder / "tracker.CSV"
+
+
 def zero_bytes(folder: Path) -> Path:
     (folder / "zero.mcap").touch()
     return folder / "zero.mcap"
@@ -171,6 +176,7 @@ def sqlite_bag(folder: Path) -> Path:
 FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bag without messages": (empty, "holds no message"),
     "file that is not MCAP": (text_file, "is not an MCAP file"),
+    "table": (table, r"tracker.CSV --urdf ROBOT"),
     "file of no bytes": (zero_bytes, "is empty"),
     "folder without a bag": (bare_folder, "holds no .mcap or .db3 file"),
     "folder of bags": (folder_of_bags, "holds no .mcap or .db3 file: give one of the bags in it: morning"),

@@ -51,6 +51,7 @@ _MAX_CHUNK = 1 << 28  # bytes of an unpacked chunk; recorders write some MiB
 # made to fill the memory is packed ten thousand times as tightly.
 _MAX_RATIO, _FREE = 400, 1 << 25
 _MAX_WINDOW = 1 << 27  # bytes that a zstd decompressor may keep behind it
+_TABLES = (".csv", ".tsv", ".txt")  # what instruments and robots export
 PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
 
 Content: TypeAlias = "bytes | bytearray"
@@ -123,7 +124,7 @@ class McapFile:
             raise BadRecording(str(self.path), "is empty", "record again")
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if data[: len(MAGIC)] != MAGIC:
-                raise BadRecording(str(self.path), "is not an MCAP file", _other_format(data[:16]))
+                raise BadRecording(str(self.path), "is not an MCAP file", _other_format(self.path, data[:16]))
             # memoryviews into the map must be gone before it closes, so chunks are copied out of it
             yield from self._walk(data, min(size, len(data)))
 
@@ -334,7 +335,9 @@ def _unpacked_at_once(content: bytes, size: int) -> bytearray:
     return out[:at] + beyond + PADDING if at < size or beyond else out
 
 
-def _other_format(start: bytes) -> str:
+def _other_format(path: Path, start: bytes) -> str:
+    if path.suffix.lower() in _TABLES:
+        return f"make a bag of a table: modcal import {path} --urdf ROBOT"
     if start.startswith(b"SQLite format 3"):
         return "make its name end in .db3"
     if start.startswith(ZSTD):

@@ -10,7 +10,7 @@ import difflib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -135,8 +135,9 @@ class Tree:
         return path[::-1]
 
 
+@lru_cache(maxsize=2)  # chain, tips and masses are asked for one after the other
 def parse(urdf_xml: str) -> Tree:
-    """The checked tree of a URDF text. Raises BadRobot for anything that is not one."""
+    """The checked tree of a URDF text, its arrays read-only. Raises BadRobot for anything that is not one."""
     root = document(urdf_xml)
     for tag in ("link", "joint"):
         if (count := sum(_local(child) == tag for child in root)) > _MOST_JOINTS:
@@ -147,6 +148,10 @@ def parse(urdf_xml: str) -> Tree:
     inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
     tree = Tree(robot.name, links, joints, inertials)
     _check(tree)
+    for array in (a for joint in joints for a in (joint.T_parent_joint, joint.axis)):
+        array.flags.writeable = False
+    for array in (a for inertial in inertials.values() for a in (inertial.centre, inertial.inertia)):
+        array.flags.writeable = False
     return tree
 
 
