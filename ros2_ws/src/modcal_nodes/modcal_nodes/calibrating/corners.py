@@ -125,8 +125,7 @@ class CornerIntake:
         self._joints.append((stamp, q))
         while self._joints[0][0] < stamp - _JOINTS_S:
             self._joints.popleft()
-        while self._waiting and self._waiting[0].stamp + _AROUND_S <= stamp:
-            self._take(self._waiting.popleft())
+        self._take_due()
 
     def corners(self, message: Any) -> None:
         """Take the corners of an image. Raises BadRecording for what are none of this target."""
@@ -140,6 +139,12 @@ class CornerIntake:
         self.size = size
         if enough_corners(self.target.points[view.ids]):
             self._waiting.append(view)
+            self._take_due()
+
+    def _take_due(self) -> None:
+        """Take the images for which joint states have come, before and after."""
+        while self._joints and self._waiting and self._waiting[0].stamp + _AROUND_S <= self._joints[-1][0]:
+            self._take(self._waiting.popleft())
 
     def _take(self, view: BoardView) -> None:
         q = self._standing_at(view.stamp)
