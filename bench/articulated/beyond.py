@@ -1,7 +1,7 @@
 """Tracks of things that are no one joint: plain trigonometry, no code of what is tested.
 
-``DESIGN`` were looked at while thresholds were chosen; ``KEPT`` were not before all was done, but before the rule of two
-motions; ``LATER`` were written after that rule, and run once.
+``DESIGN`` were looked at while thresholds were chosen; ``KEPT`` were not before all was done, but before the rule of
+two motions; ``LATER`` were written after that rule, and run once.
 """
 
 from __future__ import annotations

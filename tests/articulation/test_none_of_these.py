@@ -8,7 +8,7 @@ from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.phases import best_cut
+from modcal_core.articulation.phases import best_cut, two_explain
 from modcal_core.articulation.telling import lone, telling
 from modcal_core.articulation.track import Track
 
@@ -95,3 +95,32 @@ def test_moved_and_mirrored_the_same_samples_tell(rng: np.random.Generator) -> N
 def test_a_track_too_short_for_two_motions_is_not_cut(rng: np.random.Generator) -> None:
     seen = noisy(ideal("prismatic", np.linspace(0.0, 0.04, 40), rng), rng, 1e-4)
     assert best_cut(Track(seen.positions)) is None
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_what_two_motions_explain_down_to_the_noise_is_not_certainly_one(oriented: bool) -> None:
+    """A door on two pins: within 3 mm of one hinge all the way, which is no more than handles and cameras leave."""
+    rng, n = np.random.default_rng(4), 160
+    a, b = np.linspace(0.0, np.radians(38.0), n // 2), np.linspace(0.0, np.radians(38.0), n // 2)
+    z = [0.0, 0.0, 1.0]
+    first = 0.7 * np.stack([np.cos(a) - 1.0, np.sin(a), 0.0 * a], axis=1)
+    turned = Rotation.from_rotvec(a[-1] * np.array(z))
+    second = first[-1] + turned.apply(0.4 * np.stack([np.cos(b) - 1.0, np.sin(b), 0.0 * b], axis=1))
+    p = np.concatenate([first, second]) + rng.normal(0.0, 5e-4, (n, 3))
+    R = Rotation.from_rotvec(np.outer(np.r_[a, a[-1] + b], z)).as_matrix()
+    choice = choose(Track(p, R if oriented else None))
+    assert choice.misfit.position < 4e-3
+    assert choice.best == "revolute"
+    assert not choice.enough
+    assert "two motions, cut at" in choice.why
+    one = noisy(ideal("revolute", np.linspace(0.0, 1.2, n), rng, 0.55), rng, 5e-4, 5e-3)
+    assert choose(track_of(one, oriented)).enough
+
+
+def test_a_bow_on_top_of_a_joint_is_not_two_motions(rng: np.random.Generator) -> None:
+    """What departs by 1.5 mm here and there is left by two arcs as well."""
+    a = np.linspace(0.0, 0.4, 200)
+    seen = ideal("prismatic", a, rng)
+    off = 1.5e-3 * np.stack([np.sin(2 * np.pi * a / 0.12), np.sin(2 * np.pi * a / 0.09 + 1.0), 0.0 * a], axis=1)
+    track = Track(seen.positions + off + rng.normal(0.0, 5e-4, (200, 3)), None)
+    assert two_explain(track) == ""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.articulation.furniture import PLAY
-from modcal_core.articulation.telling import travelled
+from modcal_core.articulation.telling import travelled, white
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
@@ -38,16 +38,14 @@ def best_cut(track: Track) -> int | None:
     return min(fine[:: max(1, len(fine) // _TRIED)], key=lambda k: _cost(track.positions, k))
 
 
-def two_explain(track: Track, white: float) -> str:
-    """Why two motions, one after the other, are to be thought of, for a person; empty where one is enough.
-
-    white: noise of a sample on an axis [m].
-    """
+def two_explain(track: Track) -> str:
+    """Why two motions, one after the other, are to be thought of, for a person; empty where one is enough."""
     cut, n = best_cut(track), len(track)
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""
-    one = _left(track.positions) / (2 * n - _PARAMETERS) - white**2
-    two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - white**2
+    noise = white(track.positions) ** 2  # of positions alone: that of a fit has the rotations' in it
+    one = _left(track.positions) / (2 * n - _PARAMETERS) - noise
+    two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
     if one <= (_WORTH * np.exp(PLAY[0])) ** 2 / 2.0 or two > _VANISHES * one:
         return ""
     at = 1e2 * float(travelled(track)[cut])

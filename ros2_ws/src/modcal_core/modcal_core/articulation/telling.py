@@ -62,7 +62,7 @@ def _turn(R: Array, S: Array) -> Array:
     return np.linalg.norm((R - S).reshape(len(R), 9), axis=1) / np.sqrt(2.0)
 
 
-def _noise(positions: Array) -> float:
+def white(positions: Array) -> float:
     """White noise on an axis [m], from second differences, which no steady motion has."""
     bend = np.diff(positions, 2, axis=0)
     return float(np.sqrt(np.median((bend**2).sum(axis=1)) / 2.366 / 6.0)) if len(bend) else 0.0
@@ -71,7 +71,7 @@ def _noise(positions: Array) -> float:
 def _without_rests(track: Track) -> _Rows:
     """Rows of a track, of every place where it stays long only so many as is usual elsewhere."""
     p, R = track.positions, track.rotations
-    reach = max(_PLACE, 3.0 * _noise(p))
+    reach = max(_PLACE, 3.0 * white(p))
     places, begin = [], 0
     for i in range(1, len(p)):
         away = float(np.linalg.norm(p[i] - p[begin]))
@@ -89,7 +89,7 @@ def _without_rests(track: Track) -> _Rows:
 
 def travelled(track: Track) -> Array:
     """How far the handle had come along its path at each sample (n,) [m]; noise is no path."""
-    p, mark = track.positions, max(_MARK, 5.0 * _noise(track.positions))
+    p, mark = track.positions, max(_MARK, 5.0 * white(track.positions))
     at, way, out = p[0], 0.0, np.zeros(len(p))
     for i, here in enumerate(p):
         step = float(np.linalg.norm(here - at))
