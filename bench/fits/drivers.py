@@ -335,9 +335,10 @@ def main() -> None:
     asked = parser.parse_args()
     table = []
     for row in asked.only:
-        outcomes = [judged(row, seed) for seed in range(asked.first, asked.first + asked.seeds)]
-        for outcome in outcomes:
-            print(outcome.line)
+        outcomes = []
+        for seed in range(asked.first, asked.first + asked.seeds):
+            outcomes.append(judged(row, seed))
+            print(outcomes[-1].line, flush=True)
         ratios = np.array([o.ratio for o in outcomes])
         shares = [100.0 * np.mean([getattr(o, name) for o in outcomes]) for name in ("named", "clean")]
         table.append(
