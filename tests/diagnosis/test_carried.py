@@ -1,4 +1,4 @@
-"""A recorded number that says what the arm carries: its joints give way by it, as virtual work has it."""
+"""A recorded number that says what the arm carries: its joints deflect by it, as virtual work has it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMPLIANCE = 8e-6  # rad/(N m)
 
 
 def loaded(topic: str, factor: float = 1.0) -> Samples:
-    """The elbow gives way under a mass at the tip that changes from station to station."""
+    """The elbow deflects under a mass at the tip that changes from station to station."""
     made = record(5, 120)
     chain, q = ur10(), made.samples.q
     rng = np.random.default_rng(1)

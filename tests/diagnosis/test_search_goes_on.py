@@ -38,5 +38,6 @@ def misleading(count: int) -> Samples:
 @pytest.mark.parametrize("count", [200, 620])
 def test_a_choice_that_does_not_predict_does_not_end_the_search(count: int) -> None:
     report = calibrate(misleading(count), ur10(), np.random.default_rng(0)).report
-    assert [(e.family, e.place) for e in report.effects] == [("gear_ratio", "wrist_2_joint")]
+    found = [(e.family, e.place) for e in report.effects if e.family != "outliers"]
+    assert found == [("gear_ratio", "wrist_2_joint")]
     assert report.left is not None  # what was refused is said

@@ -122,8 +122,20 @@ def test_a_controllers_state_of_an_older_distribution(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(OLDER, STATE))
     message = store.types[STATE](header(1.0), NAMES, point([0.3, 0.4]), point([7.0, 7.0]), point([0.0, 0.0]))
-    path = bag(tmp_path / "bag.mcap", [(1.0, "/c/controller_state", STATE, message)], store, definition_text(OLDER))
+    path = bag(tmp_path / "bag.mcap", [(1.0, "/arm_controller/state", STATE, message)], store, definition_text(OLDER))
     assert at(read_bag(path), [1.0]) == [[0.3, 0.4]]
+
+
+def test_commands_of_another_robot_are_not_of_this_one(tmp_path: Path) -> None:
+    kind = "sensor_msgs/msg/JointState"
+    messages = [
+        (1.0, "/left/joint_states", kind, joint_state(1.0, [0.1, 0.2])),
+        (1.0, "/left/joint_commands", kind, joint_state(1.0, [0.1, 0.2])),
+        (1.0, "/right/joint_commands", kind, joint_state(1.0, [0.3, 0.4])),
+        (1.0, "/joint_commands", kind, joint_state(1.0, [0.5, 0.6])),
+    ]
+    recording = read_bag(bag(tmp_path / "bag.mcap", messages))
+    assert [track.topic for track in recording.commands] == ["/joint_commands", "/left/joint_commands"]
 
 
 def definition_text(own: str) -> str:

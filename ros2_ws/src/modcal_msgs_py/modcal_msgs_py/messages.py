@@ -216,7 +216,11 @@ class RecordingBuilder:
             warnings=(*self._notes, *found, *warnings),
             listed=self._listed(),
             lost=tuple(lost.items()),
-            commands=self._commands.tracks(lambda topic: self._commanded[topic]),
+            commands=tuple(
+                track
+                for track in self._commands.tracks(lambda topic: self._commanded[topic])
+                if _of_robot(track.topic, joint_topics)
+            ),
         )
 
     def _listed(self) -> tuple[Listed, ...]:
@@ -325,6 +329,12 @@ def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: f
             "publish one position for every name",
         )
     return len(names)
+
+
+def _of_robot(topic: str, joint_topics: set[str]) -> bool:
+    """Whether commands can be those of the joints on these topics: in no namespace, or in theirs."""
+    spaces = {name.rpartition("/")[0] for name in joint_topics}
+    return topic.count("/") < 2 or not spaces or any(topic.startswith(f"{space}/") for space in spaces)
 
 
 def _rank(topic: str, role: str) -> int:

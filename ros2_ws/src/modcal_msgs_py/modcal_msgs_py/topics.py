@@ -62,11 +62,14 @@ _ACCEPTED = {role: accepted(role) for role in TYPES}
 
 
 def role_of(topic: str, type_name: str) -> str | None:
-    """The contract's name for a topic, in whatever namespace it stands; None for a topic of no known role."""
+    """The contract's name for a topic, in whatever namespace it stands; None for a topic of no known role.
+
+    The state of a controller of trajectories is told by its type, whatever its name.
+    """
     for role, types in _ACCEPTED.items():
         if (topic == f"/{role}" or topic.endswith(f"/{role}")) and type_name in types:
             return role
-    return None
+    return CONTROLLER_STATE if type_name == commanded.CONTROLLER_STATE else None
 
 
 def preferred(topics: set[str], role: str) -> set[str]:

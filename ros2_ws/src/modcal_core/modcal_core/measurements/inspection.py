@@ -57,6 +57,8 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
         findings += [
             f"Joint {name} never moves." for name in _constant(joint.names, joint.position) if len(joint.stamps) > 2
         ]
+    for told in recording.commands:
+        facts.append(_facts(told.topic, f"commands of {len(told.names)} joints", told.stamps))
     for reading in recording.readings:
         name = f"{reading.topic} ({reading.frame})"
         facts.append(_facts(reading.topic, f"{reading.kind} in frame {reading.frame}", reading.stamps))

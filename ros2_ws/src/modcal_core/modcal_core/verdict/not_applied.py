@@ -40,12 +40,12 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
         why = _lacking(effect, calibration, samples)
         if why is None:
             effects.append(effect)
-            gaps = _gaps(effect, samples)
-            if gaps and arm.weighed:
-                partly.append(f"{effect.label} at {gaps} of {len(samples)} samples")
-            elif gaps:
-                cost = _cost(calibration, i, samples) * gaps / len(samples)
-                left.append(NotApplied(effect.label, f"{gaps} of {len(samples)} samples carry no effort", 1e6 * cost))
+            for what, count in _gaps(effect, samples).items():
+                if what == "effort" and arm.weighed:
+                    partly.append(f"{effect.label} at {count} of {len(samples)} samples")
+                    continue
+                cost = _cost(calibration, i, samples) * count / len(samples)
+                left.append(NotApplied(effect.label, f"{count} of {len(samples)} samples carry no {what}", 1e6 * cost))
         elif effect.driver.startswith("effort:") and arm.weighed:
             effects.append(_by_gravity(effect))
             stood_in.append(effect.label)
@@ -75,11 +75,18 @@ def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str 
     return None
 
 
-def _gaps(effect: Effect, samples: Samples) -> int:
-    """At how many samples the joint states lack an effort that the effect goes by."""
-    of = [part.partition(":")[2] for part in outside_drivers(effect) if part.startswith("effort:")]
-    columns = [samples.names.index(joint) for joint in of]
-    return int((~np.isfinite(samples.effort[:, columns])).any(axis=1).sum()) if columns else 0
+def _gaps(effect: Effect, samples: Samples) -> dict[str, int]:
+    """At how many samples the recording lacks what joints say that the effect goes by: effort, commanded positions."""
+    out = {}
+    for kind, what, rows in (
+        ("effort", "effort", samples.effort),
+        ("following", "commanded positions", samples.following),
+    ):
+        of = [part.partition(":")[2] for part in outside_drivers(effect) if part.startswith(f"{kind}:")]
+        columns = [samples.names.index(joint) for joint in of]
+        if columns and (lacking := int((~np.isfinite(rows[:, columns])).any(axis=1).sum())):
+            out[what] = lacking
+    return out
 
 
 def _cost(calibration: Calibration, effect: int, samples: Samples) -> float:

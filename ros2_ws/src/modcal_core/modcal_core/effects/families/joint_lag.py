@@ -19,8 +19,8 @@ from modcal_core.robots.mechanism import Mechanism
 
 NAME = "joint_lag"
 _BY_COMMAND = "following:"
-# A joint is between what was logged and what was commanded, or a little beyond where it overshoots. A spring that gives
-# way to the torque that a following error makes has the other sign: the joint is farther from its command than it says.
+# A joint is between what was logged and what was commanded, or a little beyond where it overshoots. A spring that
+# deflects under the torque of a following error has the other sign: the joint is farther from its command than it says.
 _MOST_SHARE = 1.5
 
 
