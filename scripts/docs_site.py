@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -19,6 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # Where a page goes that mkdocs.yml does not name, by its folder.
 SECTIONS = {"howto": "How to", "reference": "Reference", "": "Explanations"}
 LINK = re.compile(r"(?<!!)\[([^]]+)\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)")
+BY_HASH, ESCAPED = "findOne(decodeURI(e.hash)", 'findOne("#"+CSS.escape(decodeURI(e.hash).slice(1))'
 LIGHT, DARK = "default", "github-dark"
 # the theme's light blue is too pale to be read on white
 LINKS = """[data-bs-theme=light] { --bs-link-color-rgb: 11, 92, 148; --bs-link-hover-color-rgb: 7, 62, 100; }
@@ -36,15 +36,15 @@ WIDE = """[role=main] table { display: block; overflow-x: auto; max-width: 100%;
 [role=main] { overflow-wrap: break-word; }
 @media (max-width: 600px) {
   [role=main] td:first-child { min-width: 9rem; }
+  /* of the moving picture both halves are to be seen at once */
   [role=main] p:has(> img) { overflow-x: auto; }
-  [role=main] p > img { max-width: none; width: 620px; }
+  [role=main] p > img:not([src*=before_after]) { max-width: none; width: 620px; }
 }
 """
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """The configuration, every page of docs/ being somewhere in its navigation."""
-    config.mdx_configs["toc"] = {**config.mdx_configs.get("toc", {}), "slugify": heading_id}
     named = set(re.findall(r"[\w/]+\.md", repr(config.nav)))
     folder = Path(config.docs_dir)
     for file in sorted(folder.rglob("*.md")):
@@ -54,12 +54,6 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
             (section,) = [part[title] for part in config.nav or [] if title in part]
             section.append(page.as_posix())
     return config
-
-
-def heading_id(heading: str, separator: str) -> str:
-    """The id of a heading, never beginning with a digit: the theme takes ids for selectors, which may not."""
-    found = slugify(heading, separator)
-    return f"step-{found}" if found[:1].isdigit() else found
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -72,7 +66,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for rule in HtmlFormatter(style=style).get_style_defs(f"[data-bs-theme={scheme}] .codehilite").splitlines()
         if rule.startswith("[data-bs-theme") and ".linenos" not in rule
     ]
-    files.append(File.generated(config, "site.css", content=LINKS + READABLE + WIDE + "\n".join(rules) + "\n"))
+    files.append(File.generated(config, "site.css", content=LINKS + WIDE + "\n".join(rules) + "\n" + READABLE))
     return files
 
 
@@ -88,6 +82,11 @@ def on_post_build(config: MkDocsConfig) -> None:
     switch = Path(config.site_dir) / "js" / "darkmode.js"
     text = re.sub(r"(hljs_(?:light|dark))(\.disabled)", r"if (\1) \1\2", switch.read_text(encoding="utf-8"))
     switch.write_text(text, encoding="utf-8")
+    # and its list of contents takes an id for a selector, which may not begin with a digit
+    contents = Path(config.site_dir) / "js" / "bootstrap.bundle.min.js"
+    text = contents.read_text(encoding="utf-8")
+    assert text.count(BY_HASH) == 1, "the theme's script is another one: see whether it still needs this"
+    contents.write_text(text.replace(BY_HASH, ESCAPED), encoding="utf-8")
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 
@@ -25,6 +26,7 @@ _WORDS = {
 }
 _OF_FLOOR = ("repeatability", "instrument")
 _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
+_LETTERS = 30  # of a line beside the bars
 _MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
 
 
@@ -87,8 +89,10 @@ def _line(row: Row, total: float, known: bool) -> Line:
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     """A bar a row on a logarithmic axis, hatched where negative, with whiskers for the interval."""
-    height = 0.6 + 0.22 * len(lines)
-    longest = max(len(line.words) for line in lines)
+    names = [fill(line.words, _LETTERS) for line in lines]
+    rows = [name.count("\n") + 1 for name in names]
+    height = 0.6 + 0.2 * len(lines) + 0.1 * sum(rows)
+    longest = max(len(part) for name in names for part in name.split("\n"))
     figure, axes = small(3.4 + 0.075 * longest, height, left=0.3 + 0.07 * longest)
     most = max(abs(line.value) for line in lines) or 1.0
     least = _MIN_DECADE * most
@@ -114,7 +118,7 @@ def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     axes.set_xscale("log")
     axes.minorticks_off()
     in_decades(axes.xaxis)
-    axes.set_yticks(range(len(lines)), [line.words for line in lines], fontsize=7.5)
+    axes.set_yticks(range(len(lines)), names, fontsize=7.5)
     axes.set_ylim(len(lines) - 0.5, -0.5)
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)

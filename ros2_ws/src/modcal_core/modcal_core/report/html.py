@@ -165,7 +165,7 @@ def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]
     if met := data["tolerance"]:
         name = {"mean": "mean", "rms": "RMS", "p95": "95 %", "max": "largest"}[met["statistic"]]
         out.append((f"tolerance {met['asked_mm']:g} mm, {name}", met["result"]))
-    out += [("stations", str(recording["stations"])), ("stations rejected", str(recording["rejected"]))]
+    out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
     return out
 
 
