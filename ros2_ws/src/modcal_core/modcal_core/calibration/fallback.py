@@ -8,7 +8,7 @@ either (:mod:`modcal_core.calibration.outermost`). It comes in over a twentieth 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -17,10 +17,15 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-if TYPE_CHECKING:
-    from modcal_core.calibration.model import Model
-
 BLEND = 0.05  # rad or m beyond what was seen, over which the other model comes in
+
+
+class Predicting(Protocol):
+    """A model that predicts poses (N, 4, 4) of samples."""
+
+    def predict_samples(self, samples: Samples) -> Array:
+        """Poses of the tool as the readings of these samples should show them."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,7 @@ class Fallback:
     low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,).
     """
 
-    model: Model
+    model: Predicting
     low: Array
     high: Array
     curved: np.ndarray

@@ -47,7 +47,7 @@ class Correction:
         self._arm = replace(self.model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
         self._full = _Parts.of(self.model)
         self._fallback = calibration.fallback(self.model, calibration.geometric)
-        self._outside = self._full if self._fallback is None else _Parts.of(self._fallback.model)
+        self._outside = _Parts.of(calibration.geometric.with_effects(()))
         self._covariance = _deviations_covariance(calibration)
 
     @property
