@@ -32,6 +32,7 @@ from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.plausibility.require import require_plausible
 from modcal_core.regimes.find import find_regimes, moves_of
@@ -133,6 +134,7 @@ def calibrate(
             *contradictions_of_distances(distances),
             *contradicted_together(final, train, cell.distances),
             *doubtful(left, scored, samples, chain),
+            *computed_in_part(samples, chain, wrong),
             *samples.origin.doubts,
             *absurd,
             *long_tool(final.model),

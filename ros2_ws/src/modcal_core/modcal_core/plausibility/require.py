@@ -21,6 +21,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.descriptions import other_order, other_type
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.mistakes import (
@@ -35,6 +36,7 @@ from modcal_core.plausibility.mistakes import (
 )
 from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
@@ -75,6 +77,8 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             disagreeing_channel(whole, chain)
             or written_otherwise(whole, chain)
             or mispaired(whole, chain)
+            or other_order(whole, chain)
+            or other_type(whole, chain)
             or other_link(whole, chain)
             or (mixed_joints(whole, chain) if best[1] else None)  # which explains it wholly, where the lists do not
         )
@@ -90,7 +94,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
             "record an instrument that measures all three coordinates",
         )
-    found = disagreement(few, chain) or part_apart(whole, chain)
+    found = disagreement(few, chain) or part_apart(whole, chain) or several_placements(whole, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
