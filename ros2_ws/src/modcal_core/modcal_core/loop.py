@@ -99,7 +99,7 @@ def calibrate(
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     geometric = identify_moved(nominal.model, train, choice.parameters, cell.distances)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
-        require_plausible(nominal, geometric, train, samples)
+        require_plausible(nominal, geometric, train, samples, cell.distances)
 
     # what is left: where it comes from, an effect for it, and again
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
@@ -108,7 +108,7 @@ def calibrate(
         diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
-    require_plausible(nominal, final, train, samples)
+    require_plausible(nominal, final, train, samples, cell.distances)
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)
