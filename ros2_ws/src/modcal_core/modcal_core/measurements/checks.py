@@ -141,7 +141,7 @@ def _require_reading(track: ReadingTrack, chain: Mechanism, recording: Recording
             name,
             f"{complaint[0].partition(': it looks')[0]}; only {', '.join(chain.names)} "
             f"{'is' if chain.n == 1 else 'are'} between {chain.base} and {chain.tip}, and {listed} moved as well",
-            "give --tip as the link that carries the target; an arm ends before a joint that mimics another in the URDF "
+            "give --tip as the link that carries the target; an arm ends before a joint that mimics another "
             "or is mimicked: where that joint has a motor of its own, remove its <mimic> tag",
         )
     raise BadRecording(name, *complaint)
