@@ -14,6 +14,7 @@ from modcal_core.calibration.split import hold_out_all, split
 from modcal_core.calibration.store import Calibration
 from modcal_core.diagnosis.locate import frozen, located
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.report.contents import Step
 from modcal_core.report.joint_offsets import joint_offsets
@@ -76,6 +77,7 @@ def evaluate(
         not_applied=applied.not_applied,
         contradictions=(
             *doubtful(residuals, scored, samples, calibration.nominal.chain),
+            *computed_in_part(samples, calibration.nominal.chain, wrong),
             *samples.origin.doubts,
         ),
         convention=convention,

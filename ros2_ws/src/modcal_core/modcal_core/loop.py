@@ -33,6 +33,7 @@ from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.plausibility.require import require_plausible
 from modcal_core.regimes.find import find_regimes, moves_of
@@ -102,7 +103,7 @@ def calibrate(
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
     geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
-        require_plausible(nominal, geometric, train, samples)
+        require_plausible(nominal, geometric, train, samples, cell.distances)
 
     # what is left: where it comes from, an effect for it, and again
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
@@ -111,7 +112,7 @@ def calibrate(
         diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
-    require_plausible(nominal, final, train, samples)
+    require_plausible(nominal, final, train, samples, cell.distances)
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)
@@ -138,6 +139,7 @@ def calibrate(
             *contradicted_together(final, train, cell.distances),
             *contradicted_places(final, cell.tool, cell.known),
             *doubtful(left, scored, samples, chain),
+            *computed_in_part(samples, chain, wrong),
             *samples.origin.doubts,
             *absurd,
             *long_tool(final.model),

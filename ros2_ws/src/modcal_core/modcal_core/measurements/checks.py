@@ -19,6 +19,7 @@ _LEAST_MESSAGES = 50
 _JUMP, _FASTEST = 0.05, 3.0  # rad, rad/s; a joint that goes so far so fast does not come back within
 _AT_ONCE, _BACK = 0.3, 0.2  # s, to within this share of the way
 _OFTEN = 0.05  # share of the messages; single ones are an encoder's glitches
+_MOVES = 1e-3  # rad or m; a joint that moves by less stands still
 _SHOWN = 12  # topics in a refusal
 POSITIONS = "tracker/pose or tracker/point"
 
@@ -103,7 +104,7 @@ def _require_readings(recording: Recording, chain: Mechanism) -> None:
             or "check that the tracker runs and sees its target, and the topic's name and QoS" + _there(recording),
         )
     for track in tracks:
-        _require_reading(track, chain)
+        _require_reading(track, chain, recording)
 
 
 def _stated(recording: Recording, *roles: str) -> str:
@@ -129,7 +130,29 @@ def _there(recording: Recording) -> str:
     return f"; recorded are {', '.join(names[:_SHOWN])}{more}" if names else ""
 
 
-def _require_reading(track: ReadingTrack, chain: Mechanism) -> None:
+def _require_reading(track: ReadingTrack, chain: Mechanism, recording: Recording) -> None:
     name = f"{track.topic} ({track.frame})"
-    if (complaint := kinds()[track.kind].complaint(track, chain.reach())) is not None:
-        raise BadRecording(name, *complaint)
+    if (complaint := kinds()[track.kind].complaint(track, chain.reach())) is None:
+        return
+    beside = _moving_beside(recording, chain)
+    if len(beside) > chain.n:  # the chain is a small part of what moves: the way to the tip ended too early
+        listed = ", ".join(beside)
+        raise BadRecording(
+            name,
+            f"{complaint[0].partition(': it looks')[0]}; only {', '.join(chain.names)} "
+            f"{'is' if chain.n == 1 else 'are'} between {chain.base} and {chain.tip}, and {listed} moved as well",
+            "give --tip as the link that carries the target; an arm ends before a joint that mimics another "
+            "or is mimicked: where that joint has a motor of its own, remove its <mimic> tag",
+        )
+    raise BadRecording(name, *complaint)
+
+
+def _moving_beside(recording: Recording, chain: Mechanism) -> tuple[str, ...]:
+    """Names of recorded joints that move and are none of the arm's."""
+    found: dict[str, None] = {}
+    for track in recording.joints:
+        for j, name in enumerate(track.names):
+            known = track.position[np.isfinite(track.position[:, j]), j]
+            if name not in chain.names and len(known) and np.ptp(known) > _MOVES:
+                found[name] = None
+    return tuple(found)

@@ -8,11 +8,12 @@ times is named. When none does, one channel of the recording may not go along wi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.score import errors
 from modcal_core.errors import BadRecording, ModcalError
@@ -21,6 +22,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.descriptions import other_order, other_type
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.mistakes import (
@@ -35,7 +37,9 @@ from modcal_core.plausibility.mistakes import (
 )
 from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import most_likely
+from modcal_core.plausibility.stated_distances import wrong_distances
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
@@ -47,10 +51,17 @@ _SCREENED = 4  # mistakes of several joints that are fitted
 _MOST = 300  # samples are enough to tell
 
 
-def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Samples | None = None) -> None:
+def require_plausible(
+    nominal: Fit,
+    fitted: Fit,
+    samples: Samples,
+    whole: Samples | None = None,
+    distances: Sequence[AnyDistance] = (),
+) -> None:
     """Raises BadRecording, naming the likely mistake, when the fitted model misses by more than an arm's errors can.
 
     samples: that were fitted. whole: of the recording, in which rows stand beside their neighbours; None for these.
+    distances: that were stated and fitted beside the readings.
     """
     chain = nominal.model.chain
     limit = LIMIT_OF_REACH * chain.reach()
@@ -59,6 +70,12 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         return
     rows = np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int)
     few = samples.select(np.unique(rows))
+    said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
+    if distances:
+        alone = fit_cell(chain, samples, Cell())
+        told = wrong_distances(alone, distances) if _miss(alone, samples) < limit else None
+        if told is not None:
+            raise BadRecording(told.what, f"{said}, and it does not without them", told.remedy)
     usual = _miss(nominal, few)
     best: tuple[float, str, str] = (usual / _BETTER, "", "")
     for mistake in _mistakes(few.names, bool(few.is_pose.all())):
@@ -68,18 +85,19 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
         for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
             several = _weighed(mistake, few, chain, several)
         best = several if several[1] else best
-    said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     whole = samples if whole is None else whole
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
-        alone = (
+        apart = (
             disagreeing_channel(whole, chain)
             or written_otherwise(whole, chain)
             or mispaired(whole, chain)
+            or other_order(whole, chain)
+            or other_type(whole, chain)
             or other_link(whole, chain)
             or (mixed_joints(whole, chain) if best[1] else None)  # which explains it wholly, where the lists do not
         )
-        if alone is not None:
-            raise BadRecording(alone.what, said, alone.remedy)
+        if apart is not None:
+            raise BadRecording(apart.what, said, apart.remedy)
     named = f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm"
     if best[1] and best[0] <= limit:
         raise BadRecording(best[1], named, best[2])
@@ -90,7 +108,7 @@ def require_plausible(nominal: Fit, fitted: Fit, samples: Samples, whole: Sample
             f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
             "record an instrument that measures all three coordinates",
         )
-    found = disagreement(few, chain) or part_apart(whole, chain)
+    found = disagreement(few, chain) or part_apart(whole, chain) or several_placements(whole, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm

@@ -9,6 +9,7 @@ import numpy as np
 from modcal_core.calibration.stated import Stated
 from modcal_core.measurements.returns import LEAST_RETURNS
 from modcal_core.verdict.account import account
+from modcal_core.verdict.along_motion import along_motion
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.contributions import Contribution, contributions, mean_square, resampled
 from modcal_core.verdict.estimation import estimation
@@ -16,6 +17,7 @@ from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.one_joint import one_joint
 from modcal_core.verdict.one_place import one_place
+from modcal_core.verdict.one_topic import one_topic
 from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import Predictable, predictable
 from modcal_core.verdict.two_groups import two_groups
@@ -60,6 +62,8 @@ def judge(
         *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
         *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
         *_reasons("predictable", _predictable(seen)),
+        *_reasons("predictable", _one_topic(case)),
+        *_reasons("predictable", _along_motion(case, stated)),
         *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
         *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
     )
@@ -129,6 +133,19 @@ def _predictable(seen: Predictable) -> Iterator[str]:
             f"About {share.share:.0%} of the squared error that is left can be predicted from {seen.source} "
             f"(at least {share.lower99:.0%}, 99 %), and the model does not explain it."
         )
+
+
+def _one_topic(case: Case) -> Iterator[str]:
+    found = one_topic(case)
+    if found is not None:
+        yield found.sentence
+
+
+def _along_motion(case: Case, stated: Stated | None) -> Iterator[str]:
+    """Readings in motion that err along their way, unless it was stated what does not repeat."""
+    found = None if stated is not None and stated.rms_mm is not None else along_motion(case)
+    if found is not None:
+        yield found.sentence
 
 
 def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:

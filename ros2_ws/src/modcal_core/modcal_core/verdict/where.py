@@ -15,8 +15,10 @@ from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import wrong_joints
 from modcal_core.verdict.case import Case, derivatives, weights
+from modcal_core.verdict.rejected_alike import rejected_alike
 from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
 from modcal_core.verdict.verdict import Reason, Verdict
 
@@ -88,10 +90,11 @@ def _apart(case: Case) -> Iterator[str]:
         looks = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
         other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
-    other = other or part_apart(case.samples, chain)
+    other = other or part_apart(case.samples, chain) or several_placements(case.samples, chain)
     if other is not None:
         what = other.what[0].upper() + other.what[1:]
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    yield from rejected_alike(case)
     if case.fitted:
         samples = case.samples.select(np.flatnonzero(case.wrong))
         along = dependence(case.model, samples, weights(case.noise, samples))

@@ -1,0 +1,120 @@
+"""Stations whose readings were computed from the joints, among others that were measured.
+
+A script that fills gaps with the controller's pose leaves readings that the arm as it is drawn reproduces exactly, with
+one base and one tool, while no measured one is met like that. Three poses tell base and tool exactly; of points, which
+are linear in the turns and places of the tip, fourteen tell that map. Draws of so few stations, of those that the model
+rejects and of neighbours too, are asked how many others they reproduce (RANSAC; Fischler & Bolles 1981).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place
+from modcal_core.calibration.runs import consecutive
+from modcal_core.calibration.score import FINEST
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+
+_LEAST = 30  # stations
+_MOST = 400  # the same at most
+_POSES, _POINTS = 3, 14  # stations in a draw
+_DRAWS = 300  # of each kind
+_ENOUGH = 8  # stations beyond those drawn that are met to the last digit
+_MOST_AGREE = 0.95  # where more do, all are computed
+_COARSEST = 1e-5  # m; rounded more coarsely, measured readings are met by chance
+_STEPS = (1e-5, 1e-6)  # m; powers of ten that are written
+
+
+def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | None = None) -> tuple[str, ...]:
+    """A sentence where many stations, though not all, hold what the nominal arm says to the last digit; else nothing.
+
+    wrong: True for samples that a model rejects, (N,), which are drawn from by themselves too.
+    """
+    if not is_serial_arm(chain) or not len(samples):
+        return ()
+    f = int(np.argmax(np.bincount(samples.frame)))
+    rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
+    if samples.frames[f] in samples.sockets:
+        return ()
+    rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MOST]
+    if len(rows) < _LEAST:
+        return ()
+    limit = max(FINEST, _step(samples.reading[rows]))
+    if limit > _COARSEST:
+        return ()
+    part = samples.select(rows)
+    try:
+        met = _met(forward(chain, part.q), part, None if wrong is None else wrong[rows], limit)
+    except np.linalg.LinAlgError:
+        return ()
+    count = int(met.sum())
+    if count < _ENOUGH + (_POSES if part.is_pose.all() else _POINTS) or count > _MOST_AGREE * len(rows):
+        return ()
+    runs, number = consecutive(met), part.station
+    where = "here and there"
+    if len(runs) <= 3:
+        where = "stations " + " and ".join(f"{number[a]} to {number[b - 1]}" for a, b in runs)
+    return (
+        f"The nominal model reproduces the readings of {count} of {len(rows)} stations ({where}) to {1e6 * limit:.2g} "
+        "µm with one base and one tool, which no instrument does: they were probably computed from the joints (by the "
+        "controller, or by a script where the tracker lost its target), and are not a measurement. Leave them out.",
+    )
+
+
+def _met(A: Array, samples: Samples, wrong: np.ndarray | None, limit: float) -> np.ndarray:
+    """Stations of the draw that reproduces most to the limit, (N,)."""
+    rng = np.random.default_rng(0)
+    poses = bool(samples.is_pose.all())
+    draws = _draws(len(samples), _POSES if poses else _POINTS, wrong, rng)
+    design = np.concatenate([A[:, :3, :3].reshape(-1, 9), A[:, :3, 3], np.ones((len(A), 1))], axis=1)
+    best = np.zeros(len(samples), bool)
+
+    def found(rows: Array) -> Array:
+        if poses:
+            Y, _ = base_and_tool_turns(A[rows][..., :3, :3], samples.R[rows])
+            _, x, t = tool_and_place(Y, A[rows], samples.reading[rows])
+            return np.asarray(samples.reading - (se3.apply(A, x) @ Y.T + t))
+        map_ = np.linalg.lstsq(design[rows], samples.reading[rows], rcond=1e-10)[0]
+        return np.asarray(samples.reading - design @ map_)
+
+    if poses:  # all draws at once
+        Y, _ = base_and_tool_turns(A[draws][..., :3, :3], samples.R[draws])
+        _, x, t = tool_and_place(Y, A[draws], samples.reading[draws])
+        point = np.einsum("nij,cj->cni", A[:, :3, :3], x) + A[:, :3, 3]
+        gap = np.linalg.norm(samples.reading - (point @ np.swapaxes(Y, 1, 2) + t[:, None]), axis=2)
+        near = gap < 10.0 * limit  # three poses do not tell them to the last digit
+        best = near[int(np.argmax(near.sum(axis=1)))]
+    else:
+        for rows in draws:
+            near = np.linalg.norm(found(rows), axis=1) < 10.0 * limit
+            best = near if near.sum() > best.sum() else best
+    for _ in range(2):
+        if best.sum() < (_POSES if poses else _POINTS):
+            return np.zeros(len(samples), bool)
+        best = np.linalg.norm(found(np.flatnonzero(best)), axis=1) < limit
+    return best
+
+
+def _draws(N: int, size: int, wrong: np.ndarray | None, rng: np.random.Generator) -> Array:
+    """Rows (D, size): of all where few are drawn, of neighbours, and of those that are wrong."""
+    sets = []
+    if size == _POSES:
+        sets += [rng.permuted(np.tile(np.arange(N), (_DRAWS, 1)), axis=1)[:, :size]]
+    first = rng.integers(0, max(N - 2 * size, 1), _DRAWS)
+    sets.append(first[:, None] + rng.permuted(np.tile(np.arange(2 * size), (_DRAWS, 1)), axis=1)[:, :size])
+    out = np.flatnonzero(wrong) if wrong is not None else np.zeros(0, int)
+    if len(out) >= size:
+        sets.append(out[rng.permuted(np.tile(np.arange(len(out)), (_DRAWS, 1)), axis=1)[:, :size]])
+    return np.minimum(np.concatenate(sets), N - 1)
+
+
+def _step(position: Array) -> float:
+    """The power of ten [m] that readings are rounded to; 0 where it is finer than those that are looked for."""
+    for step in (1e-3, 1e-4, *_STEPS):
+        u = position / step
+        if np.abs(u - np.round(u)).max() < 0.01:
+            return step
+    return 0.0

@@ -1,0 +1,120 @@
+"""Joints under each other's names in any order, and joints that slide where they turn, or the reverse.
+
+All orders of the columns are compared without knowing base and tool (:mod:`joint_columns`); the likeliest, and each
+joint with its type changed, are then placed in closed form and must explain the readings as a nominal arm does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.consistency import Disagreement, limits
+from modcal_core.plausibility.joint_columns import LEAST_ROWS, likely_orders
+from modcal_core.plausibility.most_seen import most_seen
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+
+_MOST = 100  # stations; more say the same
+_LIKELY = 6  # orders that are placed
+_BETTER = 4.0  # times what is missed by as it is
+
+
+def other_order(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """The order of the joints' columns that the readings ask for, None where that as written does as well as any.
+
+    samples: all of them; in a frame of several, that with most readings is looked at.
+    """
+    part = _some(samples, chain)
+    if part is None or not is_serial_arm(chain):
+        return None
+    n = chain.n
+    try:
+        _, distance = _missed(chain, part.q, part)
+        orders = likely_orders(chain, np.c_[part.q, part.reading], 1.0, range(n), [(n, n + 1, n + 2)], _LIKELY)
+        found = [(*_missed(chain, part.q[:, list(o.columns)], part), o.columns) for o in orders]
+    except np.linalg.LinAlgError:
+        return None
+    most_angle, most = limits(chain)
+    good = [f for f in found if f[0] < most_angle and f[1] < most and _BETTER * f[1] < distance]
+    if not good:
+        return None
+    columns = min(good, key=lambda f: f[1])[2]
+    moved = [k for k in range(n) if columns[k] != k]
+    names = part.names or chain.names
+    each = ", ".join(f"{names[k]} under the name {names[columns[k]]}" for k in moved)
+    shift = next((s for s in range(1, n) if columns == tuple((k + s) % n for k in range(n))), 0)
+    how = ""
+    if shift:
+        by = min(shift, n - shift)
+        how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)"
+    return Disagreement(
+        f"joints stand in another order than they are named, as if permuted{how}: {each}",
+        "correct the order of the names in joint_states",
+        len(part),
+        len(part),
+    )
+
+
+def other_type(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """The joint that turns where the URDF lets it slide, or the reverse; None where none explains the readings.
+
+    samples: all of them; in a frame of several, that with most readings is looked at.
+    """
+    part = _some(samples, chain)
+    if part is None or not is_serial_arm(chain):
+        return None
+    found: list[tuple[float, int]] = []
+    try:
+        before = _missed(chain, part.q, part)[1]
+        for j, other in _types(chain):
+            angle, distance = _missed(other, part.q, part)
+            most_angle, most = limits(other)
+            if angle < most_angle and distance < min(most, limits(chain)[1]) and _BETTER * distance < before:
+                found.append((distance, j))
+    except np.linalg.LinAlgError:
+        return None
+    if not found:
+        return None
+    j = min(found)[1]
+    name = chain.names[j]
+    written, real = ("revolute", "slide") if chain.revolute[j] else ("prismatic", "turn")
+    return Disagreement(
+        f"joint {name} is {written} in the URDF, and the readings show it {real}",
+        f'check <joint type="..."> of {name}',
+        len(part),
+        len(part),
+    )
+
+
+def _types(chain: Chain) -> Iterator[tuple[int, Chain]]:
+    for j in range(chain.n):
+        revolute = chain.revolute.copy()
+        revolute[j] = not revolute[j]
+        lower, upper = chain.lower.copy(), chain.upper.copy()
+        lower[j], upper[j] = -np.pi, np.pi
+        yield j, replace(chain, revolute=revolute, lower=lower, upper=upper)
+
+
+def _some(samples: Samples, chain: Mechanism) -> Samples | None:
+    part = most_seen(samples, chain, LEAST_ROWS, 10 * _MOST)
+    if part is None:
+        return None
+    return part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
+
+
+def _missed(chain: Chain, q: Array, samples: Samples) -> tuple[float, float]:
+    """Median angle [rad] and distance [m] that a nominal arm misses by at these postures."""
+    A = forward(chain, q)
+    if not samples.is_pose.all():
+        Y = base_by_positions(A[None], samples.reading[None])[0]
+        return 0.0, float(np.median(np.linalg.norm(tool_and_place(Y, A, samples.reading)[0], axis=1)))
+    Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
+    turned = np.linalg.norm(turns_left(Y, A[:, :3, :3], X, samples.R), axis=1)
+    gap = np.linalg.norm(tool_and_place(Y, A, samples.reading)[0], axis=1)
+    return float(np.median(turned)), float(np.median(gap))
