@@ -21,7 +21,7 @@ from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
 
 if TYPE_CHECKING:
-    from modcal_core.camera.beside import Beside
+    from modcal_core.camera.beside import ReadingsBeside
     from modcal_core.camera.solve import CameraSolution
     from modcal_core.camera.target import PrintedTarget
     from modcal_nodes.vision.images import ImageFolder
@@ -199,7 +199,7 @@ def _solved(
 
 def _read(
     camera: dict[str, Any], options: dict[str, Any], target: PrintedTarget, bag: Path | None, watch: Watch
-) -> tuple[Robot, ImageFolder, Beside | None]:
+) -> tuple[Robot, ImageFolder, ReadingsBeside | None]:
     """The robot, the images with their joints, and readings of other instruments in the bag, None where it has none."""
     from modcal_core.camera.beside import beside
     from modcal_nodes.vision.bag import read_bag_images
