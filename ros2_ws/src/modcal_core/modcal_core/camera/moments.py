@@ -30,8 +30,8 @@ class ImageMoments:
 
     def select(self, rows: np.ndarray) -> ImageMoments:
         """Those of some of the images."""
-        arrays = (a[rows] if len(a) else a for a in (self.stamps, self.approach, self.effort))
-        return ImageMoments(*arrays, self.signals)
+        stamps, approach, effort = (a[rows] if len(a) else a for a in (self.stamps, self.approach, self.effort))
+        return ImageMoments(stamps, approach, effort, self.signals)
 
     def elsewhere(self) -> ImageMoments:
         """What is known of postures that nobody has measured: nothing."""

@@ -161,7 +161,9 @@ def solve_camera(
     still = replace(arm, parameters=arm_poses(*start, hand_eye_only=True).parameters)
     nominal = fit_camera(table, still, lens_fit.lens, prior)
 
-    geometric, causes, left = fit, (), None
+    geometric = fit
+    causes: tuple[CameraCause, ...] = ()
+    left: EffectChoice | None = None
     if look_for_effects:
         progress("effects")
         fit, causes, left = find_causes(fit, rng, size_of_arm, progress)
