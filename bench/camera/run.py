@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,11 +20,15 @@ from camera.boards import BOARD  # noqa: E402
 from camera.render import render  # noqa: E402
 from camera.scenes import CameraScene, scene  # noqa: E402
 
+from modcal_core.camera.corners import CornerTable  # noqa: E402
 from modcal_core.camera.fit import CameraFit  # noqa: E402
+from modcal_core.camera.intrinsics import first_lens, fit_lens  # noqa: E402
 from modcal_core.camera.lens import Lens  # noqa: E402
 from modcal_core.camera.solve import solve_camera  # noqa: E402
+from modcal_core.camera.target import PrintedTarget  # noqa: E402
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
 from modcal_core.camera.tool_error import postures_anywhere, postures_in_view  # noqa: E402
+from modcal_core.camera.views import BoardView  # noqa: E402
 from modcal_core.errors import ModcalError  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_core.geometry.so3 import Array  # noqa: E402
@@ -94,6 +99,28 @@ def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array) -> float:
     return 1e3 * float(np.sqrt(((se3.apply(T, tip) - se3.apply(s.truth(q), tip)) ** 2).sum(1).mean()))
 
 
+SINGLE = replace(BOARD, square=0.03125)  # a square that single precision, which OpenCV computes with, holds exactly
+
+
+def against_opencv(s: CameraScene) -> float:
+    """Relative difference of the least cost from that of calibrateCamera on the same corners, without a prior.
+
+    The corners are those of the cell, of a flat board whose size both programs take as it stands.
+    """
+    sheet: PrintedTarget = replace(SINGLE, scale=s.board.scale)
+    white = []
+    for v in s.views:
+        pixels = v.pixels.astype(np.float32).astype(float)
+        white.append(BoardView(v.name, v.ids, pixels, np.tile(np.eye(2), (len(v), 1, 1))))
+    table = CornerTable.of(white, sheet)
+    own = fit_lens(table, first_lens(table, s.lens.size))
+    points = [sheet.points[v.ids].astype(np.float32) for v in white]
+    pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in white]
+    end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-15)
+    rms = cv2.calibrateCamera(points, pixels, s.lens.size, None, None, flags=0, criteria=end)[0]
+    return own.cost / (rms**2 * len(table)) - 1.0
+
+
 def one_cell(seed: int, rendered: bool) -> dict[str, Any]:
     """What came of a cell, and what is true of it."""
     out: dict[str, Any] = {"cell": seed}
@@ -109,6 +136,8 @@ def one_cell(seed: int, rendered: bool) -> dict[str, Any]:
     P = len(r.fit.poses.parameters)
     z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[P + 1 : P + 10]
     return out | {
+        "opencv": against_opencv(s),
+        "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes],
         "seconds": time.process_time() - began,
         "mounting": "tip" if s.on_tip else "world",
         "found": "tip" if r.fit.poses.camera_on_tip else "world",
@@ -161,6 +190,8 @@ def show(cells: list[dict[str, Any]]) -> None:
     print(f"apply, and worse than nominal: {share([c['true'] >= c['nominal'] for c in apply])}")
     print(f"error below half of nominal, and apply said: {share([c['word'] == 'apply' for c in halved])}")
     print(f"intrinsics within 3 sigma: {100.0 * float((sigmas <= 3.0).mean()):.1f} % of {len(sigmas)}")
+    print(f"cost over OpenCV's, less one: {np.abs([c['opencv'] for c in good]).max():.1e} at most of {len(good)} cells")
+    print(f"cells with an effect: {share([bool(c['effects']) for c in good])}")
     print(f"seconds of processor a cell, corners to report: {np.median([c['seconds'] for c in good]):.1f}")
 
 

@@ -96,6 +96,10 @@ def test_corners_as_messages() -> None:
     twice = fill_corners(empty, field, replace(seen, ids=np.zeros(len(seen), int)), SIZE, "camera")
     with pytest.raises(BadRecording, match="twice"):
         read_corners(twice)
+    astray = fill_corners(empty, field, seen, SIZE, "camera")
+    astray.fields[0].offset = 1000
+    with pytest.raises(BadRecording, match="bytes"):
+        read_corners(astray)
     message.data = message.data[:10]
     with pytest.raises(BadRecording, match="bytes"):
         read_corners(message)

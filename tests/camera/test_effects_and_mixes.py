@@ -11,11 +11,11 @@ from camera.scenes import CameraScene, scene
 from camera.test_camera_fit import MEASURED, solved, start, true_error
 from finite_differences import assert_jacobian
 
-from modcal_core.camera.beside import Beside, beside
+from modcal_core.camera.beside import ReadingsBeside, beside
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import fit_camera
-from modcal_core.camera.moments import Moments
+from modcal_core.camera.moments import ImageMoments
 from modcal_core.camera.priors import common_prior
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import postures_in_view
@@ -36,7 +36,7 @@ def ball(s: CameraScene, q: Array, noise: float, rng: np.random.Generator) -> Ar
     return np.asarray(se3.apply(T, BALL) + noise * rng.standard_normal((len(q), 3)))
 
 
-def tracked(s: CameraScene, count: int = 15, noise: float = 5e-5) -> Beside:
+def tracked(s: CameraScene, count: int = 15, noise: float = 5e-5) -> ReadingsBeside:
     rng = np.random.default_rng(7)
     low, high = s.q.min(0), s.q.max(0)
     q = rng.uniform(low, high, (count, s.chain.n))
@@ -149,7 +149,7 @@ def test_a_ratio_and_backlash_are_found_from_corners() -> None:
     q[:, 3] *= 1.002
     q[:, 0] += 1e-3 * came[:, 0]
     moved = with_motion(s, q)
-    r = solved(moved, moments=Moments(approach=came[: len(moved.q)]))
+    r = solved(moved, moments=ImageMoments(approach=came[: len(moved.q)]))
     found = {(c.effect.family, c.effect.place): c.effect for c in r.causes}
     ratio, play = found["gear_ratio", s.chain.names[3]], found["backlash", s.chain.names[0]]
     assert ratio.values == pytest.approx(0.002, abs=2e-4)

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from camera.boards import BOARD
+from camera.boards import BOARD, seen
 from camera.render import render
 from camera.scenes import PANDA, CameraScene, scene
 from camera.test_effects_and_mixes import BALL, TRACKER
@@ -102,8 +102,8 @@ def write_cell(folder: Path, s: CameraScene, pictures: Sequence[np.ndarray], len
                 out.append((t, "/camera/image_raw/compressed", COMPRESSED, image))
                 assert float(name) > 0.0
             if 10 <= j < 40:
-                seen = at_point(*(float(x) for x in ball[k] + 2e-5 * rng.standard_normal(3)))
-                out.append((t, "/tracker/point", "geometry_msgs/msg/PointStamped", point(header(t, "tracker"), seen)))
+                said = at_point(*(float(x) for x in ball[k] + 2e-5 * rng.standard_normal(3)))
+                out.append((t, "/tracker/point", "geometry_msgs/msg/PointStamped", point(header(t, "tracker"), said)))
             t += STAY / 50
     with BagWriter(folder) as bag:
         String = message_class("std_msgs/msg/String")
@@ -268,3 +268,22 @@ def test_info_says_what_images_are_good_for(recorded: Recorded, capsys: pytest.C
     assert 0.0 <= low < 20.0 < high < 60.0
     assert images["distance_m"][0] == pytest.approx(0.35, abs=0.1)
     assert any("take 25 to 30" in said for said in images["findings"])
+
+
+def test_plan_says_which_images_to_take_next(
+    recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Postures that show the whole target, and by which the expected error falls, as MuJoCo's arm sees it."""
+    call = ["plan", "--camera", str(recorded.bag), "--target", target(recorded), "--tip", "panda_link8"]
+    assert run([*call, "--stations", "5", "--out", str(tmp_path / "plan"), "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    expected = np.array(plan["expected_mm"])
+    assert (np.diff(expected) < 0.0).all()
+    assert expected[-1] < 0.85 * expected[0]
+    q = np.loadtxt(tmp_path / "plan" / "stations.csv", delimiter=",", skiprows=1)
+    assert q == pytest.approx(np.array(plan["stations"]))
+    for T in se3.inverse(recorded.scene.truth(q)):
+        pixels = seen(T, BOARD.points, VGA)
+        assert ((pixels > 0.0) & (pixels < np.array(VGA.size))).all()
+    assert run(["plan", "--target", target(recorded)]) == 2
+    assert "needs --camera and --target" in capsys.readouterr().err

@@ -14,10 +14,17 @@ from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.stamps import seconds, set_seconds
 
-CORNER = np.dtype(
-    [("u", "<f4"), ("v", "<f4"), ("sigma", "<f4"), ("id", "<u4"), ("image_width", "<u4"), ("image_height", "<u4")]
-)
 _FLOAT32, _UINT32 = 7, 6  # of sensor_msgs/PointField
+_FIELDS = {  # name: (kind of number, its PointField type)
+    "u": ("<f4", _FLOAT32),
+    "v": ("<f4", _FLOAT32),
+    "sigma": ("<f4", _FLOAT32),
+    "id": ("<u4", _UINT32),
+    "image_width": ("<u4", _UINT32),
+    "image_height": ("<u4", _UINT32),
+}
+_BYTES = 4  # of each number
+CORNER = np.dtype([(name, kind) for name, (kind, _) in _FIELDS.items()])
 _MOST = 40_000  # corners of one image; a grid of 200 × 200
 
 
@@ -34,8 +41,8 @@ def fill_corners(message: Any, field: Any, view: BoardView, size: tuple[int, int
     message.point_step, message.row_step = CORNER.itemsize, CORNER.itemsize * len(rows)
     message.is_dense, message.is_bigendian = True, False
     message.fields = [
-        field(name=name, offset=CORNER.fields[name][1], datatype=_FLOAT32 if kind.kind == "f" else _UINT32, count=1)
-        for name, (kind, *_) in CORNER.fields.items()
+        field(name=name, offset=_BYTES * i, datatype=number, count=1)
+        for i, (name, (_, number)) in enumerate(_FIELDS.items())
     ]
     message.data = rows.tobytes()
     return message
@@ -44,23 +51,17 @@ def fill_corners(message: Any, field: Any, view: BoardView, size: tuple[int, int
 def read_corners(message: Any) -> tuple[BoardView, tuple[int, int]]:
     """(the view in a message, size of its image [px]). Raises BadRecording for a cloud of anything else."""
     count = int(message.width) * int(message.height)
-    names = [f.name for f in message.fields]
-    if not set(CORNER.names or ()) <= set(names) or bool(message.is_bigendian):
-        raise BadRecording("corners", f"hold {', '.join(names)[:80]}", "publish the corners of board_detector")
-    offsets = {f.name: int(f.offset) for f in message.fields}
+    there = {str(f.name): (int(f.offset), int(f.datatype)) for f in message.fields}
+    known = all(name in there and there[name][1] == number for name, (_, number) in _FIELDS.items())
+    if not known or bool(message.is_bigendian):
+        raise BadRecording("corners", f"hold {', '.join(there)[:80]}", "publish the corners of board_detector")
     step = int(message.point_step)
     data = bytes(message.data)
-    if not 0 < count <= _MOST or step < CORNER.itemsize or len(data) < step * count:
+    inside = all(0 <= there[name][0] <= step - _BYTES for name in _FIELDS)
+    if not 0 < count <= _MOST or not inside or len(data) < step * count:
         raise BadRecording("corners", f"{count} points in {len(data)} bytes", "publish the corners of board_detector")
-    kinds = {name: CORNER.fields[name][0] for name in CORNER.names or ()}
-    layout = np.dtype(
-        {
-            "names": list(kinds),
-            "formats": list(kinds.values()),
-            "offsets": [offsets[n] for n in kinds],
-            "itemsize": step,
-        }
-    )
+    kinds, offsets = [kind for kind, _ in _FIELDS.values()], [there[name][0] for name in _FIELDS]
+    layout = np.dtype({"names": list(_FIELDS), "formats": kinds, "offsets": offsets, "itemsize": step})
     rows = np.frombuffer(data, layout, count)
     pixels = np.stack([rows["u"], rows["v"]], axis=1).astype(float)
     sigma = rows["sigma"].astype(float)

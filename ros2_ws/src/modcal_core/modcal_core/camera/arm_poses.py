@@ -16,8 +16,8 @@ from modcal_core.calibration.linearise import linearise, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import choose_parameters
-from modcal_core.camera.beside import Beside, BesideRows
-from modcal_core.camera.moments import NOTHING_KNOWN, Moments
+from modcal_core.camera.beside import BesideRows, ReadingsBeside
+from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.geometry import se3, so3
@@ -45,8 +45,8 @@ class ArmPoses:
     q: Array
     velocity: Array
     camera_on_tip: bool
-    moments: Moments = NOTHING_KNOWN
-    beside: Beside | None = None
+    moments: ImageMoments = NOTHING_KNOWN
+    beside: ReadingsBeside | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:
         """The same arm at some of the images."""
@@ -178,7 +178,7 @@ def arm_poses(
     camera_on_tip: bool,
     fixed: Sequence[str] = (),
     hand_eye_only: bool = False,
-    moments: Moments = NOTHING_KNOWN,
+    moments: ImageMoments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
 ) -> ArmPoses:
     """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.

@@ -54,7 +54,7 @@ class BesideRows:
 
 
 @dataclass(frozen=True)
-class Beside:
+class ReadingsBeside:
     """Readings of other instruments. model: where the nominal arm puts their frames and tool. own: parameters of these
     and of the instruments. samples: the readings.
     """
@@ -121,7 +121,7 @@ class Beside:
             else BesideRows(J, at.residual, *(np.empty(0) for _ in range(3)))
         )
 
-    def without(self, far: np.ndarray) -> Beside:
+    def without(self, far: np.ndarray) -> ReadingsBeside:
         """Without some of the readings (mask (N,))."""
         return replace(self, samples=self.samples.select(~far))
 
@@ -136,7 +136,9 @@ class Beside:
         return np.asarray(worst > _FAR**2 * float(np.median(worst)) / _MEDIAN)
 
 
-def beside(chain: Chain, samples: Samples, inertias: Inertias | None = None, cell: Cell | None = None) -> Beside:
+def beside(
+    chain: Chain, samples: Samples, inertias: Inertias | None = None, cell: Cell | None = None
+) -> ReadingsBeside:
     """Readings of other instruments, their frames and tool placed about the nominal arm.
 
     Raises NotEnoughData for fewer than three of them in a frame, or of a kind that needs more.
@@ -150,4 +152,4 @@ def beside(chain: Chain, samples: Samples, inertias: Inertias | None = None, cel
             raise NotEnoughData(f"frame {frame}", said, "take more, or leave the topic out (--ignore)")
     model = fit_cell(chain, samples, cell or Cell(), inertias).model
     own = choose_parameters(model, views_of(samples), (), (), among=lambda p: not p.of_arm).parameters
-    return Beside(model, own, samples)
+    return ReadingsBeside(model, own, samples)

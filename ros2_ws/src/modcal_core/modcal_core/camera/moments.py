@@ -17,7 +17,7 @@ def _nothing() -> Array:
 
 
 @dataclass(frozen=True)
-class Moments:
+class ImageMoments:
     """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
     moved in, −1, 0 (unknown) or 1, (N, n). effort: of the actuators, (N, n). Empty where unknown. signals: tracks of
     whatever else was recorded.
@@ -28,12 +28,12 @@ class Moments:
     effort: Array = field(default_factory=_nothing)
     signals: tuple[SignalTrack, ...] = ()
 
-    def select(self, rows: np.ndarray) -> Moments:
+    def select(self, rows: np.ndarray) -> ImageMoments:
         """Those of some of the images."""
-        arrays = (a[rows] if len(a) else a for a in (self.stamps, self.approach, self.effort))
-        return Moments(*arrays, self.signals)
+        stamps, approach, effort = (a[rows] if len(a) else a for a in (self.stamps, self.approach, self.effort))
+        return ImageMoments(stamps, approach, effort, self.signals)
 
-    def elsewhere(self) -> Moments:
+    def elsewhere(self) -> ImageMoments:
         """What is known of postures that nobody has measured: nothing."""
         return NOTHING_KNOWN
 
@@ -62,4 +62,4 @@ class Moments:
         )
 
 
-NOTHING_KNOWN = Moments()
+NOTHING_KNOWN = ImageMoments()

@@ -15,7 +15,7 @@ from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.model import Model
 from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
-from modcal_core.camera.beside import LEAST, Beside
+from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
@@ -26,7 +26,7 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.moments import NOTHING_KNOWN, Moments
+from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
@@ -110,9 +110,9 @@ def solve_camera(
     flat: bool = False,
     fixed: Sequence[str] = (),
     progress: Callable[[str], None] = lambda _: None,
-    moments: Moments = NOTHING_KNOWN,
+    moments: ImageMoments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
-    beside: Beside | None = None,
+    beside: ReadingsBeside | None = None,
     look_for_effects: bool = True,
 ) -> CameraSolution:
     """The calibration of an arm from views of a target at joint positions q (N, n).
@@ -161,7 +161,9 @@ def solve_camera(
     still = replace(arm, parameters=arm_poses(*start, hand_eye_only=True).parameters)
     nominal = fit_camera(table, still, lens_fit.lens, prior)
 
-    geometric, causes, left = fit, (), None
+    geometric = fit
+    causes: tuple[CameraCause, ...] = ()
+    left: EffectChoice | None = None
     if look_for_effects:
         progress("effects")
         fit, causes, left = find_causes(fit, rng, size_of_arm, progress)
@@ -243,7 +245,7 @@ def _lens(
     return fit, table
 
 
-def _metric(target: PrintedTarget, arm_m: float | None, beside: Beside | None) -> tuple[str, ...]:
+def _metric(target: PrintedTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
     """What has a length that somebody measured or states."""
     out = ["the sheet's rulers were measured"] if target.scale.measured else []
     if beside is not None and beside.metric:

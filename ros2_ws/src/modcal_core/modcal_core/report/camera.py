@@ -176,7 +176,7 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
     out = [f"{sentence}." for _, sentence in _named(solution)]
     if solution.left is not None:
         said = solution.left.effect.label
-        out.append(f"Something is left that goes along with {said}, and no effect was found that predicts it.")
+        out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
     out += solution.weak
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
         if whole - known > _WORTH * whole:

@@ -21,7 +21,8 @@ from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
 
 if TYPE_CHECKING:
-    from modcal_core.camera.beside import Beside
+    from modcal_core.camera.beside import ReadingsBeside
+    from modcal_core.camera.solve import CameraSolution
     from modcal_core.camera.target import PrintedTarget
     from modcal_nodes.vision.images import ImageFolder
 
@@ -109,38 +110,10 @@ def calibrate_images(
 ) -> int:
     """Calibrate the arm from images, of a folder or in the bag, write the results, and say them."""
     # OpenCV, which other verbs can do without
-    from modcal_core.camera.solve import solve_camera
-    from modcal_core.camera.target_file import read_target
     from modcal_core.report.camera import camera_files, camera_report, lines
-    from modcal_nodes.vision.images import read_camera_info, require_size
 
-    target = read_target(camera["target"])
-    stated = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
     with output.working() as watch:
-        robot, found, others = _read(camera, options, target, bag, watch)
-        lens, source = (stated, str(camera["camera_info"])) if stated is not None else (found.lens, found.lens_of)
-        if lens is not None:
-            require_size(lens, found.size, source)
-        solution = solve_camera(
-            robot.chain,
-            found.q,
-            found.views,
-            target,
-            found.size,
-            np.random.default_rng(options["seed"]),
-            velocity=found.velocity,
-            lens=lens,
-            stated=camera["intrinsics"],
-            arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
-            camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
-            flat=camera["flat_target"],
-            fixed=options["fixed"],
-            progress=watch,
-            moments=found.moments,
-            inertias=robot.inertias,
-            beside=others,
-            look_for_effects=not options["geometry_only"],
-        )
+        robot, found, solution = _solved(camera, options, bag, watch)
     images = len(found.views) + len(found.left_out)
     out = out or Path(f"{(camera['images'] or bag).resolve().stem}_calibration")
     files = camera_files(solution, robot, images, found.left_out)
@@ -151,9 +124,82 @@ def calibrate_images(
     return 0
 
 
+def plan_next_images(
+    camera: dict[str, Any], options: dict[str, Any], count: int, out: Path | None, output: Output
+) -> None:
+    """Choose the images to take after those that there are, from a folder or a bag, write them, and say them."""
+    from modcal_core.camera.plan import plan_images
+
+    bag = None if camera["joints"] is not None else camera["images"]
+    source: Path = camera["images"]
+    if bag is not None:
+        camera = {**camera, "images": None}
+    with output.working() as watch:
+        robot, _, solution = _solved(camera, options, bag, watch)
+        watch("choosing images")
+        found = plan_images(solution.fit, solution.target, count, np.random.default_rng(options["seed"]))
+    rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
+    files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
+    out = out or Path(f"{source.resolve().stem}_plan")
+    write_folder(out, files)
+    tilts, away = np.degrees(found.tilt), found.distance
+    said = [
+        arm_line(robot),
+        f"{count} images more: the expected error at the tool, where the target is in view, falls from "
+        f"{1e3 * found.expected_m[0]:.2f} to {1e3 * found.expected_m[-1]:.2f} mm RMS.",
+        f"They show the whole target from {away.min():.2f} to {away.max():.2f} m, tilted by {tilts.min():.0f}° to "
+        f"{tilts.max():.0f}°. Nothing was checked for collisions.",
+    ]
+    data = {
+        "joints": list(robot.names),
+        "stations": found.q.tolist(),
+        "expected_mm": (1e3 * found.expected_m).tolist(),
+        "tilt_deg": tilts.tolist(),
+        "distance_m": away.tolist(),
+    }
+    output.result(data, partial(tell, said), written(out, files, "Images to take", "stations.csv"))
+
+
+def _solved(
+    camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
+) -> tuple[Robot, ImageFolder, CameraSolution]:
+    """The robot, its images, and what they lead to."""
+    from modcal_core.camera.solve import solve_camera
+    from modcal_core.camera.target_file import read_target
+    from modcal_nodes.vision.images import read_camera_info, require_size
+
+    target = read_target(camera["target"])
+    stated = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
+    robot, found, others = _read(camera, options, target, bag, watch)
+    lens, source = (stated, str(camera["camera_info"])) if stated is not None else (found.lens, found.lens_of)
+    if lens is not None:
+        require_size(lens, found.size, source)
+    solution = solve_camera(
+        robot.chain,
+        found.q,
+        found.views,
+        target,
+        found.size,
+        np.random.default_rng(options["seed"]),
+        velocity=found.velocity,
+        lens=lens,
+        stated=camera["intrinsics"],
+        arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
+        camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
+        flat=camera["flat_target"],
+        fixed=options["fixed"],
+        progress=watch,
+        moments=found.moments,
+        inertias=robot.inertias,
+        beside=others,
+        look_for_effects=not options["geometry_only"],
+    )
+    return robot, found, solution
+
+
 def _read(
     camera: dict[str, Any], options: dict[str, Any], target: PrintedTarget, bag: Path | None, watch: Watch
-) -> tuple[Robot, ImageFolder, Beside | None]:
+) -> tuple[Robot, ImageFolder, ReadingsBeside | None]:
     """The robot, the images with their joints, and readings of other instruments in the bag, None where it has none."""
     from modcal_core.camera.beside import beside
     from modcal_nodes.vision.bag import read_bag_images

@@ -18,11 +18,13 @@ from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.calibrate import EXISTING
+from modcal_nodes.cli.camera import plan_next_images
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.deciding import decide
 from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
+_NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
 
 
@@ -77,6 +79,17 @@ _DECIDING = 16  # stations, where none are asked for
     "--returns", type=click.IntRange(0, 100), default=RETURNS, show_default=True,
     help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
 )  # fmt: skip
+@click.option(
+    "--camera",
+    type=EXISTING,
+    default=None,
+    metavar="IMAGES",
+    help="Bag with images, or folder of them with --joints: which images to take next; with --target.",
+)
+@click.option(
+    "--joints", type=EXISTING, default=None, metavar="FILE", help="Joints of --camera's images, as in calibrate."
+)
+@click.option("--target", type=EXISTING, default=None, metavar="FILE", help="Printed target of --camera's images.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
 @speaking
@@ -98,11 +111,17 @@ def plan_command(
     dwell: float,
     report: Path | None,
     returns: int,
+    camera: Path | None,
+    joints: Path | None,
+    target: Path | None,
     seed: int,
     out: Path | None,
     output: Output,
 ) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
+    if camera is not None or joints is not None or target is not None:
+        _by_camera(robot, base, tip, stations, fixed, camera, joints, target, seed, out, output)
+        return
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if report is not None:
         if robot is not None or accuracy_mm is not None:
@@ -130,6 +149,36 @@ def plan_command(
         write_folder(out, files)
     said = [file_line(robot, chain, tip), *sentences(found)]
     output.result(to_plan_data(found), partial(say, said), written(out, files, "Stations", "plan.yaml"))
+
+
+def _by_camera(
+    robot: Path | None,
+    base: str | None,
+    tip: str | None,
+    stations: int | None,
+    fixed: tuple[str, ...],
+    camera: Path | None,
+    joints: Path | None,
+    target: Path | None,
+    seed: int,
+    out: Path | None,
+    output: Output,
+) -> None:
+    """The images to take after those that there are."""
+    if camera is None or target is None:
+        given = "--joints" if target is None and camera is None else "--camera" if camera is not None else "--target"
+        raise BadTable(given, "needs --camera and --target", "give the images so far, and the target that they show")
+    if joints is not None and robot is None:
+        raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")
+    chosen = {
+        "images": camera, "joints": joints, "target": target, "image_topic": None, "camera_info": None,
+        "intrinsics": "tolerance", "arm_mm": None, "mounting": None, "flat_target": False,
+    }  # fmt: skip
+    options = {
+        "urdf": robot, "base": base, "tip": tip, "fixed": fixed, "seed": seed, "geometry_only": True,
+        "topic": (), "ignore": (), "clock_limit": 0.5,
+    }  # fmt: skip
+    plan_next_images(chosen, options, stations or _NEXT, out, output)
 
 
 def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from sensor_msgs.msg import JointState, PointCloud2, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.camera.watching import Moved
 from modcal_core.errors import BadRobot, BadTable, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
@@ -29,8 +28,9 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
+from modcal_nodes.calibrating.by_camera import NO_CORNERS, ByCamera
 from modcal_nodes.calibrating.commands import CommandSubscription
-from modcal_nodes.calibrating.corners import LEAST, CameraSolved, CornerIntake, solve_corners
+from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
 from modcal_nodes.calibrating.intake import Intake
 from modcal_nodes.calibrating.publishers import Publishers
@@ -54,7 +54,6 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 _NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
 _NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
-_NO_CORNERS = "corners: not received yet: start board_detector, or remap its topic"
 _NO_TRACKER = "tracker/pose, tracker/point: not received yet: start the tracker, or remap its topic"
 
 
@@ -90,10 +89,9 @@ class Calibrator(GuardedNode):
         self._outputs = Publishers(self)
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
-        self._camera = CornerIntake(Path(chosen["target"])) if chosen["target"] else None
-        self._camera_solved: CameraSolved | None = None
-        self._moved: Moved | None = None
-        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, self._camera)
+        corners = CornerIntake(Path(chosen["target"])) if chosen["target"] else None
+        self._camera = corners and ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
+        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
         self._inputs = self._listen(chosen["silence_timeout_s"])
         self._commands = CommandSubscription(self, self._intake.command)
         self._health = Health(self, self._statuses)
@@ -171,7 +169,7 @@ class Calibrator(GuardedNode):
                 return _NO_DESCRIPTION
             return self._arm.trouble or _NO_JOINTS
         if self._camera is not None:
-            return "" if any(ear.count for ear in self._inputs if ear.topic.endswith("corners")) else _NO_CORNERS
+            return "" if any(ear.count for ear in self._inputs if ear.topic.endswith("corners")) else NO_CORNERS
         if not any(ear.count for ear in self._inputs if "tracker/" in ear.topic):
             return _NO_TRACKER
         return ""
@@ -189,7 +187,6 @@ class Calibrator(GuardedNode):
         self._candidate = None
         if self._camera is not None:
             self._camera.forget()
-            self._moved = None
         self._outputs.no_change()
         response.success, response.message = True, "recording and candidate cleared; the trusted model stays"
         return response
@@ -215,7 +212,7 @@ class Calibrator(GuardedNode):
             self._solve_next = True
             return ""
         if self._camera is not None:
-            return self._begin_camera()
+            return self._camera.begin(_SOLVE, self._arm, self._buffer, self._worker, self._answer_camera)
         job = Job(
             self._buffer.collected(),
             self._arm.chain,
@@ -232,47 +229,12 @@ class Calibrator(GuardedNode):
         self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
-    def _begin_camera(self) -> str:
-        """Have the corners solved by the worker; returns why not, or nothing."""
-        camera = self._camera
-        assert camera is not None
-        if len(camera.images) < LEAST:
-            return f"{len(camera.images)} images of the target at different postures, at least {LEAST} are needed"
-        job = camera.job(
-            urdf=self._arm.description,
-            base=self._chosen["base"],
-            tip=self._arm.chain.tip if self._arm.chain is not None else self._chosen["tip"],
-            seed=self._chosen["seed"],
-            effects=self._chosen["effects"],
-            heard=self._buffer.collected(),
-            clock_limit=self._chosen["clock_limit_s"],
-            page=bool(self._chosen["out"] or self._folder),
-        )
-        done, fail = partial(self._solved_camera, self._buffer.forgotten), partial(self._answer, False)
-        self._worker.give(_SOLVE, solve_corners, job, finish=done, fail=fail)
-        return ""
+    def _answer_camera(self, success: bool, message: str) -> None:
+        self._verdict = message
+        self._answer(success, message)
 
-    def _solved_camera(self, then: int, solved: CameraSolved) -> None:
-        """Publish what corners have led to; trust it where that is its advice and the policy."""
-        camera = self._camera
-        if then != self._buffer.forgotten or camera is None:
-            self._answer(False, "the data it was solved from have been cleared since")
-            return
-        if self._chosen["out"]:
-            write_folder(Path(self._chosen["out"]), solved.files)
-        camera.solved(solved)
-        self._camera_solved, self._moved = solved, None
-        self._verdict = solved.verdict
-        if solved.apply and self._chosen["accept"] == BETTER:
-            self._trust_camera(solved)
-        self.get_logger().info(self._verdict)
-        self._answer(True, self._verdict)
-
-    def _trust_camera(self, solved: CameraSolved) -> None:
-        self._files, self._camera_solved = solved.files, None
-        self._standing = standing_of_json(solved.files.get("report.json"))
-        self._outputs.model(solved.files)
-        self._outputs.no_change()
+    def _camera_trusted(self, files: dict[str, str]) -> None:
+        self._files, self._standing = files, standing_of_json(files.get("report.json"))
 
     def _poll(self) -> None:
         """Take what the worker has finished, and give it what is due."""
@@ -339,8 +301,7 @@ class Calibrator(GuardedNode):
     # trusting
 
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._camera is not None and self._camera_solved is not None:
-            self._trust_camera(self._camera_solved)
+        if self._camera is not None and self._camera.accept():
             response.success, response.message = True, "accepted"
             return response
         response.success = self._candidate is not None and self._supervisor.accept()
@@ -407,8 +368,8 @@ class Calibrator(GuardedNode):
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP
             self.get_logger().info(collected(self._supervisor))
-        if self._camera is not None:
-            self._tell_moved(self._camera.moved)
+        if self._camera is not None and self._camera.tell():
+            self._health.publish()
         live = self._supervisor.live
         if live is None:
             return
@@ -420,20 +381,11 @@ class Calibrator(GuardedNode):
             self._said = live.hypothesis
             self._health.publish()
 
-    def _tell_moved(self, moved: Moved | None) -> None:
-        """Say what images show to have been moved, once."""
-        if moved is None or (self._moved is not None and self._moved.what == moved.what):
-            return
-        self._moved = moved
-        self._outputs.moved(moved)
-        self.get_logger().warning(f"{moved.sentence}; the last trusted model is still published")
-        self._health.publish()
-
     def _statuses(self) -> Iterable[Status]:
         heard = subscription_status(self._inputs)
         yield heard if self._camera is not None else tracker_status(heard, self._inputs)
         if self._camera is not None:
-            yield self._camera.status()
+            yield self._camera.intake.status()
         candidate = self._candidate.comparison if self._candidate else None
         trouble = self._trouble or self._arm.trouble
         solving = self._worker.doing == _SOLVE

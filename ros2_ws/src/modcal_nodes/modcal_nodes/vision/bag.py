@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.moments import Moments
+from modcal_core.camera.moments import ImageMoments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording, NotEnoughData
@@ -95,7 +95,7 @@ def read_bag_images(
     views = [view for view, own in zip(views, sizes, strict=True) if own == size]
     at = np.array([view.stamp for view in views])
     q, velocity = log.at(at)
-    moments = Moments(at, log.approach(at), log.effort(at), recording.signals)
+    moments = ImageMoments(at, log.approach(at), log.effort(at), recording.signals)
     velocity = velocity if moving else np.zeros_like(q)
     lens, lens_of = _lens(bag, recording, topic)
     return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.moments import NOTHING_KNOWN, Moments
+from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
@@ -45,7 +45,7 @@ class ImageFolder:
     left_out: dict[str, str]
     lens: Lens | None = None
     lens_of: str = ""
-    moments: Moments = NOTHING_KNOWN
+    moments: ImageMoments = NOTHING_KNOWN
 
 
 def read_images(

@@ -1,0 +1,148 @@
+"""Which images to take next: postures that show the target as a person would want it, and tell the most in millimetres.
+
+From a first calibration, of a handful of images or one that is not to be applied, it is known well enough where camera
+and target are. Postures are drawn within the joint limits about those of its images; those stay that show the whole
+target, its front, tilted and far away within bounds. Of these, one after the other is taken that makes the expected
+error at the tool smallest, over postures in view (A-optimal, greedy; each image's own joints and shift counted).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.views import BoardView
+from modcal_core.camera.weakness import tilt_and_distance
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+_TRIED = 4000  # postures drawn
+_POOL = 200  # of those that show the target, for time
+_JUDGED = 60  # postures over which the error is expected
+_EDGE_PX = 10.0  # from the image's edge
+STEEPEST = float(np.radians(50.0))  # of the target against the line of sight; beyond, corners are found badly
+_NEAR, _FAR = 0.5, 2.0  # times the median distance of the images so far
+_WIDER = 0.25  # of each joint's range so far, beyond it on either side
+_LEAST = 0.15  # rad or m, beyond it at least
+_NOISE_PX = 0.1  # of a corner of a sharp image
+
+
+@dataclass(frozen=True)
+class ImagePlan:
+    """q: postures (K, n). expected_m: RMS error at the tool that is expected before and after each of them, (K + 1,).
+    tilt: of the target [rad], distance: of it [m], (K,).
+    """
+
+    q: Array
+    expected_m: Array
+    tilt: Array
+    distance: Array
+
+
+def plan_images(
+    fit: CameraFit, target: PrintedTarget, count: int, rng: np.random.Generator, steepest: float = STEEPEST
+) -> ImagePlan:
+    """The next images after those of a fit. steepest: tilt of the target [rad].
+
+    Raises NotEnoughData where hardly any posture shows the target.
+    """
+    pool = _pool(fit, target, rng, steepest)
+    if len(pool) < count:
+        said = f"{len(pool)} of {_TRIED} postures near those of the images show the target, {count} are asked for"
+        raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
+    rows, T = _rows(fit, target, pool)
+    J = _at_tool(fit, pool[rng.permutation(len(pool))[:_JUDGED]])
+    C = fit.covariance
+    expected, chosen = [_rms(J, C)], list[int]()
+    for _ in range(count):
+        falls = [-np.inf if k in chosen else _fall(C, rows[k], J) for k in range(len(pool))]
+        chosen.append(int(np.argmax(falls)))
+        C = _updated(C, rows[chosen[-1]])
+        expected.append(_rms(J, C))
+    tilt, away = tilt_and_distance(fit.poses.seen(T[chosen]), target.points.mean(axis=0))
+    return ImagePlan(pool[chosen], np.array(expected), tilt, away)
+
+
+def _pool(fit: CameraFit, target: PrintedTarget, rng: np.random.Generator, steepest: float) -> Array:
+    """Postures (m, n) that show the whole target as it is wanted."""
+    chain, q = fit.poses.model.serial, fit.poses.q
+    low, high = q.min(axis=0), q.max(axis=0)
+    wider = np.maximum(_WIDER * (high - low), _LEAST)
+    # about the images that there are, so that many show the target
+    tried = q[rng.integers(len(q), size=_TRIED)] + wider * rng.standard_normal((_TRIED, q.shape[1]))
+    tried = np.clip(tried, np.maximum(low - wider, chain.lower), np.minimum(high + wider, chain.upper))
+    at = fit.poses.at_postures(tried)
+    seen, before = at.seen(at.tool_at(fit.state.values)), fit.poses.seen(fit.poses.tool_at(fit.state.values))
+    X = np.einsum("mij,cj->mci", seen[:, :3, :3], target.points) + seen[:, None, :3, 3]
+    ahead = (X[:, :, 2] > 1e-3).all(axis=1)
+    pixels = fit.state.lens.project(np.where(ahead[:, None, None], X, [0.0, 0.0, 1.0]))
+    inside = ((pixels > _EDGE_PX) & (pixels < np.array(fit.state.lens.size) - 1.0 - _EDGE_PX)).all(axis=(1, 2))
+    centre = target.points.mean(axis=0)
+    tilt, away = tilt_and_distance(seen, centre)
+    usual = float(np.median(tilt_and_distance(before, centre)[1]))
+    front = np.sign(np.median(np.einsum("ni,ni->n", before[:, :3, 2], before[:, :3, 3])))
+    side = np.einsum("mi,mi->m", seen[:, :3, 2], X.mean(axis=1)) * front > 0.0
+    wanted = (tilt <= steepest) & (away > _NEAR * usual) & (away < _FAR * usual)
+    return np.asarray(tried[ahead & inside & side & wanted][:_POOL])
+
+
+def _rows(fit: CameraFit, target: PrintedTarget, q: Array) -> tuple[list[Array], Array]:
+    """(for each image at these postures whitened rows (r, P) of what it says of all parameters, T_frame_tool)."""
+    at = fit.poses.at_postures(q)
+    T, motions = at.tool_motions(fit.state.values)
+    cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(target.ids), 1, 1))
+    unread = np.zeros((len(target.ids), 2))
+    table = CornerTable.of([BoardView(f"{k}", target.ids, unread, cov) for k in range(len(q))], target)
+    rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
+    G = grams(table, replace(rows, residual=np.zeros_like(rows.residual)))[:, :-1, :-1]
+    joints = at.as_twists(T, at.joint_motions(fit.state.values, T))
+    along = np.zeros((len(q), POSE, 3))
+    along[:, :3] = np.eye(3)
+    shifts = at.as_twists(T, along)
+    own = fit.sizes.joint**2 * joints @ np.swapaxes(joints, 1, 2)
+    own = own + fit.sizes.shift**2 * shifts @ np.swapaxes(shifts, 1, 2)
+    by_arm, P = at.as_twists(T, motions), motions.shape[2]
+    out = []
+    for k in range(len(q)):
+        S = own[k] @ np.linalg.inv(np.eye(POSE) + G[k, :POSE, :POSE] @ own[k])
+        E = G[k] - G[k][:, :POSE] @ S @ G[k][:, :POSE].T
+        A = np.zeros((len(E), len(fit.covariance)))
+        A[:POSE, :P] = by_arm[k]
+        A[POSE:, P + 1 :] = np.eye(len(E) - POSE)
+        scale = np.sqrt(np.maximum(np.diag(E), 1e-300))
+        values, vectors = np.linalg.eigh(E / np.outer(scale, scale))
+        keep = values > 1e-9 * values[-1]
+        out.append((np.sqrt(values[keep])[:, None] * vectors[:, keep].T * scale) @ A)
+    return out, T
+
+
+def _at_tool(fit: CameraFit, q: Array) -> Array:
+    """Motion of the flange, (m, 3, P), per parameter."""
+    at = fit.poses.at_postures(q)
+    T, motions = at.tool_motions(fit.state.values)
+    away = T[:, :3, :3] @ se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+    return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
+
+
+def _rms(J: Array, C: Array) -> float:
+    P = J.shape[2]
+    return float(np.sqrt(np.einsum("mip,pq,miq->", J, C[:P, :P], J) / len(J)))
+
+
+def _updated(C: Array, rows: Array) -> Array:
+    """The covariance after these rows (r, P) of unit variance are known too."""
+    K = C @ rows.T
+    return np.asarray(C - K @ np.linalg.solve(rows @ K + np.eye(len(rows)), K.T))
+
+
+def _fall(C: Array, rows: Array, J: Array) -> float:
+    """By how much the mean square at the tool falls, up to a factor."""
+    K = C @ rows.T
+    root = np.linalg.cholesky(rows @ K + np.eye(len(rows)))
+    seen = np.linalg.solve(root, K.T[:, : J.shape[2]]) @ J.reshape(-1, J.shape[2]).T
+    return float((seen**2).sum())
