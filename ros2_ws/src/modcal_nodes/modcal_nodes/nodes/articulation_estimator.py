@@ -146,13 +146,13 @@ class ArticulationEstimator(GuardedNode):
             return
         self._joints.require_fresh(now, self._chosen["timeout_s"])
         stamp = float(self._joints.stamps.min())
-        if self._due(stamp):
+        if self._due(stamp, self._chain.base):
             T = forward(self._chain, self._joints.position)
             self._follow(T[:3, 3], T[:3, :3], stamp, self._chain.base)
 
     def _take_pose(self, message: Any) -> None:
         p, R, stamp = seen(message, self._chosen["input"])
-        if self._due(stamp):
+        if self._due(stamp, message.header.frame_id):
             self._follow(p, R, stamp, message.header.frame_id)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
@@ -172,11 +172,15 @@ class ArticulationEstimator(GuardedNode):
             return
         self._force = float(np.linalg.norm(left - self._offset))
 
-    def _due(self, stamp: float) -> bool:
+    def _due(self, stamp: float, frame: str) -> bool:
         """Whether a pose of this time is wanted: not more of them than rate_hz; time that goes back begins anew.
 
-        Raises BadCommand for one whose stamp lies alone, seconds from the others.
+        Raises BadCommand for one in another frame, or whose stamp lies alone, seconds from the others.
         """
+        if self._frame and frame != self._frame:
+            raise BadCommand(
+                self._chosen["input"], f"is in frame {frame!r}, was in {self._frame!r}", "reset, or keep one"
+            )
         before, order = self._order.last, self._order.judge(stamp, time.monotonic())
         if order == "alone":
             off = stamp - before
@@ -192,10 +196,6 @@ class ArticulationEstimator(GuardedNode):
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
         """Take one pose, and say what is believed after it."""
         self._turned = R
-        if self._frame and frame != self._frame:
-            raise BadCommand(
-                self._chosen["input"], f"is in frame {frame!r}, was in {self._frame!r}", "reset, or keep one"
-            )
         state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
         self._state, self._frame, self._last = state, frame, stamp
         if state.event is not None:
