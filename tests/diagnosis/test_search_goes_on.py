@@ -13,26 +13,28 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 
-WRIST_2, WRIST_3 = 4, 5
+PAN, WRIST_2, WRIST_3 = 0, 4, 5
 
 
 def misleading(count: int) -> Samples:
-    """A wrist that turns a little too far; and a signal that the last joint follows where it is fitted, and nowhere else.
+    """A wrist that turns a little too far; and signals that other joints follow where they are fitted, and nowhere else.
 
-    It explains most of what is left, as a cause of the joint and as one of the tool, and predicts nothing.
+    They explain most of what is left, and predict nothing.
     """
     made = record(21, count)
     q, rng = made.samples.q, np.random.default_rng(3)
     sets = split(made.samples, np.random.default_rng(0), None, [])
-    signal = rng.standard_normal(count)
     actual = q.copy()
     actual[:, WRIST_2] += 3e-4 * q[:, WRIST_2]
-    actual[sets.train, WRIST_3] += 8e-4 * signal[sets.train]
-    actual[sets.explain, WRIST_3] -= 4e-4 * signal[sets.explain]
+    signals = {f"/noise_{j}": rng.standard_normal(count) for j in (PAN, WRIST_3)}
+    for j, signal in zip((PAN, WRIST_3), signals.values(), strict=True):
+        actual[sets.train, j] += 8e-4 * signal[sets.train]
+        actual[sets.explain, j] -= 4e-4 * signal[sets.explain]
     T = made.world.tool_in_tracker(actual)
     T[:, :3, 3] += 3e-5 * rng.standard_normal((count, 3))
     samples = samples_of(ur10(), q, T)
-    return replace(samples, signals=(SignalTrack("signal:/noise", samples.stamps, signal[:, None], "/noise"),))
+    t = samples.stamps
+    return replace(samples, signals=tuple(SignalTrack(f"signal:{n}", t, x[:, None], n) for n, x in signals.items()))
 
 
 @pytest.mark.parametrize("count", [200, 620])
