@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import samples_of, ur10
+from cells import record, samples_of, ur10
 from scipy.stats import chi2
 
 from modcal_core.calibration.model import place_model
+from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
@@ -31,7 +32,7 @@ def test_offsets_that_were_put_in_are_found(kind: str) -> None:
     base = se3.exp([1.0, -2.0, 0.3, 0.5, 0.1, -1.0])[None]
     model = replace(start, chain=chain.with_origins(origins), T_tip_tool=T_tip_tool, T_frame_base=base)
     q = np.random.default_rng(1).uniform(-2.5, 2.5, (60, 6))
-    found = joint_offsets(model, samples_of(chain, q, model.predict(q), kind))
+    found = joint_offsets(model, q, kind == "pose")
     assert found is not None
     assert [o.joint for o in found.found] == list(chain.names[1:5])
     assert [o.value for o in found.found] == pytest.approx(OFFSETS[1:5], abs=4e-5)
@@ -42,7 +43,7 @@ def test_offsets_that_were_put_in_are_found(kind: str) -> None:
 def test_an_arm_that_is_nominal_has_none() -> None:
     model = place_model(ur10(), ("tracker",))
     q = np.random.default_rng(1).uniform(-2.5, 2.5, (20, 6))
-    found = joint_offsets(model, samples_of(ur10(), q, model.predict(q)))
+    found = joint_offsets(model, q, True)
     assert found is not None
     assert [o.value for o in found.found] == pytest.approx([0.0] * 4, abs=1e-10)
 
@@ -71,7 +72,7 @@ def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch
         assert made.report.offsets is not None
         drawn.append(made.report.offsets.found)
     monkeypatch.setattr("modcal_core.report.joint_offsets._MOST", 4000)
-    whole = joint_offsets(true, recording(4000))
+    whole = joint_offsets(true, rng.uniform(-2.5, 2.5, (4000, 6)), kind == "pose")
     assert whole is not None
     z = [(o.value - t.value) / (o.std or np.nan) for run in drawn for o, t in zip(run, whole.found, strict=True)]
     assert len(z) == runs * 4
@@ -80,3 +81,10 @@ def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch
     assert low < np.sum(np.square(z)) < high
     # and a few postures are no better than they are: the interval is that of a recording, not of the noise alone
     assert np.std([o[0].value for o in drawn]) == pytest.approx(np.mean([o[0].std for o in drawn]), rel=1.0)
+
+
+def test_an_evaluation_has_the_offsets_of_its_calibration() -> None:
+    made = record(4, 60, "point")
+    found = calibrate(made.samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    other = evaluate(found.calibration, record(9, 40, "point").samples, np.random.default_rng(0), refit_base=True)
+    assert other.offsets == found.report.offsets is not None

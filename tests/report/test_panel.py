@@ -6,8 +6,10 @@ import re
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 from matplotlib.ticker import MaxNLocator
 
+from modcal_core.report.figures import in_numbers, small
 from modcal_core.report.panel import Panel, round_numbers
 
 
@@ -55,3 +57,16 @@ def test_a_simplified_line_stays_where_it_was() -> None:
     nearest = np.interp(across, kept[:, 0], kept[:, 1])
     slope = np.abs(np.gradient(along, across))
     assert (np.abs(nearest - along) / np.hypot(1.0, slope)).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    "ends", [(0.003, 0.02), (0.01, 0.02), (0.5, 0.7), (1.01, 1.09), (0.0112, 0.0119), (1e-5, 10.0)]
+)
+def test_a_logarithmic_axis_has_at_least_two_numbers(ends: tuple[float, float]) -> None:
+    _, axes = small(4.0, 2.0)
+    axes.set_yscale("log")
+    axes.set_ylim(*ends)
+    in_numbers(axes.yaxis, *ends)
+    ticks = [t for t in axes.get_yticks() if ends[0] * (1.0 - 1e-9) <= t <= ends[1] * (1.0 + 1e-9)]
+    assert 2 <= len(ticks) <= 9
+    assert len({f"{t:g}" for t in ticks}) == len(ticks)

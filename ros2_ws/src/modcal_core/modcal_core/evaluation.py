@@ -17,7 +17,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.report.contents import Step
-from modcal_core.report.joint_offsets import joint_offsets
+from modcal_core.report.joint_offsets import offsets_of
 from modcal_core.report.notes import moved_note, unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.case import frozen_case
@@ -93,7 +93,7 @@ def evaluate(
         rejected=len(held_out) - len(scored),
         errors=residuals,
         parameters=calibration.parameters,
-        offsets=joint_offsets(calibration.calibrated, scored, calibration.uncertainty),
+        offsets=offsets_of(calibration),
         notes=(
             *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),

@@ -39,7 +39,7 @@ from modcal_core.plausibility.require import require_plausible
 from modcal_core.regimes.find import find_regimes, moves_of
 from modcal_core.report.contents import Step
 from modcal_core.report.findings import findings
-from modcal_core.report.joint_offsets import joint_offsets
+from modcal_core.report.joint_offsets import offsets_of
 from modcal_core.report.notes import instrument_notes
 from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
@@ -161,7 +161,7 @@ def calibrate(
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
         identifiability=identifiability(final),
         parameters=shipped.parameters,
-        offsets=joint_offsets(shipped.calibrated, samples, shipped.uncertainty),
+        offsets=offsets_of(shipped),
         left_out=choice.left_out,
         notes=instrument_notes(final),
         steps=steps,

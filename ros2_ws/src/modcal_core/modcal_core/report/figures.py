@@ -15,6 +15,7 @@ from modcal_core.report.contents import ReportContents
 from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
+from modcal_core.report.panel import round_numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,6 +62,14 @@ def bars(edges: Array, height: Array, **style: Any) -> PathPatch:
     return PathPatch(Path(corners.reshape(-1, 2), codes), linewidth=0.8, **style)
 
 
+_STEPS: tuple[tuple[float, ...], ...] = (  # of a decade, tried in turn until two numbers stand on the axis
+    (1.0,),
+    (1.0, 3.0),
+    (1.0, 2.0, 5.0),
+    (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
+)
+
+
 def in_decades(axis: Axis) -> None:
     """Write a logarithmic axis as powers of ten in plain letters: setting them as formulas takes half of a picture."""
     axis.set_major_formatter(lambda value, _: "10" + f"{round(np.log10(value)):d}".translate(_RAISED))
@@ -69,11 +78,13 @@ def in_decades(axis: Axis) -> None:
 def in_numbers(axis: Axis, low: float, high: float) -> None:
     """Write a logarithmic axis from low to high in plain numbers, at least two of them where it can be."""
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-    for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), np.arange(1.0, 10.0, 0.2)):
+    for steps in _STEPS:
         ticks = np.outer(decades, steps).ravel()
         ticks = ticks[(ticks >= low * (1.0 - 1e-9)) & (ticks <= high * (1.0 + 1e-9))]
         if len(ticks) > 1:
             break
+    else:  # hardly a stretch of a decade: as a plain axis has them
+        ticks = round_numbers(low, high)[0]
     axis.set_major_locator(_at(ticks))
     axis.set_major_formatter("{x:g}")
 
@@ -111,7 +122,7 @@ def error_histogram(report: ReportContents) -> Chart | None:
     axes.set_xscale("log")
     axes.minorticks_off()  # they take as long to draw as all the rest
     in_numbers(axes.xaxis, *axes.get_xlim())
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.locator_params("y", integer=True)
     label(axes, "position error of held-out samples, mm", "samples")
     axes.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 1.08), ncols=2)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."

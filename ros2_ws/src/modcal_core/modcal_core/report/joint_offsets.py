@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
 from modcal_core.report.base_and_tool import base_and_tool_motions, parameter_motions, twists, without
 from modcal_core.robots.mechanism import is_serial_arm
 
@@ -58,15 +58,22 @@ class JointOffsets:
     left_mm: float
 
 
-def joint_offsets(model: Model, samples: Samples, known: Uncertainty | None = None) -> JointOffsets | None:
-    """Of a calibrated model at the samples' postures; None for a Delta, or where the nominal arm is not known.
+def offsets_of(calibration: Calibration) -> JointOffsets | None:
+    """Of a calibration at the postures that it was made from: the same, wherever it is evaluated."""
+    return joint_offsets(
+        calibration.calibrated, calibration.postures, calibration.kind == "pose", calibration.uncertainty
+    )
 
-    known: the uncertainty of the model's parameters.
+
+def joint_offsets(model: Model, q: Array, turns: bool, known: Uncertainty | None = None) -> JointOffsets | None:
+    """Of a calibrated model at postures q (N, n) [rad, m]; None for a Delta, or where the nominal arm is not known.
+
+    turns: whether the tool's orientation counts, as its position does. known: the uncertainty of the parameters.
     """
-    if model.arm is None or not is_serial_arm(model.chain) or not is_serial_arm(model.arm.chain) or not len(samples):
+    if model.arm is None or not is_serial_arm(model.chain) or not is_serial_arm(model.arm.chain) or not len(q):
         return None
-    q = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))]
-    part = slice(6 if samples.is_pose.all() else 3)
+    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), _MOST)).astype(int))]
+    part = slice(6 if turns else 3)
     bare = replace(model, effects=(), T_frame_base=np.tile(np.eye(4), (len(model.frames), 1, 1)), instruments=())
     nominal = bare.with_chain(model.arm.chain)
     T = nominal.predict(q)
