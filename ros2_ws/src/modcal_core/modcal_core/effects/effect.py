@@ -46,9 +46,9 @@ class Effect:
 
     family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
     (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
-    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see :mod:`drivers`. shape: how it
-    follows the driver. values, std: amplitudes and their standard deviations (m,), in rad or m per unit of the driver,
-    then the settings that are fitted with them.
+    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see
+    :mod:`drivers`. shape: how it follows the driver. values, std: amplitudes and their standard deviations (m,), in rad
+    or m per unit of the driver, then the settings that are fitted with them.
     """
 
     family: str

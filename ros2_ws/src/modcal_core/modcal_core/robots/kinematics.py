@@ -42,8 +42,8 @@ class Loop:
 
     gain, along, lever: (3, N), in the base: the tool moves by ``gain`` per unit that the rod's end moves ``along`` the
     rod; ``lever`` [m] leads from the place to that end. rates: what the constants of the place move it along the rod
-    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods differ,
-    None where there are no pairs.
+    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods
+    differ, None where there are no pairs.
     """
 
     gain: Array
