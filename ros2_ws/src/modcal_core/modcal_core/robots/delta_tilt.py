@@ -6,9 +6,9 @@ Each pair keeps its own line of the platform parallel to its elbow's but for wha
 
 three equations for the platform's orientation R; the middle p follows from three spheres about the elbows, shifted by
 ``(R − 1) r u_i`` (:mod:`delta` has the symbols). With a_i = R t_i × s_i and w_i the columns of the inverse of the
-matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This is what of the closed chain with 54 parameters
-(Vischer and Clavel 1998) remains once each pair's mean is one rod: constant tilts of axes and shifts of joints along
-the rods are errors of the arms' places.
+matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This is what of the closed chain with 54
+parameters (Vischer and Clavel 1998) remains once each pair's mean is one rod: constant tilts of axes and shifts of
+joints along the rods are errors of the arms' places.
 """
 
 from __future__ import annotations
