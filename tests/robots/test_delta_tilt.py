@@ -14,7 +14,7 @@ from modcal_core.effects.effect import PAIRS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import so3
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
-from modcal_core.robots.delta_kinematics import RODS, frames
+from modcal_core.robots.delta_kinematics import RODS, ROWS, frames
 from modcal_nodes.simulation.delta_mjcf import PLATFORM_RADIUS, ROD_SPACING
 from modcal_nodes.simulation.delta_world import DeltaWorld
 
@@ -25,7 +25,7 @@ def twists(difference: np.ndarray, more: float, count: int) -> dict[int, np.ndar
     """What the arms' places have in common with rods that differ by this, per spacing."""
     out = {}
     for i, e in enumerate(difference):
-        out[1 + i] = np.zeros((8, count))
+        out[1 + i] = np.zeros((ROWS, count))
         out[1 + i][RODS], out[1 + i][RODS + 1] = e, e * more
     return out
 
@@ -57,8 +57,10 @@ def arms(delta: object, radius: float) -> dict[str, object]:
 def test_derivatives_by_rods_and_radius(kind: str) -> None:
     cell = record_delta(2, 12, kind)
     model = fit_cell(cell.nominal, cell.samples, Cell()).model
-    shape = Shape("pairs", {"radius": 0.06, "known_radius": 0.05})
-    effect = Effect("parallelogram", "tool", PAIRS, "constant", shape).with_values([7e-3, -8e-3, 5e-3, 0.06])
+    shape = Shape("pairs", {"radius": 0.06, "known_radius": 0.05, "x": 0.02, "y": -0.03, "z": -0.1})
+    effect = Effect("parallelogram", "tool", PAIRS, "constant", shape).with_values(
+        [7e-3, -8e-3, 5e-3, 0.06, 0.02, -0.03, -0.1]
+    )
     wobble = Effect("axis_wobble", "arm_1", "across", "position:arm_1", Shape("turn", {"cycles": 1.0})).with_values(
         np.zeros(4)
     )

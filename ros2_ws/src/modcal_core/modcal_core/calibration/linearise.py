@@ -28,7 +28,7 @@ from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import LEAN, READING, RODS, Effect, Term, all_columns, motion
+from modcal_core.effects.effect import READING, RODS, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform, local_twists
@@ -259,12 +259,12 @@ class RowView:
             rotation[:] = turn[:, self.pose]
 
     def rods_column(self, place: int, direction: int, out: Array) -> None:
-        """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ, or lean."""
+        """Write the motion of the tool, (3 N + 3 M,), per unit of what the rods of a place differ by, or of a length."""
         N, M = self.position.shape[1], self.rotation.shape[1]
         position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
         tilt = self.f.loops[place].tilt
         assert tilt is not None
-        turn, shift = (tilt.lean_turn, tilt.lean) if direction == LEAN else (tilt.turn, tilt.shift)
+        turn, shift = (tilt.turn, tilt.shift) if direction == RODS else tilt.more[direction - RODS - 1]
         p = self.f.p[-1] if self.sights is None else self.sights.watched
         self._put((shift + so3.cross(turn, p - tilt.hub), turn), position, rotation)
         if self.sights is not None:
@@ -309,7 +309,7 @@ class RowView:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""
         if (place, direction) not in self._units:
             out = np.empty(self.position.size + self.rotation.size)
-            if direction in (RODS, LEAN):
+            if direction >= RODS:
                 self.rods_column(place, direction, out)
             else:
                 self.column(place, np.eye(6)[direction], out=out)

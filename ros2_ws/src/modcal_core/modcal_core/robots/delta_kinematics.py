@@ -27,7 +27,8 @@ from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, OFFSET, P
 from modcal_core.robots.delta_tilt import Stand, level_tilts, tilted, tilted_shares
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
-RODS = 6  # row of an arm's twist: by how much its rods differ, per spacing; behind it, times what the radius is more
+# rows of an arm's twist: by how much its rods differ, per spacing; behind it that times four lengths (delta_tilt)
+RODS, ROWS = 6, 11
 LOOSE = 0.05  # |det S| below which the platform counts as loose; three rods at right angles have 1
 STRETCHED = 0.02  # sine of the angle between arm and rod below which the arm counts as stretched
 
@@ -41,7 +42,7 @@ def frames(
 ) -> Frames:
     """Frames of every place in the base for joint positions q (N, n) [rad]: base, shoulders, shaft, tool.
 
-    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, two rows more
+    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, five rows more
     say how its two rods differ (see RODS). T_tip_tool: puts the tool's
     place at the tool instead of the tip. loops: whether it is asked how the arms move the tool. A shoulder's frame has
     x outwards and z along the axis. Postures that no platform can take are NaN; :func:`forward` refuses them.
@@ -73,17 +74,17 @@ def frames(
     tip = axes[0].copy()
     stand: Stand | None = None
     if rods := {i: twists[1 + i] for i in range(ARMS) if 1 + i in twists and len(twists[1 + i]) > RODS}:
-        unequal = np.zeros((2, ARMS, N))
+        unequal = np.zeros((ROWS - RODS, ARMS, N))
         for i, twist in rods.items():
-            unequal[:, i] = twist[RODS : RODS + 2]
+            unequal[:, i] = twist[RODS:ROWS]
 
-        def place(shift: Array) -> tuple[Array, Array]:
+        def placed(shift: Array) -> tuple[Array, Array]:
             at = _meeting_point(centre - shift, distal, axes[0, 2])
             return at, (at - centre + shift) / distal[:, None, None]
 
-        stand = tilted(unequal[0], unequal[1], delta.platform_radius, stands, place)
-        platform = stand.middle
+        stand = tilted(unequal, delta.platform_radius, stands, placed)
         tip = np.einsum("nij,djn->din", stand.R, tip)
+        platform = stand.middle + np.einsum("cn,cdn->dn", stand.lengths[1:], tip - axes[0])
     at = platform.copy()
     if delta.has_shaft:
         place = 1 + ARMS
@@ -267,9 +268,9 @@ def _loops(
         rates[i] = np.einsum("cn,kcn->kn", along[i], ends[i])
         rates[i, DISTAL] = 1.0
     if stand is None:
-        tilts = level_tilts(stands, along, gains, platform, delta.platform_radius)
+        tilts = level_tilts(stands, along, gains, platform, delta.platform_radius, axes[0])
         return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilts[i]) for i in range(ARMS)}
-    found = tilted_shares(stand, distal, rates, ends, up, AZIMUTH)
+    found = tilted_shares(stand, distal, rates, ends, axes[0], AZIMUTH)
     return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilt, shares) for i, (tilt, shares) in enumerate(found)}
 
 

@@ -28,8 +28,9 @@ _ROUNDS, _DONE = 12, 1e-13  # iterations, each ten times nearer and more; rad
 @dataclass(frozen=True)
 class Stand:
     """How a platform stands. R: its turn, (N, 3, 3). middle: (3, N) [m]. along: of the rods, (3 arms, 3, N). radius:
-    of the platform, (N,) [m]. out, tangent: of the arms, (3 arms, 3, N), as a level platform has them. more: by what
-    the radius is more than the known one, per unit of ε times metres of each arm, (3 arms, N). excess: that [m], (N,).
+    of the platform, (N,) [m]. out, tangent: of the arms, (3 arms, 3, N), as a level platform has them. share: of each
+    arm in a length that comes with ε of all, (3 arms, N). lengths: what the radius is more than the known one, and the
+    middle in the level tip, (4, N) [m].
     """
 
     R: Array
@@ -38,35 +39,33 @@ class Stand:
     radius: Array
     out: Array
     tangent: Array
-    more: Array
-    excess: Array
+    share: Array
+    lengths: Array
 
 
-def tilted(
-    difference: Array, lean: Array, known: float, axes: Array, place: Callable[[Array], tuple[Array, Array]]
-) -> Stand:
+def tilted(unequal: Array, known: float, axes: Array, place: Callable[[Array], tuple[Array, Array]]) -> Stand:
     """How a platform stands whose rods differ.
 
-    difference: ε (3, N). lean: ε times what the platform's radius is more than known [m], (3, N). axes: x outwards and
-    z along the tangent of each arm, (3 arms, 3 axes, 3, N). place: middle and rods' directions for shifts
+    unequal: ε, and ε times the four lengths of :class:`Stand`, (5, 3 arms, N). known: the radius [m]. axes: x outwards
+    and z along the tangent of each arm, (3 arms, 3 axes, 3, N). place: middle and rods' directions for shifts
     (3 arms, 3, N) of the elbows.
     """
-    N = difference.shape[1]
+    difference, N = unequal[0], unequal.shape[2]
     square = np.sum(difference**2, axis=0)
-    more = np.where(square > 0.0, difference / np.where(square > 0.0, square, 1.0), 0.0)
-    excess = np.sum(lean * more, axis=0)
-    out, tangent = axes[:, 0], axes[:, 2]
+    share = np.where(square > 0.0, difference / np.where(square > 0.0, square, 1.0), 0.0)
+    lengths = np.einsum("lan,an->ln", unequal[1:], share)
+    radius, out, tangent = known + lengths[0], axes[:, 0], axes[:, 2]
     R = np.tile(np.eye(3), (N, 1, 1))
     for _ in range(_ROUNDS):
-        middle, along = place((known + excess) * (turned(R, out) - out))
+        middle, along = place(radius * (turned(R, out) - out))
         now = turned(R, tangent)
         missing = difference - np.sum(along * (now - tangent), axis=1)
         turn = np.einsum("icn,in->cn", inverse_rows(np.stack([cross(now[i], along[i]) for i in range(3)])), missing)
         R = so3.exp(turn.T) @ R
         if not np.nanmax(np.abs(turn), initial=0.0) > _DONE:
             break
-    middle, along = place((known + excess) * (turned(R, out) - out))
-    return Stand(R, middle, along, known + excess, out, tangent, more, excess)
+    middle, along = place(radius * (turned(R, out) - out))
+    return Stand(R, middle, along, radius, out, tangent, share, lengths)
 
 
 def turned(R: Array, v: Array) -> Array:
@@ -81,27 +80,30 @@ def inverse_rows(a: Array) -> Array:
         return np.asarray(columns / np.sum(a[0] * columns[0], axis=0))
 
 
-def level_tilts(axes: Array, along: Array, gains: Array, middle: Array, radius: float) -> list[Tilt]:
+def level_tilts(axes: Array, along: Array, gains: Array, middle: Array, radius: float, base: Array) -> list[Tilt]:
     """How a level platform turns and its middle shifts per ε of each arm.
 
-    axes: as of :func:`tilted`. along, gains: of the rods (3 arms, 3, N).
+    axes: as of :func:`tilted`. along, gains: of the rods (3 arms, 3, N). base: its axes, (3, 3, N).
     """
     turns = inverse_rows(np.stack([cross(axes[i, 2], along[i]) for i in range(3)]))
     found = []
     for turn in turns:
         lean = -np.sum([gains[j] * np.sum(along[j] * cross(turn, axes[j, 0]), axis=0) for j in range(3)], axis=0)
-        found.append(Tilt(turn, radius * lean, np.zeros_like(turn), lean, middle))
+        none = np.zeros_like(turn)
+        more = ((none, lean), *((none, cross(turn, base[c])) for c in range(3)))
+        found.append(Tilt(turn, radius * lean, more, middle))
     return found
 
 
 def tilted_shares(
-    stand: Stand, distal: Array, rates: Array, ends: Array, up: Array, azimuth: int
+    stand: Stand, distal: Array, rates: Array, ends: Array, base: Array, azimuth: int
 ) -> list[tuple[Tilt, tuple[Share, Share]]]:
     """For each arm how the platform moves with its rods' difference, and with a motion of its elbow.
 
     The platform's twist (δp, δw) solves two equations for each arm, the length of its mean rod and what its rods differ
     by. distal: lengths (3,). rates: along the rods per unit of each constant, (3 arms, constants, N). ends: what an
-    elbow moves by per unit of each, (3 arms, constants, 3, N). up: the axis of azimuths, (3, N). azimuth: its constant.
+    elbow moves by per unit of each, (3 arms, constants, 3, N). base: its axes, (3, 3, N). azimuth: the
+    number of that constant.
     """
     N = stand.middle.shape[1]
     now_out, now_tangent = turned(stand.R, stand.out), turned(stand.R, stand.tangent)
@@ -119,11 +121,17 @@ def tilted_shares(
     by = np.moveaxis(X, (1, 2), (1, 0))  # equation, component, N
     by_radius = -np.sum([by[i] * np.sum(s[i] * leant[i], axis=0) for i in range(3)], axis=0)
     by_radius = by_radius - np.sum([by[3 + i] * np.sum(g[i] * leant[i], axis=0) for i in range(3)], axis=0)
+    up, none = base[2], np.zeros((3, N))
+    lever = np.einsum("cn,cdn->dn", stand.lengths[1:], base)
+    swings = turned(stand.R, base) - base  # what a length along each axis shifts the tool by
+    swing = np.einsum("cn,cdn->dn", stand.lengths[1:], swings)
     found = []
     for i in range(3):
-        lean = stand.more[i] * by_radius
-        own = by[3 + i] - stand.excess * lean
-        tilt = Tilt(own[3:], own[:3], lean[3:], lean[:3], stand.middle)
+        lean = stand.share[i] * by_radius
+        own = by[3 + i] - stand.lengths[0] * lean
+        more = ((lean[3:], lean[:3]), *((none, stand.share[i] * swings[c]) for c in range(3)))
+        # lengths come with ε of all arms: one arm's ε alone takes its share of them back
+        tilt = Tilt(own[3:], own[:3] - stand.share[i] * swing, more, stand.middle - lever)
         first, second = rates[i].copy(), np.einsum("cn,kcn->kn", g[i], ends[i])
         # an arm's azimuth turns its tangent and its way out as well
         swung = stand.radius * (turned(stand.R, cross(up, stand.out[i])[None])[0] - cross(up, stand.out[i]))

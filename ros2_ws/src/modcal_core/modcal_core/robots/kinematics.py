@@ -28,14 +28,13 @@ from modcal_core.robots.chain import Chain
 class Tilt:
     """How a platform moves that two rods of a place hold between them, in the base, (3, N) each.
 
-    turn, shift: of the platform about and of its middle [m], per unit by which the rods differ. lean_turn, lean: the
-    same per unit of that times metres of the platform's radius. hub: its middle [m].
+    turn, shift: of the platform about a point and of that point [m], per unit by which the rods differ. more: the same
+    pairs per unit of that times metres of the platform's radius, and of the point's three coordinates. hub: it [m].
     """
 
     turn: Array
     shift: Array
-    lean_turn: Array
-    lean: Array
+    more: tuple[tuple[Array, Array], ...]
     hub: Array
 
 
