@@ -259,7 +259,7 @@ class RowView:
             rotation[:] = turn[:, self.pose]
 
     def rods_column(self, place: int, direction: int, out: Array) -> None:
-        """Write the motion of the tool, (3 N + 3 M,), per unit of what the rods of a place differ by, or of a length."""
+        """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ."""
         N, M = self.position.shape[1], self.rotation.shape[1]
         position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
         tilt = self.f.loops[place].tilt
