@@ -14,7 +14,7 @@ from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.robots.mechanism import Mechanism, is_delta, is_serial_arm
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 
@@ -52,8 +52,7 @@ class CalibratedRobot:
         """The robot of a URDF, or a Delta, and its calibration. Raises BadRobot where they do not belong together."""
         nominal = calibration.nominal.chain
         chain: Mechanism
-        own = isinstance(description, Delta)
-        chain = description if own else read_chain(description, nominal.base, nominal.tip)  # type: ignore[arg-type]
+        chain = description if is_delta(description) else read_chain(str(description), nominal.base, nominal.tip)
         calibration.require_robot(chain)
         model = calibration.calibrated
         away = max(float(np.linalg.norm(T[:3, 3])) for T in model.T_frame_base)

@@ -20,7 +20,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_kinematics import inverse as delta_inverse
 from modcal_core.robots.inverse import inverse
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.robots.mechanism import is_delta, is_serial_arm
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
 _DIFFERENCE = 1e-6  # rad or m
@@ -76,7 +76,7 @@ def compensate(
                 raise
             q = plain.posture
     else:
-        assert isinstance(chain, Delta)
+        assert is_delta(chain)
         q = _of_delta(chain, goal, seed)
     # which side a joint comes from is settled by the plain way there, and once: play must not flip to and fro
     arriving = at.arriving(q)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import ARMS, Delta
-from modcal_core.robots.mechanism import Mechanism, tool_frames
+from modcal_core.robots.delta import ARMS
+from modcal_core.robots.mechanism import Mechanism, is_delta, tool_frames
 
 MOST_POSTURES, MOST_POINTS = 60, 500  # that a page can show and a person look through
 
@@ -54,7 +54,7 @@ def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Ar
     """Polylines from base over every joint to the tool at postures q (N, n), (N, n + 2, 3) [m], in the base."""
     frames = tool_frames(chain, np.eye(4) if T_tip_tool is None else T_tip_tool, q, {})
     p = np.moveaxis(frames.p, -1, 0)  # (N, places, 3)
-    if isinstance(chain, Delta):  # one line over all three arms
+    if is_delta(chain):  # one line over all three arms
         shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
         elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
         tip = p[:, -2] if chain.has_shaft else p[:, -1]

@@ -20,7 +20,7 @@ import numpy as np
 
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array, cross
-from modcal_core.robots.kinematics import Share, Tilt
+from modcal_core.robots.kinematics import LoopShare, Tilt
 
 _ROUNDS, _DONE = 12, 1e-13  # iterations, each ten times nearer and more; rad
 
@@ -97,7 +97,7 @@ def level_tilts(axes: Array, along: Array, gains: Array, middle: Array, radius: 
 
 def tilted_shares(
     stand: Stand, distal: Array, rates: Array, ends: Array, base: Array, azimuth: int
-) -> list[tuple[Tilt, tuple[Share, Share]]]:
+) -> list[tuple[Tilt, tuple[LoopShare, LoopShare]]]:
     """For each arm how the platform moves with its rods' difference, and with a motion of its elbow.
 
     The platform's twist (δp, δw) solves two equations for each arm, the length of its mean rod and what its rods differ
@@ -138,6 +138,6 @@ def tilted_shares(
         skewed = turned(stand.R, cross(up, stand.tangent[i])[None])[0] - cross(up, stand.tangent[i])
         first[azimuth] -= np.sum(s[i] * swung, axis=0)
         second[azimuth] -= np.sum(g[i] * swung, axis=0) + np.sum(s[i] * skewed, axis=0)
-        shares = Share(s[i], by[i, :3], by[i, 3:], first), Share(g[i], by[3 + i, :3], by[3 + i, 3:], second)
+        shares = LoopShare(s[i], by[i, :3], by[i, 3:], first), LoopShare(g[i], by[3 + i, :3], by[3 + i, 3:], second)
         found.append((tilt, shares))
     return found

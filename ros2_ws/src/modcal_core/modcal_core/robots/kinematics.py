@@ -39,7 +39,7 @@ class Tilt:
 
 
 @dataclass(frozen=True)
-class Share:
+class LoopShare:
     """What a motion of a rod's end does to a platform by its share along one direction, in the base.
 
     along: (3, N). gain, turn: the platform's shift [m] and turn per unit of it, (3, N). rates: what the constants of
@@ -68,7 +68,7 @@ class Loop:
     lever: Array
     rates: Array
     tilt: Tilt | None = None
-    shares: tuple[Share, ...] = ()
+    shares: tuple[LoopShare, ...] = ()
 
     def moved(self, shift: Array, turn: Array, tool: Array | None = None) -> tuple[Array, Array | float]:
         """(shift, turn) (3, N) of the tool for a twist of the place, its parts (3,) or (3, N) in the base [m, rad].

@@ -13,8 +13,8 @@ from modcal_core.effects.family import PLAIN, Family
 from modcal_core.effects.shapes import Setting, Settings, Shape, ShapeKind
 from modcal_core.effects.sizes import Sizes, settings_of, value
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import ARMS, Delta
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.delta import ARMS
+from modcal_core.robots.mechanism import Mechanism, is_delta
 
 NAME = "parallelogram"
 _RADIUS = 0.05  # m; by how much a platform's radius may be other than stated, or than nothing
@@ -36,7 +36,7 @@ def pairs(x: Array, _: Settings) -> Array:
 def candidates(drivers: Drivers) -> Iterator[Effect]:
     """The rods of all three arms together: one pair alone turns the platform against the two others."""
     chain = drivers.arm.chain
-    if isinstance(chain, Delta):
+    if is_delta(chain):
         known = {"radius": chain.platform_radius, "known_radius": chain.platform_radius}
         for guess in dict.fromkeys(tuple(np.asarray(g) * chain.tool[:3]) for g in _GUESSES):
             lever = dict(zip("xyz", map(float, guess), strict=True))
