@@ -233,7 +233,7 @@ def columns_of(body: Body) -> list[int]:
 
 
 def zeros_of(body: Body) -> np.ndarray:
-    """SightColumns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
+    """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
     return np.array(body.turned if body.turned is not None and len(body.turned) > 3 else columns_of(body))
 
 

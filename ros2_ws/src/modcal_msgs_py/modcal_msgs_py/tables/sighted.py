@@ -1,4 +1,4 @@
-"""SightColumns of distances, directions and heights: which they are by their labels, and what they mean by what fits."""
+"""Columns of distances, directions and heights: which they are by their labels, and what they mean by what fits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a pla
 
 @dataclass(frozen=True)
 class SightColumns:
-    """SightColumns of one instrument. columns: one of a length; azimuth and the second angle, or a vector's three."""
+    """Columns of one instrument. columns: one of a length; azimuth and the second angle, or a vector's three."""
 
     frame: str
     kind: str
@@ -80,7 +80,7 @@ class Sighted:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """SightColumns of the readings."""
+        """Columns of the readings."""
         return tuple(k for i in self.instruments for k in i.columns)
 
     def entry(self, numbers: Numbers) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def is_sight(label: Label) -> bool:
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
-    """SightColumns that labels call distances, directions or heights; directions by three columns also by their numbers."""
+    """Columns that labels call distances, directions or heights; directions by three columns also by their numbers."""
     free = [k for k in numbers.usable() if k not in taken]
     out: list[SightColumns] = []
     used: set[int] = set()
