@@ -142,10 +142,10 @@ def plan(
 
     stations: how many; None: as many as accuracy_mm asks for [mm, 95 % of the workspace]. reading: "point" or "pose".
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
-    seed: of candidates and starts. Raises NotPlannable where no set of stations will do, BadRobot for a Delta.
+    seed: of candidates and starts. Raises NotPlannable where no set of stations will do.
     """
     request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
-    return sealed(plan_stations(robot.chain, site or Site(), request, np.random.default_rng(seed)))
+    return sealed(plan_stations(robot.mechanism, site or Site(), request, np.random.default_rng(seed)))
 
 
 def tolerance_asked(mm: float | None, of: str) -> Asked | None:

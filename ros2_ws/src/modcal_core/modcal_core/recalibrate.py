@@ -22,7 +22,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.preprocess import prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 _LEAST_COMPARED = 4  # stations; a standard error of fewer says nothing
@@ -42,7 +42,7 @@ class SampleMemory:
     dropped: Dropped = ()
 
     def prepared(
-        self, chain: Chain, clock_limit: float, most: int | None = None
+        self, chain: Mechanism, clock_limit: float, most: int | None = None
     ) -> tuple[Samples, tuple[str, ...], Dropped]:
         """All samples, what to know of them, and what was left out; of more than ``most`` the older ones are thinned.
 
@@ -74,7 +74,7 @@ class Job:
     """
 
     collected: SampleMemory
-    chain: Chain
+    chain: Mechanism
     inertias: Inertias | None
     cell: Cell = field(default_factory=Cell)
     seed: int = 0

@@ -28,7 +28,7 @@ from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import LEAN, READING, RODS, Effect, Term, all_columns, motion
+from modcal_core.effects.effect import READING, RODS, Effect, Term, all_columns, motion
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform, local_twists
@@ -227,7 +227,7 @@ class RowView:
         flat = self.f.axes[place].reshape(3, 3 * N)
         if place in self.f.loops:
             shift, turn = ((part @ flat).reshape(3, N) for part in (twist[:3], twist[3:]))
-            position[:], rotation[:] = self.f.loops[place].moved(shift, turn), 0.0
+            self._put(self.f.loops[place].moved(shift, turn, p), position, rotation)
         elif not twist[3:].any():
             np.matmul(twist[:3], flat, out=out[: 3 * N])
             rotation[:] = 0.0
@@ -242,25 +242,31 @@ class RowView:
 
     def constant_column(self, place: int, constant: int, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of what a place's arm has of its own."""
-        N, loop = self.position.shape[1], self.f.loops[place]
-        position = out[: 3 * N].reshape(3, N)
-        position[:], out[3 * N :] = loop.gain * loop.rates[constant], 0.0
+        N, M = self.position.shape[1], self.rotation.shape[1]
+        position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
+        p = self.f.p[-1] if self.sights is None else self.sights.watched
+        self._put(self.f.loops[place].moved_by_constant(constant, p), position, rotation)
         if self.sights is not None:
             self.sights.look_through(position)
 
+    def _put(self, moved: tuple[Array, Array | float], position: Array, rotation: Array) -> None:
+        """Write a shift (3, N) of the tool and its turn, (3, N) or none, into columns."""
+        shift, turn = moved
+        position[:] = shift
+        if isinstance(turn, float) or rotation.shape[1] == position.shape[1]:
+            rotation[:] = turn
+        else:
+            rotation[:] = turn[:, self.pose]
+
     def rods_column(self, place: int, direction: int, out: Array) -> None:
-        """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ, or lean."""
+        """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ."""
         N, M = self.position.shape[1], self.rotation.shape[1]
         position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
         tilt = self.f.loops[place].tilt
         assert tilt is not None
-        if direction == LEAN:
-            position[:], rotation[:] = tilt.lean, 0.0
-        else:
-            p = self.f.p[-1] if self.sights is None else self.sights.watched
-            so3.cross(tilt.turn, p - tilt.hub, out=position)
-            position += tilt.shift
-            rotation[:] = tilt.turn if M == N else tilt.turn[:, self.pose]
+        turn, shift = (tilt.turn, tilt.shift) if direction == RODS else tilt.more[direction - RODS - 1]
+        p = self.f.p[-1] if self.sights is None else self.sights.watched
+        self._put((shift + so3.cross(turn, p - tilt.hub), turn), position, rotation)
         if self.sights is not None:
             self.sights.look_through(position)
 
@@ -303,7 +309,7 @@ class RowView:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""
         if (place, direction) not in self._units:
             out = np.empty(self.position.size + self.rotation.size)
-            if direction in (RODS, LEAN):
+            if direction >= RODS:
                 self.rods_column(place, direction, out)
             else:
                 self.column(place, np.eye(6)[direction], out=out)

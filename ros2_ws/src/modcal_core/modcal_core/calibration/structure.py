@@ -45,7 +45,7 @@ def views_of(samples: Samples) -> tuple[View, ...]:
     return tuple(View(kind, frame, samples.is_same_point(frame)) for frame, kind in pairs)
 
 
-def joint_ranges(chain: Chain) -> tuple[Array, Array]:
+def joint_ranges(chain: Mechanism) -> tuple[Array, Array]:
     """Least and largest joint positions (n,) [rad, m]: the limits; a full turn, or ±0.5 m, where there is none."""
     span = np.where(chain.revolute, np.pi, 0.5)
     low = np.where(np.isfinite(chain.lower), chain.lower, -span)

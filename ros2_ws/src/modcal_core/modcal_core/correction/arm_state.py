@@ -12,8 +12,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.recording import POSE, SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import gravity_wrench
+from modcal_core.robots.mechanism import Mechanism, gravity_wrench
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class ArmState:
         approach = np.where(np.abs(way) > TRAVEL, np.sign(way), self.approach)
         return ArmState(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
 
-    def samples(self, chain: Chain, postures: Array, arm: NominalArm) -> Samples:
+    def samples(self, chain: Mechanism, postures: Array, arm: NominalArm) -> Samples:
         """Samples of postures (N, n) under these conditions, for a model to predict.
 
         What the actuators would have to exert there is what they exert now, but for the difference in weight.

@@ -13,7 +13,8 @@ from modcal_core.correction.correction import Correction, Target
 from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import Mechanism, is_delta, is_serial_arm
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 
@@ -43,18 +44,19 @@ class CalibratedRobot:
     """A calibration that fits the robot that is there. farthest: no desired position lies farther off [m]."""
 
     correction: Correction
-    described: Chain
+    described: Mechanism
     farthest: float
 
     @classmethod
-    def of(cls, calibration: Calibration, description: str) -> CalibratedRobot:
-        """The robot of a URDF and its calibration. Raises BadRobot where they do not belong together."""
+    def of(cls, calibration: Calibration, description: str | Delta) -> CalibratedRobot:
+        """The robot of a URDF, or a Delta, and its calibration. Raises BadRobot where they do not belong together."""
         nominal = calibration.nominal.chain
-        chain = read_chain(description, nominal.base, nominal.tip)
+        chain: Mechanism
+        chain = description if is_delta(description) else read_chain(str(description), nominal.base, nominal.tip)
         calibration.require_robot(chain)
         model = calibration.calibrated
         away = max(float(np.linalg.norm(T[:3, 3])) for T in model.T_frame_base)
-        ends = np.linalg.norm(chain.origins[0, :3, 3]) + np.linalg.norm(model.T_tip_tool[:3, 3])
+        ends = np.linalg.norm(chain.T_base_root[:3, 3]) + np.linalg.norm(model.T_tip_tool[:3, 3])
         return cls(Correction(calibration), chain, 1.05 * (chain.reach() + away + float(ends)))
 
     def bounds(self, settings: CommanderSettings) -> Bounds:
@@ -154,8 +156,10 @@ class Commander:
 
 
 def corrected_urdf(robot: CalibratedRobot, description: str) -> str:
-    """The URDF with the calibrated geometry in it. Raises ModcalError."""
-    return calibrated_urdf(description, robot.described, robot.correction.chain)
+    """The URDF with the calibrated geometry in it; "" for a Delta, which has none. Raises ModcalError."""
+    if not is_serial_arm(robot.described):
+        return ""
+    return calibrated_urdf(description, robot.described, robot.correction.model.serial)
 
 
 def finite(*arrays: Array) -> None:

@@ -17,7 +17,10 @@ from modcal_core.correction.correction import Correction, Target
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.delta_kinematics import inverse as delta_inverse
 from modcal_core.robots.inverse import inverse
+from modcal_core.robots.mechanism import is_delta, is_serial_arm
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
 _DIFFERENCE = 1e-6  # rad or m
@@ -25,6 +28,7 @@ _MOST_STEPS = 12
 _DAMPING = 1e-12
 _EFFECTS_M, _EFFECTS_RAD = 5e-3, 2e-2  # what effects may add to the reach of an arm
 _RESTARTS = 12  # each takes some ten milliseconds where there is nothing to be found
+_TILTED = 0.05  # rad; a Delta's platform stays level, and what is asked beyond its own errors is refused
 _SINGULAR = 1e-3  # smallest gain of the joints, m or rad a rad, that still counts as one
 
 
@@ -64,12 +68,16 @@ def compensate(
     correction.require(at)
     chain = correction.chain
     goal = _without_effects(correction, desired, target, frame)
-    try:
-        q = inverse(chain, goal, seed, rng=rng, restarts=_RESTARTS, tolerance=1e-7)
-    except NotReachable as plain:  # a stretched arm may be longer, or a joint farther from its limit, than by geometry
-        if not (plain.position < _EFFECTS_M and plain.rotation < _EFFECTS_RAD):
-            raise
-        q = plain.posture
+    if is_serial_arm(chain):
+        try:
+            q = inverse(chain, goal, seed, rng=rng, restarts=_RESTARTS, tolerance=1e-7)
+        except NotReachable as plain:  # an arm may be longer, or a joint farther from its limit, than by geometry
+            if not (plain.position < _EFFECTS_M and plain.rotation < _EFFECTS_RAD):
+                raise
+            q = plain.posture
+    else:
+        assert is_delta(chain)
+        q = _of_delta(chain, goal, seed)
     # which side a joint comes from is settled by the plain way there, and once: play must not flip to and fro
     arriving = at.arriving(q)
     steps, error, J = 0, *_linearised(correction, desired, q, arriving, target, frame)
@@ -80,6 +88,11 @@ def compensate(
         q, error, J = better
         steps += 1
     position, rotation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    if not is_serial_arm(chain):
+        left = se3.error(correction.poses(q[None], arriving, target, frame), desired)[0, 3:]
+        if float(np.linalg.norm(left)) > _TILTED:
+            said = f"the platform cannot turn so: {np.degrees(np.linalg.norm(left)):.1f}° are left"
+            raise NotReachable("desired pose", said, "ask for a level tool, turned about the base's z", 0.0)
     if not (position <= tolerance_m and rotation <= tolerance_rad):
         x, y, z = desired[:3, 3]
         raise NotReachable(
@@ -93,6 +106,17 @@ def compensate(
     return Command(q, position, rotation, steps, correction.unseen(q), bool(gains[min(J.shape) - 1] < _SINGULAR))
 
 
+def _of_delta(chain: Delta, goal: Array, seed: Array) -> Array:
+    """The posture of a Delta with its tip at a pose's place, turned about z as it is, as near to the seed as may be."""
+    yaw = float(np.arctan2(goal[1, 0], goal[0, 0]))
+    if chain.has_shaft:
+        now = chain.shaft_ratio * float(seed[-1])
+        yaw += 2.0 * np.pi * round((now - yaw) / (2.0 * np.pi))
+        low, high = sorted(chain.shaft_ratio * np.array([chain.lower[-1], chain.upper[-1]]))
+        yaw += 2.0 * np.pi * (int(yaw < low) - int(yaw > high))
+    return delta_inverse(chain, goal[:3, 3], yaw if chain.has_shaft else 0.0)
+
+
 def _without_effects(correction: Correction, desired: Array, target: Target, frame: str) -> Array:
     """Where the tip would be wanted in the base link if geometry were all."""
     T = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
@@ -102,9 +126,13 @@ def _without_effects(correction: Correction, desired: Array, target: Target, fra
 def _linearised(
     correction: Correction, desired: Array, q: Array, at: ArmState, target: Target, frame: str
 ) -> tuple[Array, Array]:
-    """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n)."""
+    """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n).
+
+    Of a Delta only what its joints can do away with.
+    """
     postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
-    errors = se3.error(correction.poses(postures, at, target, frame), desired)
+    level = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
+    errors = se3.error(correction.poses(postures, at, target, frame), desired) @ correction.controlled(level).T
     return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
 
 
@@ -120,7 +148,7 @@ def _improved(
 ) -> tuple[Array, Array, Array] | None:
     """The next command, its error and its derivatives; None where no shorter step is any better either."""
     chain = correction.chain
-    step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
+    step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(error)), error)
     for share in (1.0, 0.5, 0.25, 0.1):
         new = np.clip(q + share * step, chain.lower, chain.upper)
         e, J_new = _linearised(correction, desired, new, at, target, frame)

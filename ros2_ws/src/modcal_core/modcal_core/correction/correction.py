@@ -11,7 +11,7 @@ drifts, and a tracker's scale, show in tracker frames only; a tracker's delay sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,18 +19,20 @@ import numpy as np
 
 from modcal_core.calibration.canonical import passing_directions
 from modcal_core.calibration.fallback import between
+from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.arm_state import ArmState
 from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import JOINTS, READING, Effect, Term, columns, motion, shape_columns
-from modcal_core.errors import BadTable, MissingDriver
+from modcal_core.effects.effect import JOINTS, PAIRS, READING, Effect, Term, columns, motion, shape_columns
+from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.robots.kinematics import Frames, frames
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm, tool_frames
 
 Target = Literal["tip", "tool"]
 _HEARD = ("temperature:", "signal:")
@@ -43,7 +45,7 @@ class Correction:
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
         self.model = calibration.calibrated
-        self.chain = self.model.serial
+        self.chain = self.model.chain
         self._arm = replace(self.model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
         self._full = _Parts.of(self.model)
         self._fallback = calibration.fallback(self.model, calibration.geometric)
@@ -102,6 +104,18 @@ class Correction:
             other = other @ se3.inverse(self.model.T_tip_tool)
         return between(T, rows, share[rows], other)
 
+    def controlled(self, desired: Array) -> Array:
+        """What of an error (6,), seen from the target at a pose (4, 4), the robot's joints can do away with, (k, 6).
+
+        All of it for an arm; of a Delta the position, and the turn about the base's z where it has a shaft.
+        """
+        if is_serial_arm(self.chain):
+            return np.eye(6)
+        out = np.zeros((self.chain.n, 6))
+        out[:3, :3] = np.eye(3)
+        out[3:, 3:] = desired[2, :3]
+        return out
+
     def base_in(self, frame: str) -> Array:
         """Pose (4, 4) of the base link in a tracker frame; raises BadTable for one that was not calibrated."""
         if frame not in self.model.frames:
@@ -128,8 +142,11 @@ class Correction:
         if self._covariance is None:
             return out
         around = self._around(q[None], at)
+        chain = self.chain
+        if not is_serial_arm(chain):
+            return np.asarray(out + self._of_closed(around, target))
         twists, _ = motion(self._full.of_arm, around)
-        f = frames(self.chain, q[None], twists)
+        f = frames(chain, q[None], twists)
         end = self._full.behind(f.transform(-1), around, target)[0]
         n = self.chain.n
         units = np.stack([_unit_motions(f, place, end[:3, 3]) for place in range(n)] + [_at_end(end)])
@@ -148,6 +165,35 @@ class Correction:
             else:
                 j += len(effect.values)
         return out + rows @ self._covariance @ rows.T
+
+    def _of_closed(self, around: Drivers, target: Target) -> Array:
+        """Covariance (6, 6) by the parameters and effects of a Delta: what lies in its base is not the arm's."""
+        known = self.calibration.uncertainty
+        assert known is not None
+        model = replace(self.model, frames=("",), T_frame_base=np.eye(4)[None], leaders=(), instruments=())
+        if target == "tip":
+            model = replace(model, T_tip_tool=np.eye(4), effects=self._full.of_arm)
+        view = RowView.of(model, around.samples, around)
+        last = self.chain.tool_place
+        rows = np.zeros((6, len(known.covariance)))
+        for j, parameter in enumerate(known.parameters):
+            if 0 < parameter.place < last or (parameter.place == last and target == "tool"):
+                column = np.zeros(6)
+                if parameter.direction >= 6:
+                    view.constant_column(parameter.place, parameter.direction - 6, column)
+                else:
+                    view.column(parameter.place, np.eye(6)[parameter.direction], column)
+                rows[:, j] = column
+        j = len(known.parameters)
+        shown = (*self._full.of_arm, *self._full.of_tool) if target == "tool" else self._full.of_arm
+        for effect in self.model.effects:
+            if any(effect is e for e in shown):
+                for terms in (*columns(effect, around), *shape_columns(effect, around)):
+                    rows[:, j] = view.moved_by(terms)
+                    j += 1
+            else:
+                j += len(effect.values)
+        return np.asarray(rows @ known.covariance @ rows.T)
 
     def unseen(self, q: Array) -> tuple[str, ...]:
         """Names of the joints that are where the calibration has never seen them; no learned curve goes on there."""
@@ -182,32 +228,33 @@ class _Parts:
         true = [e for e in model.effects if e.direction != JOINTS]
         return cls(
             model,
-            tuple(e for e in true if e.place not in ("base", "tool", "tracker")),
-            tuple(e for e in true if e.place == "tool"),
+            tuple(e for e in true if e.place not in ("base", "tool", "tracker") or e.direction == PAIRS),
+            tuple(e for e in true if e.place == "tool" and e.direction != PAIRS),
             tuple(e for e in true if e.place in ("base", "tracker")),
         )
 
     def poses(self, postures: Array, around: Drivers, target: Target, base: Array | None) -> Array:
         """Poses of the target (N, 4, 4) in the base link, or seen from where the base (4, 4) is, with the cell's."""
         twists, _ = motion(self.of_arm, around)
-        chain = self.model.serial
+        chain = self.model.chain
         if base is None:
-            return self.behind(frames(chain, postures, twists).transform(-1), around, target)
+            return self.behind(_tip(chain, postures, twists), around, target)
         in_cell, scale = motion(self.of_cell, around)
         for place, twist in in_cell.items():
             twists[place] = twists[place] + twist if place in twists else twist
-        T = base @ self.behind(frames(chain, postures, twists).transform(-1), around, target)
+        T = base @ self.behind(_tip(chain, postures, twists), around, target)
         T[:, :3, 3] *= scale[:, None]
         return T
 
     def joints(self, q: Array, around: Drivers) -> Array:
         """Where the joints stand when they report q (n,)."""
-        chain = self.model.serial
+        chain = self.model.chain
         twists, _ = motion(self.of_arm, around)
         out = np.array(q, dtype=float)
         for place, twist in twists.items():
-            if place < chain.n:
-                out[place] += twist[5 if chain.revolute[place] else 2, 0]
+            j = place - chain.first_place
+            if 0 <= j < chain.n:
+                out[j] += twist[5 if chain.revolute[j] else 2, 0]
         return out
 
     def behind(self, T_base_tip: Array, around: Drivers, target: Target) -> Array:
@@ -219,6 +266,16 @@ class _Parts:
         for twist in twists.values():
             T = T @ error_transform(twist.T)
         return T
+
+
+def _tip(chain: Mechanism, postures: Array, twists: Mapping[int, Array]) -> Array:
+    """Poses of the tip in the base link, (N, 4, 4). Raises NotReachable for what a Delta cannot take."""
+    if is_serial_arm(chain):
+        return frames(chain, postures, twists).transform(-1)
+    T = tool_frames(chain, np.eye(4), postures, twists).transform(-1)
+    if not np.isfinite(T).all():
+        raise NotReachable("posture", "no platform fits the arms there", "stay where the platform fits")
+    return np.asarray(chain.T_base_root @ T)
 
 
 def _lasting(track: SignalTrack) -> SignalTrack:
@@ -263,7 +320,9 @@ def _deviations_covariance(calibration: Calibration) -> Array | None:
     known = calibration.uncertainty
     if known is None:
         return None
-    chain, n, P = calibration.calibrated.serial, calibration.calibrated.chain.n, len(known.parameters)
+    chain, n, P = calibration.calibrated.chain, calibration.calibrated.chain.n, len(known.parameters)
+    if not is_serial_arm(chain):
+        return known.covariance  # its constants have no such freedom
     selected = np.zeros((6 * n, P))
     for j, parameter in enumerate(known.parameters):
         if parameter.place > 0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 _LEAST_SECONDS = 0.1  # even the shortest way to a goal gets this long
 _STREAM_ENDS = 0.5  # s without a setpoint, and nothing is streamed any more
@@ -25,7 +25,7 @@ class Bounds:
     speed: Array
 
     @classmethod
-    def of(cls, chains: Sequence[Chain], turning: float, sliding: float) -> Bounds:
+    def of(cls, chains: Sequence[Mechanism], turning: float, sliding: float) -> Bounds:
         """The limits that all descriptions of one arm allow; speeds of its turning and its sliding joints."""
         first = chains[0]
         return cls(

@@ -156,9 +156,12 @@ class Scanner:
             self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
             basis = effect.shape.basis(self.drivers.values(effect.driver, effect.lag))
             return (key,) * len(basis), basis
-        key = (terms[0][0].place, effect.direction + effect.driver)
-        self._composed[key] = [(t.place, t.direction, t.size) for t in terms[0]]
-        return (key,), np.ones((1, len(self.drivers)))
+        keys: list[Key] = []
+        for i, several in enumerate(terms):
+            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 else ""
+            keys.append((several[0].place, effect.direction + effect.driver + own))
+            self._composed[keys[-1]] = [(t.place, t.direction, t.size) for t in several]
+        return tuple(keys), np.ones((len(keys), len(self.drivers)))
 
     def _column(self, key: Key, space: Space) -> Array:
         if key not in space.columns:

@@ -23,7 +23,8 @@ READING = -1  # the place of what scales readings: behind everything
 STEPS = ("step", "until")  # shapes of what happens at one time
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
 PAIRS = "rods"  # of parallelograms, by what their two rods differ
-RODS, LEAN = delta_kinematics.RODS, delta_kinematics.RODS + 1  # directions of a Delta's arms behind the six of a twist
+RODS, ROWS = delta_kinematics.RODS, delta_kinematics.ROWS  # directions of a Delta's arms behind the six of a twist
+LENGTHS_OF_PAIRS = ("radius", "x", "y", "z")  # settings that come with them
 EXPECTED_RODS = 0.02  # of their spacing: 1 mm at 50 mm
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
@@ -46,9 +47,9 @@ class Effect:
 
     family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
     (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
-    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see :mod:`drivers`. shape: how it
-    follows the driver. values, std: amplitudes and their standard deviations (m,), in rad or m per unit of the driver,
-    then the settings that are fitted with them.
+    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see
+    :mod:`drivers`. shape: how it follows the driver. values, std: amplitudes and their standard deviations (m,), in rad
+    or m per unit of the driver, then the settings that are fitted with them.
     """
 
     family: str
@@ -113,9 +114,11 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
     x = drivers.values(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
     if effect.direction == PAIRS:
-        more = effect.shape.settings["radius"] - effect.shape.settings["known_radius"]
+        settings = effect.shape.settings
+        lengths = [settings[name] for name in LENGTHS_OF_PAIRS]
+        lengths[0] -= settings["known_radius"]
         arms = [chain.first_place + i for i in range(effect.shape.size)]
-        return [[Term(i, RODS, x), *([Term(i, LEAN, more * x)] if more else [])] for i in arms]
+        return [[Term(i, RODS, x), *(Term(i, RODS + 1 + d, size * x) for d, size in enumerate(lengths))] for i in arms]
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
     basis = effect.shape.basis(x)
@@ -177,7 +180,7 @@ def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array
                 if term.place == READING:
                     scale = scale + amplitude * term.size
                 else:
-                    rows = 6 if term.direction < RODS else LEAN + 1
+                    rows = 6 if term.direction < RODS else ROWS
                     twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
                     if len(twist) < rows:
                         twist = twists[term.place] = np.concatenate(

@@ -57,12 +57,12 @@ class ChangeDetector:
         """covariance: of the parameters, (P, P); what effects add to it is left out. noise: of the fit."""
         self.model = model
         self.directions = all_directions(model)
-        names = {(p.place, p.direction, p.frame): i for i, p in enumerate(self.directions)}
+        names = {_key(p): i for i, p in enumerate(self.directions)}
         # constants of instruments move nothing that is watched here
         moving = [i for i, p in enumerate(parameters) if p.place != INSTRUMENT]
-        self._known = np.array(
-            [names[p.place, p.direction, p.frame] for p in (parameters[i] for i in moving)], dtype=int
-        )
+        self.directions += tuple(p for p in (parameters[i] for i in moving) if _key(p) not in names)
+        names = {_key(p): i for i, p in enumerate(self.directions)}
+        self._known = np.array([names[_key(parameters[i])] for i in moving], dtype=int)
         self._covariance = covariance[np.ix_(moving, moving)]
         self._noise_model = noise
         self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
@@ -108,9 +108,13 @@ class ChangeDetector:
         return self.seen[-suffix].stamp
 
 
+def _key(parameter: ModelParameter) -> tuple[int, int, int]:
+    return parameter.place, parameter.direction, parameter.frame
+
+
 def all_directions(model: Model) -> tuple[ModelParameter, ...]:
     """All six directions of every frame, of every place of the arm, and of the tool."""
     frames = [ModelParameter(f"frame {name}/{d}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
-    n = model.chain.n
+    n = model.chain.tool_place
     places = [ModelParameter(f"place {k}/{d}", k, d) for k in range(1, n + 1) for d in range(6)]
     return (*frames, *places)

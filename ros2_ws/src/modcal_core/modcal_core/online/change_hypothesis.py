@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.online.change_detector import ChangeDetector, Seen
-from modcal_core.robots.gravity import payload_wrench
+from modcal_core.robots.mechanism import payload_wrench
 
 _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are not told apart
 
@@ -80,8 +80,8 @@ def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
 
 
 def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
-    chain = detector.model.serial
-    n, F = chain.n, len(detector.model.frames)
+    chain = detector.model.chain
+    n, F = chain.tool_place, len(detector.model.frames)
     motions = np.stack([s.motions for s in seen])  # (m, 6, C)
     lengths = np.stack([s.unwhitened[:3] for s in seen])  # (m, 3, C)
     columns = {(p.place, p.direction, p.frame): i for i, p in enumerate(detector.directions)}
@@ -104,11 +104,12 @@ def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hyp
     for driver, scale in (("time (at once)", None), ("time (growing)", growing)):
         yield _Hypothesis("base", "all", driver, *of_all_frames(every, scale))
         yield _Hypothesis("tool", "all", driver, *of(n, every, scale))
-        for k, name in enumerate(chain.names):
+        for j, name in enumerate(chain.names):
+            k = chain.first_place + j
             along = chain.length_direction(k)
             if along.any() and k > 0:
                 yield _Hypothesis(name, "length", driver, *of(k, np.r_[along, np.zeros(3)][None], scale))
-            axis = every[[5 if chain.revolute[k] else 2]]
+            axis = every[[5 if chain.revolute[j] else 2]]
             if k > 0:
                 yield _Hypothesis(name, "axis", driver, *of(k, axis, scale))
         if F > 1:
@@ -117,11 +118,11 @@ def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hyp
                 yield _Hypothesis(name, "all", driver, *of(0, every, only if scale is None else only * scale, f))
     load = payload_wrench(chain, np.concatenate([s.sample.q for s in seen]))
     given = []
-    for k in range(n):
-        row = 5 if chain.revolute[k] else 2
+    for j, name in enumerate(chain.names):
+        k, row = chain.first_place + j, 5 if chain.revolute[j] else 2
         axis = every[[row]]
-        given.append(of(k, axis, load[k, row]) if k else of_all_frames(axis, load[k, row]))
-        yield _Hypothesis(chain.names[k], "axis", f"load:{chain.names[k]}", *given[-1])
+        given.append(of(k, axis, load[j, row]) if k else of_all_frames(axis, load[j, row]))
+        yield _Hypothesis(name, "axis", f"load:{name}", *given[-1])
     heaviest = int(np.argmax([np.sum(g[1] ** 2) for g in given]))
     yield _Hypothesis(
         chain.names[heaviest],

@@ -15,7 +15,7 @@ from math import asin, sqrt
 
 import numpy as np
 
-from modcal_core.calibration.linearise import Deviations, RowView, deviations, model_at
+from modcal_core.calibration.linearise import Deviations, RowView, deviations, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects.effect import all_columns, motion
@@ -25,6 +25,7 @@ from modcal_core.geometry.twists import local_twists
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
+from modcal_core.robots.mechanism import is_serial_arm
 
 _EYE = np.eye(6)
 _AT_ROOT = np.eye(7, 6)  # the frame of the first joint is the root
@@ -36,7 +37,12 @@ class FixedLinearisation:
     def __init__(self, start: Model, parameters: Sequence[ModelParameter], values: Array) -> None:
         """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
         now = model_at(start, parameters, values)
+        self._start, self._parameters, self._values = start, parameters, values
         errors = deviations(start, parameters, values[: len(parameters)])
+        self._chain: Chain | None = None
+        if not is_serial_arm(now.chain):  # of closed chains nothing can be carried from joint to joint
+            self._model, self._effects = now, len(values) > len(parameters)
+            return
         self._twists = [_twists(now, parameters, errors, frame) for frame in range(len(now.frames))]
         self._model = now
         self._effects = len(values) > len(parameters)
@@ -51,6 +57,8 @@ class FixedLinearisation:
 
     def __call__(self, sample: Samples) -> tuple[Array, Array]:
         """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
+        if self._chain is None:
+            return self._of_closed(sample)
         if not self._model.effects:
             return self._of_geometry(sample)
         at = self._model.drivers(sample)
@@ -64,6 +72,15 @@ class FixedLinearisation:
             more = [view.moved_by(terms) for terms in all_columns(self._model.effects, at)]
             J = np.concatenate([J, np.stack(more, axis=1)], axis=1)
         return residual, J
+
+    def _of_closed(self, sample: Samples) -> tuple[Array, Array]:
+        """The same by all that a fit does."""
+        at = self._model.drivers(sample)
+        view = RowView.of(self._model, sample, at)
+        J = geometry_rows(view, self._start, self._parameters, self._values)
+        if self._effects:
+            J = np.concatenate([J, *(view.moved_by(terms)[None] for terms in all_columns(self._model.effects, at))])
+        return np.concatenate([view.position.ravel(), view.rotation.ravel()]), J.T
 
     def _of_geometry(self, sample: Samples) -> tuple[Array, Array]:
         """The same for an arm without effects: for one posture, products of small matrices are the least work."""

@@ -13,19 +13,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.calibration.linearise import RowView, geometry_rows
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter, View
-from modcal_core.calibration.structure import choose_parameters
+from modcal_core.calibration.structure import choose_parameters, exact_samples
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.elementary import ElementaryChain, ElementaryMotion, elementary
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.planning.elementary import ElementaryMotion, elementary
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.robots.table_rows import read_rows
 
 _DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
@@ -44,13 +48,50 @@ class Factor:
         return self.unit == "m"
 
 
+class Motions(Protocol):
+    """An arm that moves with its P parameters."""
+
+    def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
+        """The point [m], (S, N, 3), of arms with errors (S, P) [m, rad] in postures q (N, n) [rad, m]."""
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """d(position, orientation)/d(parameter), (N, 6, P), at postures q (N, n)."""
+
+
+@dataclass(frozen=True)
+class ModelMotions:
+    """The same of a robot whose loops no product of motions describes, to first order: a millimetre and a milliradian
+    change its derivatives by some thousandths.
+    """
+
+    model: Model
+    parameters: tuple[ModelParameter, ...]
+
+    def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
+        """As :meth:`Motions.positions`."""
+        q, x = np.atleast_2d(np.asarray(q, dtype=float)), np.atleast_2d(np.asarray(errors, dtype=float))
+        here = self.model.predict(q, np.zeros(len(q), dtype=int))[:, :3, 3]
+        return np.asarray(here + np.einsum("nkp,sp->snk", self.jacobian(q)[:, :3], x))
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """As :meth:`Motions.jacobian`."""
+        q = np.asarray(q, dtype=float)
+        N = len(q)
+        samples = exact_samples(self.model, q, np.zeros(N, dtype=int), np.full(N, "pose", dtype=KIND_NAMES))
+        view = RowView.of(self.model, samples, self.model.drivers(samples))
+        rows = geometry_rows(view, self.model, self.parameters, np.zeros(len(self.parameters)))
+        R = self.model.T_frame_base[0, :3, :3] @ self.model.chain.T_base_root[:3, :3]
+        by_place = rows.reshape(len(rows), 2, 3, N)  # position, orientation, as seen from the root
+        return np.einsum("ab,pkbn->nkap", R, by_place).reshape(N, 6, len(rows))
+
+
 @dataclass(frozen=True)
 class ClosedChain:
     """chain: the nominal arm. factors: the P parameters. motions: the same chain, one motion a parameter."""
 
-    chain: Chain
+    chain: Mechanism
     factors: tuple[Factor, ...]
-    motions: ElementaryChain
+    motions: Motions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,7 +151,7 @@ def dh_closed_chain(
 
 
 def calibration_chain(
-    chain: Chain,
+    chain: Mechanism,
     T_measuring_base: Array | None = None,
     T_tip_tool: Array | None = None,
     kind: str = "point",
@@ -122,7 +163,7 @@ def calibration_chain(
     return chain_of_parameters(model, parameters)
 
 
-def one_frame_model(chain: Chain, T_measuring_base: Array | None = None, T_tip_tool: Array | None = None) -> Model:
+def one_frame_model(chain: Mechanism, T_measuring_base: Array | None = None, T_tip_tool: Array | None = None) -> Model:
     """The nominal arm watched from one frame called ``tracker``; poses default to the identity."""
     base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
     tool = np.eye(4) if T_tip_tool is None else np.asarray(T_tip_tool, dtype=float)
@@ -131,6 +172,9 @@ def one_frame_model(chain: Chain, T_measuring_base: Array | None = None, T_tip_t
 
 def chain_of_parameters(model: Model, parameters: Sequence[ModelParameter]) -> ClosedChain:
     """The closed chain of a model with one frame, in these parameters of a calibration, in their order."""
+    factors = tuple(Factor(p.name, p.unit) for p in parameters)
+    if not is_serial_arm(model.chain):
+        return ClosedChain(model.chain, factors, ModelMotions(model, tuple(parameters)))
     chain = model.serial
     at: dict[int, list[tuple[int, int]]] = {}
     for j, p in enumerate(parameters):
@@ -143,7 +187,7 @@ def chain_of_parameters(model: Model, parameters: Sequence[ModelParameter]) -> C
         steps += [ElementaryMotion(d, parameter=j) for d, j in sorted(at.get(k, []))]
         if k < chain.n:
             steps += [ElementaryMotion(5 if chain.revolute[k] else 2, joint=k), M[k + 1]]
-    return ClosedChain(chain, tuple(Factor(p.name, p.unit) for p in parameters), elementary(steps))
+    return ClosedChain(chain, factors, elementary(steps))
 
 
 def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:

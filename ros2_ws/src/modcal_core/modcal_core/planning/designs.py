@@ -16,10 +16,11 @@ from scipy.stats import qmc
 from modcal_core.calibration.structure import joint_ranges
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, takes
 
 DESIGNS = ("l25", "array", "sobol")
 _MOST_RUNS = 20_000  # for time
+_DRAWN = 8  # times as many postures as are wanted of a robot that cannot take all of them
 _SAME = 1e-6  # rad
 
 
@@ -50,16 +51,17 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     return np.asarray(runs @ np.array(forms[:factors]).T % levels)
 
 
-def array_postures(chain: Chain, levels: int) -> Array:
+def array_postures(chain: Mechanism, levels: int) -> Array:
     """Postures (N, n) [rad, m] of the orthogonal array, every joint at so many levels from its least to its largest.
 
     Where some levels of a turning joint would be the same angle, its levels are spread over one turn instead.
     """
     low, high = joint_ranges(chain)
     array = orthogonal_array(chain.n, levels)
-    return np.stack(
+    q = np.stack(
         [_levels(low[k], high[k], levels, bool(chain.revolute[k]))[array[:, k]] for k in range(chain.n)], axis=1
     )
+    return q[takes(chain, q)]
 
 
 def _levels(low: float, high: float, count: int, turns: bool) -> Array:
@@ -71,10 +73,14 @@ def _levels(low: float, high: float, count: int, turns: bool) -> Array:
     return at
 
 
-def sobol_postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) [rad, m] of a scrambled Sobol sequence over the joints' ranges."""
+def sobol_postures(chain: Mechanism, count: int, rng: np.random.Generator) -> Array:
+    """Postures (count, n) [rad, m] of a scrambled Sobol sequence over the joints' ranges.
+
+    Of a Delta those that its platform fits, and fewer where hardly any does.
+    """
     low, high = joint_ranges(chain)
-    return np.asarray(low + (high - low) * sobol_points(count, chain.n, rng))
+    q = np.asarray(low + (high - low) * sobol_points(count * (_DRAWN if chain.closed else 1), chain.n, rng))
+    return q[takes(chain, q)][:count] if chain.closed else q
 
 
 def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array:
@@ -83,7 +89,7 @@ def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array
     return np.asarray(qmc.Sobol(dimensions, seed=rng).random(whole)[:count])
 
 
-def design(chain: Chain, kind: str, rng: np.random.Generator, levels: int = 5, count: int = 64) -> Array:
+def design(chain: Mechanism, kind: str, rng: np.random.Generator, levels: int = 5, count: int = 64) -> Array:
     """Postures (N, n) of a design by name.
 
     ``l25``: the source's, five levels, up to six joints. ``array``: that of ``levels`` levels for any number of joints.

@@ -24,7 +24,7 @@ from modcal_core.planning.route import Route, route
 from modcal_core.planning.rows import StationRows, station_rows
 from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import clearance, visible
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 _REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
 _MOVED = 24  # new candidates for every station and round
@@ -81,7 +81,7 @@ class Plan:
         return len(self.q) - len(self.route.returns)
 
 
-def plan(chain: Chain, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
+def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
     if request.stations is None and request.accuracy is None:
         raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from modcal_core.planning.designs import sobol_postures
 from modcal_core.planning.rows import StationRows, position_rows, station_rows
 from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 CANDIDATES = 1500  # random postures that stations are chosen from, for time
 _WORKSPACE = 400  # postures that stand for the workspace
@@ -65,7 +65,7 @@ class PosturePool:
 
 
 def survey(
-    chain: Chain,
+    chain: Mechanism,
     site: Site,
     rng: np.random.Generator,
     reading: str = "point",
@@ -120,7 +120,7 @@ def survey(
     )
 
 
-def with_limits(chain: Chain, site: Site) -> Chain:
+def with_limits(chain: Mechanism, site: Site) -> Mechanism:
     """The chain within the site's narrower limits, a little kept free at either end, where controllers stop.
 
     Raises BadTable for a joint that is not there, and for limits that leave nothing.
@@ -137,10 +137,10 @@ def with_limits(chain: Chain, site: Site) -> Chain:
             raise BadTable(
                 f"limits of '{name}'", "leave no part of the robot's own limits", "give [least, largest] in SI"
             )
-    return replace(chain, lower=lower, upper=upper)
+    return chain.with_limits(lower, upper)
 
 
-def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Chain:
+def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Mechanism:
     """The chain whose joints turn once at most: geometry looks the same after a turn, and ways get shorter.
 
     Of the turns that a joint may make, the one is taken that begins and ends where the fewest postures are free, so
@@ -160,7 +160,7 @@ def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Chain:
         apart = np.abs(np.angle(np.exp(1j * (q[:, k, None] - first))))
         begin = first[np.argmin(np.sum(apart < _CUT, axis=0))]
         lower[k], upper[k] = begin, begin + 2.0 * np.pi
-    return replace(chain, lower=lower, upper=upper)
+    return chain.with_limits(lower, upper)
 
 
 def random_accuracies(pool: PosturePool, count: int, rng: np.random.Generator, sets: int = _RANDOM) -> list[Accuracy]:
@@ -170,7 +170,7 @@ def random_accuracies(pool: PosturePool, count: int, rng: np.random.Generator, s
 
 def allowed(calibration: Calibration, site: Site) -> Callable[[Array], np.ndarray]:
     """Says of postures (N, n) whether this arm, by its nominal model, may take them at a site and is seen there."""
-    chain = with_limits(calibration.nominal.serial, site)
+    chain = with_limits(calibration.nominal.chain, site)
     spheres = spheres_of(chain, site)
 
     def may(q: Array) -> np.ndarray:

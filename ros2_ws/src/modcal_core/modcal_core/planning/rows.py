@@ -88,9 +88,9 @@ def station_rows(
     view = RowView.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
-    turning = model.chain.revolute
+    turning, first = model.chain.revolute, model.chain.first_place
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
-    Jq = _by_station(np.stack([view.unit_column(k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
+    Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
     unrepeated = np.sum(Jq[:, :3] ** 2, axis=(1, 2))
     distance = np.linalg.norm(samples.reading, axis=1)
     read = np.full((N, J.shape[1]), noise.rotation)
@@ -112,9 +112,9 @@ def position_rows(model: Model, parameters: Sequence[ModelParameter], q: Array, 
     samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
     view = RowView.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
-    turning = model.chain.revolute
+    turning, first = model.chain.revolute, model.chain.first_place
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
-    Jq = _by_station(np.stack([view.unit_column(k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
+    Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
     G = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
     return G, np.sum(Jq**2, axis=(1, 2))
 

@@ -19,6 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.site import BASE, Ball, Site
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm, takes, tool_frames
 
 _SHARE_OF_REACH = 0.04  # radius of a link where none is stated: 5 cm of an arm of 1.3 m
 _NEIGHBOURS = 2.0  # sums of radii along the arm within which spheres are not compared
@@ -34,7 +35,7 @@ class Spheres:
     pairs: those that are compared, (K, 2).
     """
 
-    chain: Chain
+    chain: Mechanism
     link: np.ndarray
     centre: Array
     radius: Array
@@ -46,8 +47,10 @@ class Spheres:
         return np.einsum("sdcn,sd->scn", f.axes[self.link], self.centre) + f.p[self.link]
 
 
-def spheres_of(chain: Chain, site: Site) -> Spheres:
+def spheres_of(chain: Mechanism, site: Site) -> Spheres:
     """The spheres of an arm at a site. Raises BadTable for a sphere on a link that is not there."""
+    if not is_serial_arm(chain):
+        return _of_closed(chain, site)
     lines = _lines(chain, site.target.position)
     start = np.r_[0.0, np.cumsum([np.linalg.norm(b - a) for a, b in lines])]
     if site.spheres:
@@ -62,6 +65,16 @@ def spheres_of(chain: Chain, site: Site) -> Spheres:
     i, j = np.triu_indices(len(link), 1)
     far = (link[i] != link[j]) & (np.abs(along[i] - along[j]) > _NEIGHBOURS * (radius[i] + radius[j]))
     return Spheres(chain, link, centre, radius, along, np.stack([i[far], j[far]], axis=1))
+
+
+def _of_closed(chain: Mechanism, site: Site) -> Spheres:
+    """One sphere at the tip of a robot of closed chains: what carries it is above, and does not touch itself."""
+    if site.spheres:
+        said = "belongs to a serial arm: of this robot only the tip is looked at"
+        raise BadTable(f"sphere on link '{site.spheres[0].link}'", said, "leave spheres out, state link_radius_m")
+    size = _SHARE_OF_REACH * chain.reach() if site.link_radius is None else site.link_radius
+    at = np.array([chain.tool_place])
+    return Spheres(chain, at, np.zeros((1, 3)), np.array([size]), np.zeros(1), np.zeros((0, 2), dtype=int))
 
 
 def _lines(chain: Chain, target: Array) -> list[tuple[Array, Array]]:
@@ -110,8 +123,8 @@ def clearance(spheres: Spheres, site: Site, q: Array) -> Array:
 
 
 def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
-    at = spheres.at(frames(spheres.chain, q))
-    out = np.full(len(q), np.inf)
+    at = spheres.at(_frames(spheres.chain, q))
+    out = np.where(takes(spheres.chain, q), np.inf, -np.inf)
     for i in np.unique(spheres.pairs[:, 0]):
         others = spheres.pairs[spheres.pairs[:, 0] == i, 1]
         gap = np.linalg.norm(at[others] - at[i], axis=1) - (spheres.radius[others] + spheres.radius[i])[:, None]
@@ -133,7 +146,7 @@ def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
     tracker = site.tracker
     if tracker is None:
         return np.ones(len(q), dtype=bool)
-    f = frames(spheres.chain, q)
+    f = _frames(spheres.chain, q)
     p = f.p[-1].T + np.einsum("dcn,d->nc", f.axes[-1], site.target.position)
     way = p - tracker.position
     distance = np.linalg.norm(way, axis=1)
@@ -147,6 +160,11 @@ def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
     rows = np.flatnonzero(seen)
     seen[rows] &= ~_hidden(spheres, site, tracker.position, f, p, rows)
     return seen
+
+
+def _frames(chain: Mechanism, q: Array) -> Frames:
+    """Frames of the places in the base."""
+    return frames(chain, q) if is_serial_arm(chain) else tool_frames(chain, np.eye(4), q)
 
 
 def _hidden(spheres: Spheres, site: Site, eye: Array, f: Frames, p: Array, rows: np.ndarray) -> np.ndarray:

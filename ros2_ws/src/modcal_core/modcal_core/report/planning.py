@@ -173,7 +173,7 @@ def to_html(plan: Plan, title: str) -> str:
 def _robot(plan: Plan) -> RobotScene:
     """The arm at the stations in their order, among the places that could be chosen."""
     pool, tracker = plan.pool, plan.pool.site.tracker
-    chain = pool.model.serial
+    chain = pool.model.chain
     rows = thinned(len(plan.q), MOST_POSTURES)
     paths = arm_paths(chain, plan.q, pool.model.T_tip_tool)
     could = arm_paths(chain, pool.q[thinned(len(pool.q), MOST_POINTS)], pool.model.T_tip_tool)[:, -1]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import tool_frames
+from modcal_core.robots.delta import ARMS
+from modcal_core.robots.mechanism import Mechanism, is_delta, tool_frames
 
 MOST_POSTURES, MOST_POINTS = 60, 500  # that a page can show and a person look through
 
@@ -50,15 +50,32 @@ class RobotScene:
         }
 
 
-def arm_paths(chain: Chain, q: Array, T_tip_tool: Array | None = None) -> Array:
+def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Array:
     """Polylines from base over every joint to the tool at postures q (N, n), (N, n + 2, 3) [m], in the base."""
     frames = tool_frames(chain, np.eye(4) if T_tip_tool is None else T_tip_tool, q, {})
     p = np.moveaxis(frames.p, -1, 0)  # (N, places, 3)
+    if is_delta(chain):  # one line over all three arms
+        shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
+        elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
+        tip = p[:, -2] if chain.has_shaft else p[:, -1]
+        around = [
+            p[:, 0],
+            shoulders[0],
+            elbows[0],
+            tip,
+            elbows[1],
+            shoulders[1],
+            shoulders[2],
+            elbows[2],
+            tip,
+            p[:, -1],
+        ]
+        return np.stack(around, axis=1)
     T = chain.T_base_root
     return np.concatenate([np.zeros((len(q), 1, 3)), p @ T[:3, :3].T + T[:3, 3]], axis=1)
 
 
-def joints_in_words(chain: Chain, q: Array) -> str:
+def joints_in_words(chain: Mechanism, q: Array) -> str:
     """A posture (n,) in degrees, and millimetres of sliding joints."""
     turning = chain.revolute
     values = (f"{np.degrees(x):.1f}°" if turns else f"{1e3 * x:.1f} mm" for x, turns in zip(q, turning, strict=True))

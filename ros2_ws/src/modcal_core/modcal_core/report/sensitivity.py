@@ -218,9 +218,8 @@ def _robot(study: Study) -> RobotScene:
         f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
     )
     points = paths[:, -1]
-    return RobotScene(
-        tuple(paths), tuple(said), points, np.arange(len(rows)), chain.base, alt, weights=tuple(map(float, of_joint))
-    )
+    weights = () if chain.closed else tuple(map(float, of_joint))  # its line does not go from joint to joint
+    return RobotScene(tuple(paths), tuple(said), points, np.arange(len(rows)), chain.base, alt, weights=weights)
 
 
 def _figures(study: Study) -> dict[str, tuple[Figure, str]]:

@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import NotReachable
 from modcal_core.geometry.so3 import Array, cross
 from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, OFFSET, PROXIMAL, RATIO, ZERO, Delta
-from modcal_core.robots.delta_tilt import tilted, tilts
+from modcal_core.robots.delta_tilt import Stand, level_tilts, tilted, tilted_shares
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
-RODS = 6  # row of an arm's twist: by how much its rods differ, per spacing; behind it, times what the radius is more
+# rows of an arm's twist: by how much its rods differ, per spacing; behind it that times four lengths (delta_tilt)
+RODS, ROWS = 6, 11
 LOOSE = 0.05  # |det S| below which the platform counts as loose; three rods at right angles have 1
 STRETCHED = 0.02  # sine of the angle between arm and rod below which the arm counts as stretched
 
@@ -41,7 +42,7 @@ def frames(
 ) -> Frames:
     """Frames of every place in the base for joint positions q (N, n) [rad]: base, shoulders, shaft, tool.
 
-    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, two rows more
+    twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, five rows more
     say how its two rods differ (see RODS). T_tip_tool: puts the tool's
     place at the tool instead of the tip. loops: whether it is asked how the arms move the tool. A shoulder's frame has
     x outwards and z along the axis. Postures that no platform can take are NaN; :func:`forward` refuses them.
@@ -56,12 +57,13 @@ def frames(
     zero, ratio, azimuth, offset, proximal, distal = delta.constants
     theta = (q[:, :ARMS] * ratio + zero).T  # (3, N)
     arm, centre = np.empty((ARMS, 3, N)), np.empty((ARMS, 3, N))
+    stands = np.empty((ARMS, 3, 3, N))  # the arms' axes as the platform knows them
     for i in range(ARMS):
         out = np.array([np.cos(azimuth[i]), np.sin(azimuth[i]), 0.0])
         tangent = np.array([-out[1], out[0], 0.0])
         local = np.stack([out, [0.0, 0.0, -1.0], tangent])
         flat = axes[0].reshape(3, 3 * N)
-        axes[1 + i] = (local @ flat).reshape(3, 3, N)
+        axes[1 + i] = stands[i] = (local @ flat).reshape(3, 3, N)
         p[1 + i] = p[0] + offset[i] * axes[1 + i, 0]
         if 1 + i in twists:
             moved_frame(axes[1 + i], p[1 + i], twists[1 + i])
@@ -70,19 +72,19 @@ def frames(
         centre[i] = p[1 + i] + arm[i]
     platform = _meeting_point(centre, distal, axes[0, 2])
     tip = axes[0].copy()
-    stands = axes[1 : 1 + ARMS].copy()
+    stand: Stand | None = None
     if rods := {i: twists[1 + i] for i in range(ARMS) if 1 + i in twists and len(twists[1 + i]) > RODS}:
-        unequal = np.zeros((2, ARMS, N))
+        unequal = np.zeros((ROWS - RODS, ARMS, N))
         for i, twist in rods.items():
-            unequal[:, i] = twist[RODS : RODS + 2]
+            unequal[:, i] = twist[RODS:ROWS]
 
-        def place(shift: Array) -> tuple[Array, Array]:
+        def placed(shift: Array) -> tuple[Array, Array]:
             at = _meeting_point(centre - shift, distal, axes[0, 2])
             return at, (at - centre + shift) / distal[:, None, None]
 
-        R, platform, _ = tilted(unequal[0], unequal[1], delta.platform_radius, stands, place)
-        tip = np.einsum("nij,djn->din", R, tip)
-        stands = np.einsum("nij,adjn->adin", R, stands)
+        stand = tilted(unequal, delta.platform_radius, stands, placed)
+        tip = np.einsum("nij,djn->din", stand.R, tip)
+        platform = stand.middle + np.einsum("cn,cdn->dn", stand.lengths[1:], tip - axes[0])
     at = platform.copy()
     if delta.has_shaft:
         place = 1 + ARMS
@@ -98,7 +100,7 @@ def frames(
     p[last] = at + (T[:3, 3] @ flat).reshape(3, N)
     if last in twists:
         moved_frame(axes[last], p[last], twists[last])
-    return Frames(axes, p, _loops(delta, q, axes, p, arm, centre, platform, stands) if loops else {})
+    return Frames(axes, p, _loops(delta, q, axes, p, arm, centre, platform, stands, stand) if loops else {})
 
 
 def forward(delta: Delta, q: ArrayLike) -> Array:
@@ -212,8 +214,8 @@ def payload_wrench(delta: Delta, q: ArrayLike, weight: float) -> Array:
     out = np.zeros((delta.n, 6, f.p.shape[2]))
     for i in range(ARMS):
         for d in range(3):
-            out[i, d] = -weight * f.loops[1 + i].moved(f.axes[1 + i, d], np.zeros(3))[2]
-            out[i, 3 + d] = -weight * f.loops[1 + i].moved(np.zeros(3), f.axes[1 + i, d])[2]
+            out[i, d] = -weight * f.loops[1 + i].moved(f.axes[1 + i, d], np.zeros(3))[0][2]
+            out[i, 3 + d] = -weight * f.loops[1 + i].moved(np.zeros(3), f.axes[1 + i, d])[0][2]
     if delta.has_shaft:
         out[ARMS, :3] = -weight * f.axes[1 + ARMS, :, 2]
     return out
@@ -238,27 +240,38 @@ def _meeting_point(C: Array, L: Array, up: Array) -> Array:
 
 
 def _loops(
-    delta: Delta, q: Array, axes: Array, p: Array, arm: Array, centre: Array, platform: Array, stands: Array
+    delta: Delta,
+    q: Array,
+    axes: Array,
+    p: Array,
+    arm: Array,
+    centre: Array,
+    platform: Array,
+    stands: Array,
+    stand: Stand | None,
 ) -> dict[int, Loop]:
-    along = platform - centre + delta.platform_radius * (stands[:, 0] - axes[1 : 1 + ARMS, 0])  # (3 arms, 3, N)
-    along = along / delta.constants[DISTAL][:, None, None]
+    distal = delta.constants[DISTAL]
+    along = (platform - centre) / distal[:, None, None] if stand is None else stand.along  # (3 arms, 3, N)
     with np.errstate(invalid="ignore", divide="ignore"):
         turned = [cross(along[1], along[2]), cross(along[2], along[0]), cross(along[0], along[1])]
         gains = np.stack(turned) / np.sum(along[0] * turned[0], axis=0)
-    up, loops = axes[0, 2], {}
-    tilt = tilts(stands, along, gains, platform, delta.platform_radius)
+    up = axes[0, 2]
+    rates, ends = np.empty((ARMS, len(CONSTANTS), q.shape[0])), np.zeros((ARMS, len(CONSTANTS), 3, q.shape[0]))
     for i in range(ARMS):
-        s, axis, lever = along[i], axes[1 + i, 2], arm[i]
-        rates = np.empty((len(CONSTANTS), q.shape[0]))
-        rates[ZERO] = np.sum(s * cross(axis, lever), axis=0)
-        rates[RATIO] = q[:, i] * rates[ZERO]
-        rates[AZIMUTH] = np.sum(s * cross(up, centre[i] - p[0]), axis=0)
+        axis, lever = axes[1 + i, 2], arm[i]
+        ends[i, ZERO] = cross(axis, lever)
+        ends[i, RATIO] = q[:, i] * ends[i, ZERO]
+        ends[i, AZIMUTH] = cross(up, centre[i] - p[0])
         out = np.cos(delta.constants[AZIMUTH, i]) * axes[0, 0] + np.sin(delta.constants[AZIMUTH, i]) * axes[0, 1]
-        rates[OFFSET] = np.sum(s * out, axis=0)
-        rates[PROXIMAL] = np.sum(s * lever, axis=0) / delta.constants[PROXIMAL, i]
-        rates[DISTAL] = 1.0
-        loops[1 + i] = Loop(gains[i], s, lever, rates, tilt[i])
-    return loops
+        ends[i, OFFSET] = out
+        ends[i, PROXIMAL] = lever / delta.constants[PROXIMAL, i]
+        rates[i] = np.einsum("cn,kcn->kn", along[i], ends[i])
+        rates[i, DISTAL] = 1.0
+    if stand is None:
+        tilts = level_tilts(stands, along, gains, platform, delta.platform_radius, axes[0])
+        return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilts[i]) for i in range(ARMS)}
+    found = tilted_shares(stand, distal, rates, ends, axes[0], AZIMUTH)
+    return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilt, shares) for i, (tilt, shares) in enumerate(found)}
 
 
 def _require_held(delta: Delta, q: Array, f: Frames) -> None:

@@ -12,7 +12,7 @@ Tests hold them to this, to twelve digits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,14 +26,30 @@ from modcal_core.robots.chain import Chain
 
 @dataclass(frozen=True)
 class Tilt:
-    """A platform that turns about its middle. turn: (3, N), per unit. shift: of its middle besides, (3, N) [m], with
-    the radius that is known. lean: the same per metre of the radius. hub: its middle, (3, N) [m]. All in the base.
+    """How a platform moves that two rods of a place hold between them, in the base, (3, N) each.
+
+    turn, shift: of the platform about a point and of that point [m], per unit by which the rods differ. more: the same
+    pairs per unit of that times metres of the platform's radius, and of the point's three coordinates. hub: it [m].
     """
 
     turn: Array
     shift: Array
-    lean: Array
+    more: tuple[tuple[Array, Array], ...]
     hub: Array
+
+
+@dataclass(frozen=True)
+class LoopShare:
+    """What a motion of a rod's end does to a platform by its share along one direction, in the base.
+
+    along: (3, N). gain, turn: the platform's shift [m] and turn per unit of it, (3, N). rates: what the constants of
+    the place make of it per unit, (constants, N).
+    """
+
+    along: Array
+    gain: Array
+    turn: Array
+    rates: Array
 
 
 @dataclass(frozen=True)
@@ -42,8 +58,9 @@ class Loop:
 
     gain, along, lever: (3, N), in the base: the tool moves by ``gain`` per unit that the rod's end moves ``along`` the
     rod; ``lever`` [m] leads from the place to that end. rates: what the constants of the place move it along the rod
-    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods differ,
-    None where there are no pairs.
+    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods
+    differ, None where there are no pairs. shares: where the platform is tilted, the motion turns it too, by shares
+    along two directions, of which the first is the rod's.
     """
 
     gain: Array
@@ -51,11 +68,30 @@ class Loop:
     lever: Array
     rates: Array
     tilt: Tilt | None = None
+    shares: tuple[LoopShare, ...] = ()
 
-    def moved(self, shift: Array, turn: Array) -> Array:
-        """The tool's motion (3, N) for a twist of the place, its parts (3,) or (3, N) in the base [m, rad]."""
+    def moved(self, shift: Array, turn: Array, tool: Array | None = None) -> tuple[Array, Array | float]:
+        """(shift, turn) (3, N) of the tool for a twist of the place, its parts (3,) or (3, N) in the base [m, rad].
+
+        tool: where the tool is, (3, N) [m]; a platform that is not tilted does not turn, and this is not asked for.
+        """
         end = shift.reshape(3, -1) + so3.cross(turn.reshape(3, -1), self.lever)
-        return self.gain * np.einsum("cn,cn->n", self.along, end)
+        if not self.shares:
+            return self.gain * np.einsum("cn,cn->n", self.along, end), 0.0
+        return self._by([np.einsum("cn,cn->n", share.along, end) for share in self.shares], tool)
+
+    def moved_by_constant(self, constant: int, tool: Array | None = None) -> tuple[Array, Array | float]:
+        """The same per unit of a constant of the place."""
+        if not self.shares:
+            return self.gain * self.rates[constant], 0.0
+        return self._by([share.rates[constant] for share in self.shares], tool)
+
+    def _by(self, sizes: Sequence[Array], tool: Array | None) -> tuple[Array, Array]:
+        assert tool is not None
+        assert self.tilt is not None
+        shift = np.sum([share.gain * size for share, size in zip(self.shares, sizes, strict=True)], axis=0)
+        turn = np.sum([share.turn * size for share, size in zip(self.shares, sizes, strict=True)], axis=0)
+        return shift + so3.cross(turn, tool - self.tilt.hub), turn
 
 
 @dataclass(frozen=True)

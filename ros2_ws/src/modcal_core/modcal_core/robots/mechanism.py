@@ -183,6 +183,11 @@ def is_serial_arm(robot: Mechanism) -> TypeGuard[Chain]:
     return isinstance(robot, Chain)
 
 
+def is_delta(robot: object) -> TypeGuard[Delta]:
+    """Whether the robot is a Delta, for what only its parallelograms have."""
+    return isinstance(robot, Delta)
+
+
 def passable(robot: Mechanism, start: Array, end: Array) -> bool:
     """Whether a robot can go straight from one posture (n,) to another: a Delta's platform must fit all the way."""
     if not robot.closed:

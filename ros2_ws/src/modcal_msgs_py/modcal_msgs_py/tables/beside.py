@@ -23,7 +23,7 @@ from modcal_msgs_py.tables.faults import Faults
 from modcal_msgs_py.tables.fitted import ColumnChoice, Fitted, scales
 from modcal_msgs_py.tables.joints import EFFORTS
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, OTHER, VELOCITY, angle_triples, matrices, quaternions
-from modcal_msgs_py.tables.moments import Moments
+from modcal_msgs_py.tables.moments import RowTimes
 from modcal_msgs_py.tables.sheet import Sheet
 from modcal_msgs_py.tables.stamps import stamps_of
 from modcal_msgs_py.tables.table import Table
@@ -48,7 +48,7 @@ _TOPIC = re.compile(r"[^A-Za-z0-9_]+")
 
 
 @dataclass
-class Beside:
+class OtherColumns:
     """What a mapping states beside joints and readings. joints: velocity, effort and commanded; std: of the reading.
     used: columns that these take. said, questions: for a person.
     """
@@ -70,11 +70,11 @@ def find_beside(
     labelled: Sequence[JointColumns],
     choice: ColumnChoice,
     readings: Sequence[int],
-    time: Moments,
+    time: RowTimes,
     fitted: Fitted | None,
-) -> Beside:
+) -> OtherColumns:
     """What the columns that are neither joints nor readings nor time are."""
-    out = Beside()
+    out = OtherColumns()
     taken = {*choice.joints.columns, *readings, *time.columns}
     free = [j for j in labelled if not set(j.columns) & taken]
     q = scales(chain, choice.angle, choice.length) * numbers.values[:, list(choice.joints.columns)]
@@ -95,7 +95,7 @@ def _by_joint(numbers: Numbers, chain: Chain, columns: Sequence[int]) -> dict[st
     return {name: numbers.key(k) for name, k in zip(chain.names, columns, strict=True)}
 
 
-def _stamps(numbers: Numbers, time: Moments) -> Array | None:
+def _stamps(numbers: Numbers, time: RowTimes) -> Array | None:
     """Stamps of the rows [s]; None where only their order is known."""
     if not time.columns:
         return None
@@ -105,7 +105,7 @@ def _stamps(numbers: Numbers, time: Moments) -> Array | None:
 
 
 def _commanded(
-    out: Beside, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], choice: ColumnChoice, q: Array
+    out: OtherColumns, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], choice: ColumnChoice, q: Array
 ) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
     for one in some:
@@ -129,7 +129,7 @@ def _commanded(
 
 
 def _velocity(
-    out: Beside,
+    out: OtherColumns,
     numbers: Numbers,
     chain: Chain,
     some: Sequence[JointColumns],
@@ -194,7 +194,7 @@ def _slope(values: Array, q: Array, stamps: Array) -> float | None:
 
 
 def _effort(
-    out: Beside, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], inertias: Inertias | None, q: Array
+    out: OtherColumns, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], inertias: Inertias | None, q: Array
 ) -> None:
     for one in some:
         label = numbers.labels[one.columns[0]]
@@ -237,7 +237,7 @@ def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> 
 
 
 def _temperatures(
-    out: Beside, numbers: Numbers, chain: Chain, families: Sequence[JointColumns], taken: set[int]
+    out: OtherColumns, numbers: Numbers, chain: Chain, families: Sequence[JointColumns], taken: set[int]
 ) -> None:
     """Temperatures in °C; a family of as many as there are joints is theirs."""
     for one in families:
@@ -260,7 +260,7 @@ def _is_warm(numbers: Numbers, k: int) -> bool:
 
 
 def _signals(
-    out: Beside,
+    out: OtherColumns,
     numbers: Numbers,
     chain: Chain,
     families: Sequence[JointColumns],

@@ -39,7 +39,7 @@ _ROWS = 200  # that are tried with a format
 
 
 @dataclass(frozen=True)
-class Moments:
+class RowTimes:
     """What a mapping states of the time, which columns it is in, and what had to be assumed."""
 
     stated: dict[str, Any]
@@ -47,7 +47,7 @@ class Moments:
     said: str
 
 
-def find_time(numbers: Numbers, taken: set[int]) -> Moments:
+def find_time(numbers: Numbers, taken: set[int]) -> RowTimes:
     """When the rows were taken, as far as labels and cells say."""
     named = [k for k, label in numbers.labels.items() if k not in taken and _NAMES & set(label.words)]
     for columns in (*pairwise(named), *((k,) for k in named)):
@@ -57,10 +57,10 @@ def find_time(numbers: Numbers, taken: set[int]) -> Moments:
         if (found := _seconds(numbers, k)) is not None:
             return found
     said = f"no column says when a row was taken: rows count as {_ORDER_S:g} s apart, and nothing is told of drift"
-    return Moments({"order": {"period_s": _ORDER_S}}, (), said)
+    return RowTimes({"order": {"period_s": _ORDER_S}}, (), said)
 
 
-def _dates(numbers: Numbers, columns: tuple[int, ...]) -> Moments | None:
+def _dates(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | None:
     rows = numbers.sniffed.rows[:_ROWS]
     cells = [" ".join(row[k].strip() for k in columns if k < len(row)).strip() for row in rows]
     cells = [cell for cell in cells if cell]
@@ -73,7 +73,7 @@ def _dates(numbers: Numbers, columns: tuple[int, ...]) -> Moments | None:
     names = " and ".join(numbers.shown(k) for k in columns)
     also = f" ({fits[1]} would read them, too)" if len(fits) > 1 and "%m" in fits[1] else ""
     said = f"{names} holds the time, as {fits[0]}{also}, in UTC"
-    return Moments({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
+    return RowTimes({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
 
 
 def _reads(cell: str, form: str) -> bool:
@@ -84,7 +84,7 @@ def _reads(cell: str, form: str) -> bool:
     return True
 
 
-def _seconds(numbers: Numbers, k: int) -> Moments | None:
+def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
     column = numbers.values[:, k]
     column = column[np.isfinite(column)]
     if len(column) < 2 or column.min() < 0.0 or (np.diff(column) < 0.0).mean() > 0.01 or np.ptp(column) == 0.0:
@@ -100,4 +100,4 @@ def _seconds(numbers: Numbers, k: int) -> Moments | None:
     stated: dict[str, Any] = {"seconds": numbers.key(k)}
     if unit != "s":
         stated["unit"] = unit
-    return Moments(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")
+    return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")

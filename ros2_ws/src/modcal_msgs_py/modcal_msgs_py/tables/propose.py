@@ -20,13 +20,13 @@ from modcal_core.plausibility.meanings import LEAST_ROWS, Postures, judge, rival
 from modcal_core.plausibility.turning import MATRIX, Turning
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
-from modcal_msgs_py.tables.beside import Beside, find_beside
+from modcal_msgs_py.tables.beside import OtherColumns, find_beside
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
 from modcal_msgs_py.tables.fitted import MOST_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
 from modcal_msgs_py.tables.labels import MEASURED, turn_labels
-from modcal_msgs_py.tables.moments import Moments, find_time
+from modcal_msgs_py.tables.moments import RowTimes, find_time
 from modcal_msgs_py.tables.rigid import rigid_poses
-from modcal_msgs_py.tables.sighted import Columns, Sighted, find_sights, is_sight, sight_columns
+from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
 from modcal_msgs_py.tables.targets import rigid_bodies
 from modcal_msgs_py.tables.together import Together, together
 
@@ -44,12 +44,12 @@ class Findings:
 
     numbers: Numbers
     chain: Chain
-    time: Moments
+    time: RowTimes
     fitted: Fitted | Sighted
     questions: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     others: tuple[Fitted, ...] = field(default=())
-    beside: Beside = field(default_factory=Beside)
+    beside: OtherColumns = field(default_factory=OtherColumns)
     joined: Together | None = None
 
 
@@ -107,7 +107,7 @@ def _every_fit(
     places: Sequence[Body],
     measured: Sequence[JointColumns],
     time: set[int],
-    instruments: Sequence[Columns],
+    instruments: Sequence[SightColumns],
     watch: Callable[[str], None],
 ) -> list[Fitted] | Sighted:
     """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere.
@@ -238,7 +238,7 @@ def zeros_of(body: Body) -> np.ndarray:
 
 
 def _decided(
-    numbers: Numbers, chain: Chain, time: Moments, fits: list[Fitted], labelled: Sequence[JointColumns]
+    numbers: Numbers, chain: Chain, time: RowTimes, fits: list[Fitted], labelled: Sequence[JointColumns]
 ) -> Findings:
     """The place that is proposed, with what is to be asked and what is to be said."""
     fits.sort(

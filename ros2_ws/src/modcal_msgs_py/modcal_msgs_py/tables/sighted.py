@@ -31,7 +31,7 @@ _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a pla
 
 
 @dataclass(frozen=True)
-class Columns:
+class SightColumns:
     """Columns of one instrument. columns: one of a length; azimuth and the second angle, or a vector's three."""
 
     frame: str
@@ -70,7 +70,7 @@ class Sighted:
     choices: tuple[ColumnChoice, ...]
     rows: np.ndarray
     found: dict[str, list[tuple[Way, SightMatch]]]
-    instruments: tuple[Columns, ...]
+    instruments: tuple[SightColumns, ...]
     questions: tuple[str, ...] = field(default=())
 
     @property
@@ -120,10 +120,10 @@ def is_sight(label: Label) -> bool:
     return bool((_DISTANCE | _HEIGHT | _AZIMUTH | _SECOND) & set(label.words))
 
 
-def sight_columns(numbers: Numbers, taken: set[int]) -> list[Columns]:
+def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
     """Columns that labels call distances, directions or heights; directions by three columns also by their numbers."""
     free = [k for k in numbers.usable() if k not in taken]
-    out: list[Columns] = []
+    out: list[SightColumns] = []
     used: set[int] = set()
     by_stem: dict[str, dict[str, int]] = {}
     for k in free:
@@ -133,7 +133,7 @@ def sight_columns(numbers: Numbers, taken: set[int]) -> list[Columns]:
                 by_stem.setdefault(_stem(words, said), {}).setdefault(name, k)
     for stem, found in by_stem.items():
         if len(found) == 2:
-            out.append(Columns(stem or "station", BEARING, (found["azimuth"], found["second"])))
+            out.append(SightColumns(stem or "station", BEARING, (found["azimuth"], found["second"])))
     used |= {k for one in out for k in one.columns}
     for first in range(numbers.values.shape[1] - 2):
         triple = (first, first + 1, first + 2)
@@ -142,7 +142,7 @@ def sight_columns(numbers: Numbers, taken: set[int]) -> list[Columns]:
         values = numbers.values[:, list(triple)]
         length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
         if len(length) >= LEAST_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
-            out.append(Columns(_vector_name(numbers, first), BEARING, triple))
+            out.append(SightColumns(_vector_name(numbers, first), BEARING, triple))
             used |= set(triple)
     stations = {one.frame for one in out}
     for k in free:
@@ -154,7 +154,7 @@ def sight_columns(numbers: Numbers, taken: set[int]) -> list[Columns]:
                 stem = _stem(words, said | {"d"})
                 shared = stem or "station"
                 frame = shared if kind == RANGE and shared in stations else _frame(stem, name)
-                out.append(Columns(frame, kind, (k,)))
+                out.append(SightColumns(frame, kind, (k,)))
                 used.add(k)
                 break
     return _apart(out)
@@ -180,7 +180,7 @@ def _vector_name(numbers: Numbers, first: int) -> str:
     return stem or "station"
 
 
-def _apart(found: list[Columns]) -> list[Columns]:
+def _apart(found: list[SightColumns]) -> list[SightColumns]:
     """The same with names that no two instruments of a kind share, and none that ends in nothing."""
     seen: set[tuple[str, str]] = set()
     out = []
@@ -189,12 +189,12 @@ def _apart(found: list[Columns]) -> list[Columns]:
         while (name, one.kind) in seen:
             name, count = f"{one.frame}_{count}", count + 1
         seen.add((name, one.kind))
-        out.append(Columns(name, one.kind, one.columns))
+        out.append(SightColumns(name, one.kind, one.columns))
     return out
 
 
 def find_sights(
-    numbers: Numbers, chain: Chain, joint_columns: Sequence[JointColumns], instruments: Sequence[Columns]
+    numbers: Numbers, chain: Chain, joint_columns: Sequence[JointColumns], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
     """What columns of distances, directions and heights mean; None where no reading of any of them fits the arm."""
     used = [k for one in instruments for k in one.columns] + [k for j in joint_columns for k in j.columns]
@@ -242,7 +242,7 @@ def find_sights(
 _Way = tuple[str, bool, bool]
 
 
-def _ways(values: Array, instruments: Sequence[Columns]) -> Iterator[_Way]:
+def _ways(values: Array, instruments: Sequence[SightColumns]) -> Iterator[_Way]:
     if instruments[0].kind != BEARING:
         yield from ((unit, False, False) for unit in LENGTHS)
         return
@@ -255,7 +255,7 @@ def _ways(values: Array, instruments: Sequence[Columns]) -> Iterator[_Way]:
     yield from product(some, (False, True), (False, True))
 
 
-def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[Columns], way: _Way) -> SightMatch:
+def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightColumns], way: _Way) -> SightMatch:
     unit, zenith, clockwise = way
     sightings, volume = [], 0.0
     for one in instruments:

@@ -11,7 +11,8 @@ from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.online.stream import SampleStream
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta import Delta
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.readings import READING
@@ -22,10 +23,13 @@ from modcal_msgs_py.topics import JOINT_COMMANDS
 class KnownArm:
     """description: URDF text, empty while unknown. chain, stream: None until the arm is known. trouble: why not."""
 
-    def __init__(self, description: str, base: str, tip: str) -> None:
-        """description: given by a parameter, so that none is taken from the topic; empty: to be heard."""
+    def __init__(self, description: str, base: str, tip: str, delta: Delta | None = None) -> None:
+        """description: given by a parameter, so that none is taken from the topic; empty: to be heard. delta: a robot
+        that needs no description.
+        """
         self.description = description
-        self.chain: Chain | None = None
+        self.delta = delta
+        self.chain: Mechanism | None = None
         self.stream: SampleStream | None = None
         self.trouble = ""
         self._given, self._base, self._tip = bool(description), base, tip
@@ -35,7 +39,7 @@ class KnownArm:
 
     def describe(self, text: str) -> None:
         """Take a description that was published. Another one, later, is refused: that is another robot."""
-        if self._given or text == self.description:
+        if self._given or self.delta is not None or text == self.description:
             return
         if self.chain is None:
             self.description = text
@@ -51,11 +55,13 @@ class KnownArm:
 
     def recognise(self, names: frozenset[str]) -> bool:
         """Read the arm, given the names of all joints heard so far; returns whether it has become known just now."""
-        if self.chain is not None or not self.description or not names or self._tried == (self.description, names):
+        known = bool(self.description) or self.delta is not None
+        if self.chain is not None or not known or not names or self._tried == (self.description, names):
             return False
         self._tried = self.description, names  # reading a description takes as long as a hundred messages
+        chain: Mechanism
         try:
-            chain = read_chain(self.description, self._base or None, self._tip or None, names)
+            chain = self.delta or read_chain(self.description, self._base or None, self._tip or None, names)
         except ModcalError as error:
             self.trouble = str(error)
             return False

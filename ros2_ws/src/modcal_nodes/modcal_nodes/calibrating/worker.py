@@ -16,9 +16,9 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.samples import Samples
-from modcal_core.recalibrate import Job, ModelComparison, SampleMemory, recalibrate
-from modcal_core.report.files import calibration_files
-from modcal_core.robots.chain import Chain
+from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
+from modcal_core.report.files import calibration_files, delta_files
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_nodes.calibrating.standing import Standing, standing_of
 from modcal_nodes.ros.child_process import settle_in
 
@@ -46,7 +46,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     size = report.size_mm("final")
     return Solved(
         resolved.result.calibration,
-        calibration_files(resolved.result.calibration, report, job.chain, urdf, page=page),
+        _files(resolved, job, urdf, page),
         resolved.comparison,
         report.verdict,
         standing_of(report),
@@ -55,7 +55,14 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     )
 
 
-def condense(heard: SampleMemory, chain: Chain, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
+def _files(resolved: Recalibration, job: Job, urdf: str, page: bool) -> dict[str, str]:
+    calibration = resolved.result.calibration
+    if is_serial_arm(job.chain):
+        return calibration_files(calibration, resolved.report, job.chain, urdf, page=page)
+    return delta_files(calibration, resolved.report, page)
+
+
+def condense(heard: SampleMemory, chain: Mechanism, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
     """The samples of everything heard, at most so many, and what was left out. Raises ModcalError without any."""
     samples, _, lost = heard.prepared(chain, clock_limit, most)
     return samples, lost

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -11,7 +11,8 @@ from modcal_core.errors import BadRobot, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.recording import Recording
 from modcal_core.robot import Robot
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.delta_file import delta_from_data
+from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf import other_tips, read_chain
 
 _OTHERS = 3  # tips that are named
@@ -41,21 +42,23 @@ def arm_line(robot: Robot) -> str:
     return chain_line(robot.base, robot.tip, robot.n, robot.other_tips)
 
 
-def file_line(path: Path, chain: Chain, tip: str | None = None) -> str:
+def file_line(path: Path, chain: Mechanism, tip: str | None = None) -> str:
     """The same of an arm that was read from a file. tip: as it was given."""
     of_urdf = tip is None and path.suffix not in (".yaml", ".yml")
     others = other_tips(path.read_text(encoding="utf-8", errors="replace"), chain.base) if of_urdf else ()
     return chain_line(chain.base, chain.tip, chain.n, others)
 
 
-def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Chain:
-    """The arm in a file: a kinematic table where its name ends in .yaml or .yml, else a URDF."""
+def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Mechanism:
+    """The robot in a file: a kinematic table or a Delta where its name ends in .yaml or .yml, else a URDF's arm."""
     if path.suffix in (".yaml", ".yml"):
         if base is not None or tip is not None:
             raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
         from modcal_core.robots.tables import from_table  # few arms come as tables
 
         data = read_yaml(path)
+        if isinstance(data, Mapping) and "modcal_delta" in data:
+            return delta_from_data(data, str(path))
         with about(str(path)):
             return from_table(data)
     with about(str(path)):

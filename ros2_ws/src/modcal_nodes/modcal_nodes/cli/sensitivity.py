@@ -17,7 +17,7 @@ from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh
 from modcal_core.planning.designs import DESIGNS, design
 from modcal_core.planning.study import Measured, Study, study
 from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_html, to_json_data, to_text
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import Output, say, speaking, written
@@ -140,8 +140,8 @@ def _show(result: Study, arm: str, console: Console) -> None:
     say(sentences(result), console)
 
 
-def _closed_chain(chain: Chain, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
-    if parameters == "dh":
+def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
+    if parameters == "dh" and is_serial_arm(chain):
         try:
             return dh_closed_chain(chain, point=tool)
         except NotRepresentable as error:

@@ -8,10 +8,10 @@ from pathlib import Path
 from modcal_core.files import read_yaml
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.stations import stations_from_data, stations_from_rows
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.mechanism import Mechanism
 
 
-def read_stations(path: Path, chain: Chain) -> Array:
+def read_stations(path: Path, chain: Mechanism) -> Array:
     """Postures (N, n) [rad, m] in a plan.yaml, or in a CSV file whose head names the joints. Raises BadTable."""
     if path.suffix == ".csv":
         with path.open(encoding="utf-8", errors="replace", newline="") as stream:

@@ -7,23 +7,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
-from sensor_msgs.msg import JointState, PointCloud2, Temperature
+from sensor_msgs.msg import JointState, PointCloud2, Range, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, BadTable, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
-from modcal_core.measurements.recording import POINT, POSE
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import RandomWalk
 from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
 from modcal_core.recalibrate import Job
+from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
@@ -37,7 +38,7 @@ from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
 from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
-from modcal_nodes.io.inputs import read_cell
+from modcal_nodes.io.inputs import read_cell, read_delta
 from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, Health, Status
@@ -54,7 +55,11 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 _NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
 _NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
-_NO_TRACKER = "tracker/pose, tracker/point: not received yet: start the tracker, or remap its topic"
+_NO_TRACKER = "tracker/pose, tracker/point and other readings: none received yet: start the tracker, or remap its topic"
+_MESSAGES = {
+    "geometry_msgs/msg/PoseStamped": PoseStamped, "geometry_msgs/msg/PointStamped": PointStamped,
+    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped, "sensor_msgs/msg/Range": Range,
+}  # fmt: skip
 
 
 class Calibrator(GuardedNode):
@@ -80,7 +85,8 @@ class Calibrator(GuardedNode):
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
         random_walk = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
         self._supervisor = Supervisor(_policy(chosen), random_walk)
-        self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"])
+        delta = read_delta(Path(chosen["delta"])) if chosen["delta"] else None
+        self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"], delta)
         self._trouble = ""  # why the saved model is not used
         self._verdict = _NOTHING
         self._standing: Standing | None = None  # of the trusted model
@@ -116,16 +122,18 @@ class Calibrator(GuardedNode):
 
     def _listen(self, patience: float) -> list[MonitoredSubscription]:
         hear = partial(MonitoredSubscription, self, patience=patience, single=True)
-        readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
         inputs = [hear(JointState, "joint_states", self._intake.joint_state, SENSOR, needed=True)]
-        for topic, (message, kind) in readings.items():
-            inputs.append(hear(message, topic, partial(self._intake.reading, topic, kind), SENSOR, single=False))
+        for kind in kinds().values():
+            take = partial(self._intake.reading, kind.topic, kind.name)
+            inputs.append(hear(_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
         inputs.append(
             hear(Temperature, "temperature", partial(self._intake.remember, "temperature"), SENSOR, single=False)
         )
         if self._camera is not None:
             inputs.append(hear(PointCloud2, "corners", self._intake.corners, SENSOR))
-        description = hear(String, "robot_description", self._describe, LATCHED, needed=not self._arm.description)
+        description = hear(
+            String, "robot_description", self._describe, LATCHED, needed=not (self._arm.description or self._arm.delta)
+        )
         return [*inputs, description]
 
     def _describe(self, message: String) -> None:
@@ -151,8 +159,11 @@ class Calibrator(GuardedNode):
             return
         self._supervisor.trust(restored.calibration)
         self._expect_frames()
-        corrected = calibrated_urdf(self._arm.description, self._arm.chain, restored.calibration.calibrated.serial)
-        self._outputs.model({**self._files, "calibrated.urdf": corrected})
+        chain = self._arm.chain
+        if is_serial_arm(chain):
+            corrected = calibrated_urdf(self._arm.description, chain, restored.calibration.calibrated.serial)
+            self._files = {**self._files, "calibrated.urdf": corrected}
+        self._outputs.model(self._files)
         self._broadcast()
         self._verdict = "continuing with the saved model"
         self._standing = standing_of_json(self._files.get("report.json"))
@@ -165,12 +176,13 @@ class Calibrator(GuardedNode):
     def _lacks(self) -> str:
         """What must come before stations can be cut; empty: nothing."""
         if self._arm.chain is None:
-            if not self._arm.description:
+            if not self._arm.description and self._arm.delta is None:
                 return _NO_DESCRIPTION
             return self._arm.trouble or _NO_JOINTS
         if self._camera is not None:
             return "" if any(ear.count for ear in self._inputs if ear.topic.endswith("corners")) else NO_CORNERS
-        if not any(ear.count for ear in self._inputs if "tracker/" in ear.topic):
+        readings = tuple(kind.topic for kind in kinds().values())
+        if not any(ear.count for ear in self._inputs if ear.topic.endswith(readings)):
             return _NO_TRACKER
         return ""
 
@@ -216,7 +228,7 @@ class Calibrator(GuardedNode):
         job = Job(
             self._buffer.collected(),
             self._arm.chain,
-            read_inertias(self._arm.description, self._arm.chain),
+            read_inertias(self._arm.description, chain) if is_serial_arm(chain := self._arm.chain) else None,
             self._cell,
             self._chosen["seed"],
             self._chosen["clock_limit_s"],

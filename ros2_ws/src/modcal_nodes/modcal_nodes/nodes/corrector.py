@@ -28,7 +28,7 @@ from modcal_core.measurements.approach import Approach
 from modcal_msgs_py.commands import JointInput, desired_pose, fill_pose, require_new
 from modcal_msgs_py.signals import SignalsHeard
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.io.inputs import parse_calibration, read_calibration
+from modcal_nodes.io.inputs import parse_calibration, read_calibration, read_delta
 from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
@@ -58,6 +58,7 @@ class Corrector(GuardedNode):
         self._text = ""
         self._refusal = _NOTHING_YET
         self._urdf = self._chosen["robot_description"]
+        self._delta = read_delta(Path(self._chosen["delta"])) if self._chosen["delta"] else None
         self._joints: JointInput | None = None
         self._approach, self._signals = Approach(), SignalsHeard()
         self._announced: CalibratedRobot | None = None
@@ -132,11 +133,11 @@ class Corrector(GuardedNode):
         """Put calibration and robot together, if both are there and belong together; else correct nothing."""
         if self._calibration is None:
             return
-        if not self._urdf:
+        if not self._urdf and self._delta is None:
             self._refusal = _NO_ROBOT_YET
             return
         try:
-            robot = CalibratedRobot.of(self._calibration, self._urdf)
+            robot = CalibratedRobot.of(self._calibration, self._delta or self._urdf)
             corrected_urdf(robot, self._urdf)
         except ModcalError as error:
             self._drop(str(error))
@@ -155,7 +156,8 @@ class Corrector(GuardedNode):
         robot = self._commander.robot
         if robot is not None and robot is not self._announced:
             self._announced = robot
-            self._corrected.publish(String(data=corrected_urdf(robot, self._urdf)))
+            if urdf := corrected_urdf(robot, self._urdf):
+                self._corrected.publish(String(data=urdf))
             self.get_logger().info(f"corrects robot {robot.correction.calibration.robot}")
 
     def _drop(self, why: str) -> None:

@@ -11,12 +11,12 @@ RECORDER = {
     "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),
     "topics": Parameter(
         ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
-         "joint_commands", "temperature", "wrench"],
+         "tracker/plane", "joint_commands", "temperature", "wrench"],
         "Topics to record, relative to the node's namespace, each as soon as a publisher exists.",
     ),
     "optional": Parameter(
-        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "joint_commands", "temperature",
-         "wrench"],
+        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "tracker/plane", "joint_commands",
+         "temperature", "wrench"],
         "Topics that may be missing without a warning.",
     ),
     "patience_s": Parameter(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
@@ -27,6 +27,7 @@ RECORDER = {
 
 CALIBRATOR = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "delta": Parameter("", "File of a nominal Delta robot, instead of a robot_description; empty: none."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link where the arm ends; empty: the link behind most published joints."),
     "fixed": Parameter([""], "Parameters that are not fitted, by name, place or pattern."),
@@ -65,6 +66,7 @@ BOARD_DETECTOR = {
 CORRECTOR = {
     "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
+    "delta": Parameter("", "File of a nominal Delta robot, instead of a robot_description; empty: none."),
     "target": Parameter("tip", "Frame of the poses: tip (the tip link) or tool (the tracked target)."),
     "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
     "horizon_s": Parameter(0.1, "Time to reach a setpoint of a stream [s].", 0.005, 2.0),

@@ -29,7 +29,8 @@ def arm_joint(i: int) -> str:
 def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0.0) -> str:
     """MJCF text of a Delta with these constants, drawn with all three arms at an angle ``at`` [rad].
 
-    unequal: by how much the right rod of each arm is longer than the left one [m]; the constants have their mean. Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
+    unequal: by how much the right rod of each arm is longer than the left one [m]; the constants have their mean.
+    Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
     """
     L1, L2 = true.constants[PROXIMAL], true.constants[DISTAL]
     elbow = float(np.mean(true.constants[OFFSET] + L1 * np.cos(at)))

@@ -13,11 +13,19 @@ from modcal_core.effects.family import PLAIN, Family
 from modcal_core.effects.shapes import Setting, Settings, Shape, ShapeKind
 from modcal_core.effects.sizes import Sizes, settings_of, value
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import ARMS, Delta
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.delta import ARMS
+from modcal_core.robots.mechanism import Mechanism, is_delta
 
 NAME = "parallelogram"
 _RADIUS = 0.05  # m; by how much a platform's radius may be other than stated, or than nothing
+_LEVER = 0.15  # m; how far the tool may be from where a level platform leaves it open, to which the tilt is a lever
+_GUESSES = ((0, 0, 0), (0, 0, 1), (1, 1, 1))  # coordinates of the drawing's tool that the fit may have left at nothing
+
+
+_SETTINGS = {
+    "radius": Setting(_RADIUS, "m", "platform_radius"),
+    **{axis: Setting(_LEVER, "m", f"lever_{axis}") for axis in "xyz"},
+}
 
 
 def pairs(x: Array, _: Settings) -> Array:
@@ -28,9 +36,11 @@ def pairs(x: Array, _: Settings) -> Array:
 def candidates(drivers: Drivers) -> Iterator[Effect]:
     """The rods of all three arms together: one pair alone turns the platform against the two others."""
     chain = drivers.arm.chain
-    if isinstance(chain, Delta):
+    if is_delta(chain):
         known = {"radius": chain.platform_radius, "known_radius": chain.platform_radius}
-        yield Effect(NAME, "tool", PAIRS, "constant", Shape("pairs", known))
+        for guess in dict.fromkeys(tuple(np.asarray(g) * chain.tool[:3]) for g in _GUESSES):
+            lever = dict(zip("xyz", map(float, guess), strict=True))
+            yield Effect(NAME, "tool", PAIRS, "constant", Shape("pairs", {**known, **lever}))
 
 
 def sizes(effect: Effect, chain: Mechanism) -> Sizes:
@@ -49,7 +59,7 @@ def sentence(entry: ReportEntry) -> str:
 FAMILY = Family(
     NAME,
     candidates,
-    shapes={"pairs": ShapeKind(pairs, ARMS, {"radius": Setting(_RADIUS, "m", "platform_radius")})},
+    shapes={"pairs": ShapeKind(pairs, ARMS, _SETTINGS)},
     complexity=lambda _: PLAIN,
     sizes=sizes,
     sentence=sentence,
