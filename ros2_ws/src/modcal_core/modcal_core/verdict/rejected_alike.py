@@ -68,7 +68,7 @@ def _degrees(turn: Array) -> str:
 def _apart(case: Case) -> Iterator[str]:
     """The quantity by which rejected readings are told from the others best."""
     samples, wrong = case.samples, case.wrong
-    names = samples.names or case.model.chain.names
+    names = samples.names or tuple(f"joint {j + 1}" for j in range(samples.q.shape[1]))
     found: list[tuple[float, str]] = []
     of: list[tuple[str, str, Array]] = [
         ("late in the recording", "early in the recording", samples.stamps),

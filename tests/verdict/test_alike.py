@@ -1,0 +1,110 @@
+"""What rejected readings share, the one instrument of several that errs, and stamps that are off in motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.score import Errors
+from modcal_core.calibration.stated import Stated
+from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import Case
+from modcal_core.verdict.rejected_alike import rejected_alike
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(33, 140)
+
+
+def said(samples: Samples, cell: Cell | None = None) -> str:
+    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
+    return " ".join(result.report.judged.open_because)
+
+
+def rejected(made: Recorded, wrong: np.ndarray, gap: Array, turn: Array) -> str:
+    """What is said of these rejected readings, which miss by gap [m] and turn [rad] beyond noise, (140,)."""
+    rng = np.random.default_rng(5)
+    position, rotation = rng.normal(0.0, 5e-5, (2, 140, 3))
+    position[:, 0] += gap
+    rotation[:, 0] += turn
+    none: Any = None
+    left = Errors(position, rotation)
+    rows = np.flatnonzero(~wrong)
+    case = Case(made.samples, wrong, rows, "station", none, none, none, {}, left, fitted=True)
+    return " ".join(rejected_alike(case))
+
+
+def test_rejected_orientations_are_told_from_rejected_positions(made: Recorded) -> None:
+    wrong = np.random.default_rng(5).permutation(140) < 20
+    off = np.where(wrong, 0.02, 0.0)
+    text = rejected(made, wrong, 0.0 * off, off)
+    assert "the orientation alone is wrong (by 1.15°" in text
+    assert "the position alone is wrong (by 20 mm" in rejected(made, wrong, off, 0.0 * off)
+    assert rejected(made, wrong, off, off) == ""
+    few = wrong & (np.cumsum(wrong) < 4)
+    assert rejected(made, few, 0.0 * off, off) == ""
+
+
+def test_the_posture_or_the_time_that_rejected_readings_share(made: Recorded) -> None:
+    q = made.samples.q[:, 1]
+    off = np.full(140, 0.02)
+    text = rejected(made, q > np.quantile(q, 0.86), off, off)
+    assert f"where {made.samples.names[1]} is large" in text
+    assert "late in the recording" in rejected(made, np.arange(140) > 115, off, off)
+
+
+def wires(made: Recorded, off: Array) -> Samples:
+    """Ranges to three anchors, of which the second is off by so much (N,)."""
+    p = made.exact.reading
+    anchors = np.array([[2.0, 0.5, 0.2], [-1.5, 1.8, 1.3], [-1.0, -2.0, 0.4]])
+    d = np.linalg.norm(p[:, None] - anchors, axis=2) + np.random.default_rng(7).normal(0.0, 5e-5, (140, 3))
+    d[:, 1] += off
+    ranges = {f"wire_{k + 1}": d[:, k] for k in range(3)}
+    return Samples.from_arrays(made.samples.q, ranges=ranges, names=ur10().names)
+
+
+def test_the_wire_that_is_off_is_named_and_a_good_one_is_not(made: Recorded) -> None:
+    straight = np.zeros(140)
+    assert "instrument" not in said(wires(made, straight))
+    d = wires(made, straight)
+    length = d.reading[d.frame == d.frames.index("wire_2"), 0]
+    bent = 2e-3 * np.minimum(length - np.median(length), 0.0)
+    text = said(wires(made, bent))
+    assert "What 'wire_2' leaves" in text
+    assert "its own length" in text
+
+
+@pytest.mark.parametrize(("late", "open_"), [(0.0, False), (4e-3, True)])
+def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, open_: bool) -> None:
+    rng = np.random.default_rng(8)
+    velocity = rng.normal(0.0, 0.2, made.samples.q.shape)
+    then = made.samples.q + velocity * rng.uniform(-late, late, 140)[:, None]
+    exact = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(then))
+    noise = made.samples.reading - made.exact.reading
+    samples = replace(exact, reading=exact.reading + noise, velocity=velocity, moving=np.ones(140, bool))
+    assert ("lies along the direction of motion" in said(samples)) == open_
+    known = Cell(stated=Stated(repeatability_mm=2.0, repeatability_deg=0.1, instrument_mm=0.09, instrument_deg=0.005))
+    assert "direction of motion" not in said(samples, known)
+
+
+def test_two_stated_distances_that_stand_for_each_other(made: Recorded) -> None:
+    """Readings in four frames, whose origins are known to be 0.4 and 1.2 m apart, stated the other way round."""
+    origin = {"a": [0.0, 0.0, 0.0], "b": [0.4, 0.0, 0.0], "c": [0.0, 0.0, 0.1], "d": [0.0, 1.2, 0.1]}
+    frame = np.arange(140) % 4
+    reading = made.samples.reading - np.array(list(origin.values()))[frame]
+    samples = replace(made.samples, frames=tuple(origin), frame=frame, reading=reading)
+    right = Distance(("a", "b"), 0.4), Distance(("c", "d"), 1.2)
+    assert "distance" not in said(samples, Cell(distances=right))
+    wrong = Distance(("a", "b"), 1.2), Distance(("c", "d"), 0.4)
+    with pytest.raises(BadRecording, match="between a and b and the distance between c and d look exchanged"):
+        said(samples, Cell(distances=wrong))
