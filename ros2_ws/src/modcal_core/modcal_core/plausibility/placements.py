@@ -23,7 +23,7 @@ _LEAST, _MOST = 30, 400  # stations
 _WINDOW_POSES, _WINDOW_POINTS = 6, 10  # stations that base and tool are found from
 _CLEARLY = 2.0  # times what a nominal arm misses by
 _LOST = 3  # stations in a row that do not agree, at which a stretch ends
-_MOST_PARTS = 12
+_MOST_PARTS = 12  # stretches; a recording of more breaks tells nothing by them
 _EXPLAINED = 0.8  # share of the stations that stretches of at least a window must hold
 _SAME = 3.0  # times what a nominal arm misses by, up to which a base or a tool of two parts is the same
 

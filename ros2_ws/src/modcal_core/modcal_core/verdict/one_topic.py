@@ -20,7 +20,7 @@ from modcal_core.verdict.case import Case, weights
 
 _LEAST = 50  # readings of an instrument
 _MOST = 600  # the same at most
-_FOLDS = 5
+_FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _ORDERS = 400  # random ones
 _WORTH = 0.15  # share of an instrument's squares
 _ABOVE = 0.1  # by which that of the others must be less, lest the arm is what errs
@@ -41,7 +41,7 @@ class OneTopic:
     @property
     def sentence(self) -> str:
         """For a person."""
-        more = f", which is {self.times:.2g} times that of the others" if self.times > 1.0 else ""
+        more = f", which is {self.times:.2g} times that of the others," if self.times > 1.0 else ""
         return (
             f"What '{self.frame}' leaves{more} can be predicted from {self.on} ({self.share:.0%} of its squares), "
             "unlike that of the others: look at that instrument (its scale, its drum, how its line leaves the box, "
