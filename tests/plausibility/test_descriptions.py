@@ -46,6 +46,13 @@ def test_joints_in_any_order_are_named_one_by_one(clean: Samples, kind: str, ord
     assert ("all by 1 place" in said.what) == (order[0] == 1)
 
 
+def test_an_order_and_a_sign_together(clean: Samples) -> None:
+    q = clean.q[:, [3, 1, 5, 0, 2, 4]] * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]
+    said = other_order(replace(clean, q=q), CHAIN)
+    assert said is not None
+    assert "wrist_3_joint looks reversed" in said.what
+
+
 @pytest.mark.parametrize("j", [1, 3])
 def test_a_joint_that_slides_in_the_description_and_turns(clean: Samples, j: int) -> None:
     revolute = CHAIN.revolute.copy()
@@ -55,11 +62,13 @@ def test_a_joint_that_slides_in_the_description_and_turns(clean: Samples, j: int
     assert f"joint {CHAIN.names[j]} is prismatic" in said.what
 
 
-def test_a_tracker_that_is_set_to_zero_three_times(clean: Samples) -> None:
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_a_tracker_that_is_set_to_zero_three_times(clean: Samples, kind: str) -> None:
     T = se3.transform(clean.R, clean.reading)
     for a, b in ((0, 22), (22, 51), (51, 80)):
         T[a:b] = se3.inverse(T[a]) @ T[a:b]
-    said = several_placements(replace(clean, reading=T[:, :3, 3], R=T[:, :3, :3]), CHAIN)
+    kinds = np.full(80, kind, clean.kind.dtype)
+    said = several_placements(replace(clean, reading=T[:, :3, 3], R=T[:, :3, :3], kind=kinds), CHAIN)
     assert said is not None
     assert "tracker" in said.what
     assert "tool" not in said.what

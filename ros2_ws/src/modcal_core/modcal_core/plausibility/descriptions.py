@@ -26,7 +26,8 @@ _BETTER = 4.0  # times what is missed by as it is
 
 
 def other_order(samples: Samples, chain: Mechanism) -> Disagreement | None:
-    """The order of the joints' columns that the readings ask for, None where that as written does as well as any.
+    """The order of the joints' columns that the readings ask for, and one of them that is reversed beside it; None
+    where those as written do as well as any.
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
@@ -34,18 +35,28 @@ def other_order(samples: Samples, chain: Mechanism) -> Disagreement | None:
     if part is None or not is_serial_arm(chain):
         return None
     n = chain.n
+    most_angle, most = limits(chain)
+    found: list[tuple[float, tuple[int, ...], int | None]] = []
     try:
-        _, distance = _missed(chain, part.q, part)
-        orders = likely_orders(chain, np.c_[part.q, part.reading], 1.0, range(n), [(n, n + 1, n + 2)], _LIKELY)
-        found = [(*_missed(chain, part.q[:, list(o.columns)], part), o.columns) for o in orders]
+        before = _missed(chain, part.q, part)[1]
+        for reversed_ in (None, *range(n)):
+            q = part.q.copy()
+            if reversed_ is not None:
+                q[:, reversed_] *= -1.0
+            for order in likely_orders(chain, np.c_[q, part.reading], 1.0, range(n), [(n, n + 1, n + 2)], _LIKELY):
+                angle, distance = _missed(chain, q[:, list(order.columns)], part)
+                if angle < most_angle and distance < most and _BETTER * distance < before:
+                    found.append((distance, order.columns, reversed_))
+            if found:  # with fewer mistakes it is likelier
+                break
     except np.linalg.LinAlgError:
         return None
-    most_angle, most = limits(chain)
-    good = [f for f in found if f[0] < most_angle and f[1] < most and _BETTER * f[1] < distance]
-    if not good:
+    if not found:
         return None
-    columns = min(good, key=lambda f: f[1])[2]
+    _, columns, reversed_ = min(found, key=lambda f: f[0])
     moved = [k for k in range(n) if columns[k] != k]
+    if not moved:  # one that is reversed alone is named elsewhere
+        return None
     names = part.names or chain.names
     each = ", ".join(f"{names[k]} under the name {names[columns[k]]}" for k in moved)
     shift = next((s for s in range(1, n) if columns == tuple((k + s) % n for k in range(n))), 0)
@@ -53,9 +64,11 @@ def other_order(samples: Samples, chain: Mechanism) -> Disagreement | None:
     if shift:
         by = min(shift, n - shift)
         how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)"
+    if reversed_ is not None:
+        each += f"; and {names[columns.index(reversed_)]} looks reversed"
     return Disagreement(
         f"joints stand in another order than they are named, as if permuted{how}: {each}",
-        "correct the order of the names in joint_states",
+        "correct the order of the names in joint_states" + (", and the sign" if reversed_ is not None else ""),
         len(part),
         len(part),
     )
