@@ -70,9 +70,10 @@ def _met(A: Array, samples: Samples, wrong: np.ndarray | None, limit: float) -> 
     poses = bool(samples.is_pose.all())
     draws = _draws(len(samples), _POSES if poses else _POINTS, wrong, rng)
     design = np.concatenate([A[:, :3, :3].reshape(-1, 9), A[:, :3, 3], np.ones((len(A), 1))], axis=1)
-    best = np.zeros(len(samples), bool)
+    best: np.ndarray = np.zeros(len(samples), bool)
+    near: np.ndarray
 
-    def found(rows: Array) -> Array:
+    def found(rows: np.ndarray) -> Array:
         if poses:
             Y, _ = base_and_tool_turns(A[rows][..., :3, :3], samples.R[rows])
             _, x, t = tool_and_place(Y, A[rows], samples.reading[rows])
@@ -98,9 +99,9 @@ def _met(A: Array, samples: Samples, wrong: np.ndarray | None, limit: float) -> 
     return best
 
 
-def _draws(N: int, size: int, wrong: np.ndarray | None, rng: np.random.Generator) -> Array:
+def _draws(N: int, size: int, wrong: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
     """Rows (D, size): of all where few are drawn, of neighbours, and of those that are wrong."""
-    sets = []
+    sets: list[np.ndarray] = []
     if size == _POSES:
         sets += [rng.permuted(np.tile(np.arange(N), (_DRAWS, 1)), axis=1)[:, :size]]
     first = rng.integers(0, max(N - 2 * size, 1), _DRAWS)

@@ -53,7 +53,7 @@ def one_topic(case: Case) -> OneTopic | None:
     """The range instrument whose residual depends on its own reading alone, None where there is none."""
     samples = case.samples
     ranged = np.flatnonzero((samples.kind == RANGE) & ~samples.moving)
-    frames = [f for f in np.unique(samples.frame[ranged]) if (samples.frame[ranged] == f).sum() >= _LEAST]
+    frames = [int(f) for f in np.unique(samples.frame[ranged]) if (samples.frame[ranged] == f).sum() >= _LEAST]
     if len(frames) < 2:
         return None
     all_of = samples.select(ranged)
@@ -65,7 +65,7 @@ def one_topic(case: Case) -> OneTopic | None:
     number = station_numbers(samples)[ranged]
     rng = np.random.default_rng(0)
     best: list[tuple[float, int, str]] = []
-    sizes = {}
+    sizes: dict[int, float] = {}
     for f in frames:
         rows = np.flatnonzero(all_of.frame == f)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
