@@ -24,7 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.schema import shown
-from modcal_core.robots.branches import Hanging, CarryingJoint
+from modcal_core.robots.branches import CarryingJoint, Hanging
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data

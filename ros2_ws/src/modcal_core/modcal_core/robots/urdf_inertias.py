@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.branches import Hanging, CarryingJoint
+from modcal_core.robots.branches import CarryingJoint, Hanging
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
