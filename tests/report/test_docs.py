@@ -12,6 +12,7 @@ import pytest
 from report.judged import everything
 from report.reports import delta, warm_cell
 
+from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import STAGES
@@ -40,6 +41,7 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
         left=EffectChoice(report.model.effects[0], 1e-4, ("something else",), 0.5),
         identifiability=replace(report.identifiability, unobservable=("a",), weak=(("b with c", 0.4),)),
         notes=("A note.",),
+        distances=(KnownDistance("a to b", 0.05, 5e-5, -1e-6, 0.05, 1e-4),),
     )
     named = tuple(replace(f, same_as=("another",)) for f in report.effects)
     rivals = replace(report, effects=named)

@@ -39,7 +39,7 @@ _ALIKE = 1.0  # of the cost; less is no difference that the readings can show
 _EACH = 6  # samples for each parameter, from which a start is judged
 _FEWEST = 400  # samples, of which the same is said
 _CAP = 100.0  # squared deviations; no sample may rule alone
-_UNIT = NoiseModel(1.0, 1.0)
+_UNIT = NoiseModel(1.0, 1.0)  # m, rad; squares in it are squares of the residuals
 
 Parameters = Sequence[ModelParameter]
 

@@ -140,7 +140,7 @@ class Calibration:
         curved = curved_joints(model.effects, self.nominal.chain.names)
         if not (self.geometry_outside and curved.any()):
             return None
-        return Fallback(alone.with_effects(()), *self.seen, curved)
+        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved)
 
     @property
     def driver_limits(self) -> DriverLimits:

@@ -24,7 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.schema import shown
-from modcal_core.robots.branches import Hanging, Step
+from modcal_core.robots.branches import CarryingJoint, Hanging
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
@@ -153,7 +153,7 @@ def _hanging_to_data(body: Hanging) -> dict[str, Any]:
 
 def _hanging_from_data(data: Any) -> Hanging:
     steps = tuple(
-        Step(
+        CarryingJoint(
             _transform(s["origin"]),
             np.array(s["axis"], dtype=float).reshape(3),
             bool(s["turns"]),

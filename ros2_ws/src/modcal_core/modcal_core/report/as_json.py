@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.calibration.score import ErrorSize
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.contents import STAGES, ReportContents
@@ -61,6 +62,7 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
             "left_out": list(report.left_out),
             "weak": [{"direction": name, "std_over_prior": share} for name, share in seen.weak],
         },
+        "known_distances": [_known_distance(known) for known in report.distances],
         "evidence": [
             {
                 "p_value": seen_then.p_value,
@@ -91,6 +93,18 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "notes": list(report.notes),
         "verdict": sentence(report),
         "story": list(report.story),
+    }
+
+
+def _known_distance(known: KnownDistance) -> dict[str, Any]:
+    return {
+        "name": known.name,
+        "stated_mm": 1e3 * known.stated,
+        "stated_std_mm": 1e3 * known.stated_std,
+        "misfit_mm": 1e3 * known.residual,
+        "found_mm": 1e3 * known.found,
+        "found_std_mm": 1e3 * known.std,
+        "contradicted": known.contradicted,
     }
 
 

@@ -12,7 +12,7 @@ from modcal_core.geometry.so3 import Array
 
 
 @dataclass(frozen=True)
-class Step:
+class CarryingJoint:
     """One joint on the way to a body. origin: (4, 4) [m]. axis: unit (3,); zero of a fixed one. turns: or slides.
 
     joint: whose position moves it, times a factor, plus an offset: of a joint that mimics, the one it mimics.
@@ -37,7 +37,7 @@ class Hanging:
     """One body. carrier: number of the chain's joint on whose link it hangs. mass [kg], com (3,) [m]: in its link."""
 
     carrier: int
-    steps: tuple[Step, ...]
+    steps: tuple[CarryingJoint, ...]
     mass: float
     com: Array
 

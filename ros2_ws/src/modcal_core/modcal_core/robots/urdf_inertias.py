@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.branches import Hanging, Step
+from modcal_core.robots.branches import CarryingJoint, Hanging
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
@@ -84,7 +84,9 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
     return Inertias(mass, com, inertia, hanging, _down(tree, chain.base))
 
 
-def _hanging(tree: Tree, link: str, steps: tuple[Step, ...], stop: set[str], carrier: int) -> Iterator[Hanging]:
+def _hanging(
+    tree: Tree, link: str, steps: tuple[CarryingJoint, ...], stop: set[str], carrier: int
+) -> Iterator[Hanging]:
     """The bodies of a link and of what hangs on it that some joint moves."""
     if link in tree.inertials and any(step.joint for step in steps) and tree.inertials[link].mass > 0.0:
         own = tree.inertials[link]
@@ -94,14 +96,14 @@ def _hanging(tree: Tree, link: str, steps: tuple[Step, ...], stop: set[str], car
             yield from _hanging(tree, joint.child, (*steps, _step(joint)), stop, carrier)
 
 
-def _step(joint: Joint) -> Step:
+def _step(joint: Joint) -> CarryingJoint:
     turns = joint.kind != "prismatic"
     if not joint.moves or not joint.axis.any():
-        return Step(joint.T_parent_joint, np.zeros(3), turns, "")
+        return CarryingJoint(joint.T_parent_joint, np.zeros(3), turns, "")
     axis = joint.axis / np.linalg.norm(joint.axis)
     if joint.mimics is None:
-        return Step(joint.T_parent_joint, axis, turns, joint.name)
-    return Step(joint.T_parent_joint, axis, turns, joint.mimics, joint.mimic_factor, joint.mimic_offset)
+        return CarryingJoint(joint.T_parent_joint, axis, turns, joint.name)
+    return CarryingJoint(joint.T_parent_joint, axis, turns, joint.mimics, joint.mimic_factor, joint.mimic_offset)
 
 
 def _down(tree: Tree, base: str) -> Array:
