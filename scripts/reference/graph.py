@@ -29,13 +29,17 @@ SPACE = "/somewhere"
 # What each node needs to start, and parameters that decide which topics there are.
 _TRAJECTORY = Path(tempfile.mkdtemp()) / "trajectory.yaml"
 _TRAJECTORY.write_text("{joint_names: [a], points: [{positions: [0.0], time_from_start: {sec: 0, nanosec: 0}}]}")
+_TARGET = _TRAJECTORY.with_name("target.yaml")
+_TARGET.write_text("{modcal_target: 1, type: chessboard, columns: 7, rows: 4, square_m: 0.03}")
 NEEDED = {
+    "board_detector": {"target": str(_TARGET)},
     "simulated_cell": {"urdf": str(URDF)},
     "simulated_furniture": {"urdf": str(URDF)},
     "door_demo": {"start": "false"},
     "trajectory_sender": {"trajectory": str(_TRAJECTORY)},
 }
 DECIDING = {
+    "calibrator": [("target", str(_TARGET))],
     "articulation_estimator": [("input", topic) for topic in ("tool_pose", "tracker/pose", "tracker/point")],
     "simulated_cell": [("measurement", "point"), ("publish_clock", "true")],
     "simulated_furniture": [("publish_clock", "true")],
@@ -131,7 +135,9 @@ def _when(opened: Opened, runs: list[set[Opened]], asked: list[dict[str, str]]) 
         if (opened in run) != there:
             for name, value in more.items():
                 words.setdefault(name, []).append(value)
-    told = [f"`{name}` is " + " or ".join(f"`{v}`" for v in values) for name, values in words.items()]
+    # a file that is there for this only has no name to tell
+    said = {name: ["set" if Path(v).is_absolute() else f"`{v}`" for v in values] for name, values in words.items()}
+    told = [f"`{name}` is " + " or ".join(values) for name, values in said.items()]
     return (("unless " if there else "when ") + " or ".join(told)) if told else ""
 
 

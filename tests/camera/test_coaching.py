@@ -37,6 +37,7 @@ def shown(coach: Coach, T: Array) -> str:
     return coach.image(view(T, 2))
 
 
+@pytest.mark.slow
 def test_coaching_asks_for_what_is_missing() -> None:
     coach = Coach(BOARD, SIZE, LENS)
     assert coach.image(None, "shows no target: bring it into view").startswith("no corners: the image shows no target")
@@ -62,6 +63,7 @@ def test_coaching_asks_for_what_is_missing() -> None:
     assert "enough, calibrate" in said
 
 
+@pytest.mark.slow
 def test_pose_and_its_covariance(rng: np.random.Generator) -> None:
     """Standard scores of 200 poses are those of six normal numbers."""
     T = facing(rng, 200)

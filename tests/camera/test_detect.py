@@ -123,7 +123,8 @@ def test_a_chessboard_of_other_squares(size: tuple[int, int]) -> None:
     """Fewer than there are would be found anywhere on the board, elsewhere in the next image."""
     found = detect(image(PrintedTarget(CHESSBOARD, 7, 4, 0.03)), PrintedTarget(CHESSBOARD, *size, 0.03), "a")
     assert found.view is None
-    assert "count the squares" in found.remedy
+    # a part of it may look like a bent board of that size
+    assert re.search("count the squares|check the target file", found.remedy)
 
 
 def test_two_boards() -> None:

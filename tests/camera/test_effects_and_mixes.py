@@ -49,6 +49,7 @@ def errors(s: CameraScene, r: CameraSolution) -> tuple[float, float]:
     return true_error(s, r.fit, q), r.in_view.interval[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_a_few_tracker_points_give_the_length_that_images_lack(on_tip: bool) -> None:
     """A sheet that nobody measured, 0.8 % too large: cannot tell; with fifteen points of a ball the arm is better by
@@ -66,6 +67,7 @@ def test_a_few_tracker_points_give_the_length_that_images_lack(on_tip: bool) -> 
     assert mixed.fit.sizes.other == pytest.approx(5e-5, rel=1.0)
 
 
+@pytest.mark.slow
 def test_wrong_readings_beside_images_are_left_out() -> None:
     s = scene(12, True, count=15, board=MEASURED)
     good = tracked(s)
@@ -83,6 +85,7 @@ def test_too_few_readings_beside_images_are_refused() -> None:
         tracked(s, count=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_effect", [False, True])
 def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
     s = scene(12, True, count=8)
@@ -165,6 +168,7 @@ def test_a_clean_arm_has_no_effects(seed: int) -> None:
     assert r.left is None
 
 
+@pytest.mark.slow
 def test_two_hundred_images_are_quick() -> None:
     """200 images of 80 corners: one linearisation and one solution take a third of a second, not minutes."""
     import time

@@ -147,6 +147,7 @@ def test_images_and_a_tracker_in_one_bag(
     assert report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"] < 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -168,6 +169,7 @@ def test_calls_that_cannot_be_done(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_one_image_of_each_stop(recorded: Recorded) -> None:
     recording = read_bag(recorded.bag)
     log = JointLog.of(recording, recorded.scene.chain.names)
@@ -245,6 +247,7 @@ def test_which_topic() -> None:
             chosen_topic(listed, None, "bag")
 
 
+@pytest.mark.slow
 def test_camera_info_of_another_resolution(
     recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -256,6 +259,7 @@ def test_camera_info_of_another_resolution(
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_info_says_what_images_are_good_for(recorded: Recorded, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["info", str(recorded.bag), "--tip", "panda_link8"]) == 0
     assert "a calibration by camera (10 of /camera/image_raw/compressed)" in " ".join(capsys.readouterr().out.split())
@@ -270,6 +274,7 @@ def test_info_says_what_images_are_good_for(recorded: Recorded, capsys: pytest.C
     assert any("take 25 to 30" in said for said in images["findings"])
 
 
+@pytest.mark.slow
 def test_plan_says_which_images_to_take_next(
     recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

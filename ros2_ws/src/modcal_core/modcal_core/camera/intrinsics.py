@@ -20,7 +20,6 @@ from modcal_core.geometry.so3 import Array
 _STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
-_UNSEEN = 1e-14  # of all that an image says: of one whose corners are all left out every pose is as good
 _MANY, _LEAST = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
@@ -62,11 +61,10 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     G = grams(table, corner_rows(table, lens, _FLAT, T))
     off = np.zeros(len(use))
     cost = float(G[:, -1, -1].sum())
-    H = np.zeros((len(use), len(use)))
     for _ in range(_STEPS):
         p, c = slice(0, POSE), POSE + use
         Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
-        Hpp = Hpp + (_UNSEEN * np.einsum("nii->n", Hpp) + _UNSEEN)[:, None, None] * np.eye(POSE)
+        Hpp = Hpp + (np.einsum("nii->n", Hpp) == 0.0)[:, None, None] * np.eye(POSE)  # all corners left out: any pose
         Hcp = G[:, c, p]
         back = np.linalg.solve(Hpp, np.concatenate([np.swapaxes(Hcp, 1, 2), G[:, p, -1:]], axis=2))
         H = (G[:, c[:, None], c]).sum(0) - (Hcp @ back[:, :, :-1]).sum(0) + P0
@@ -92,8 +90,16 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
                 converged = True  # no step of any size is better
                 break
     cov = np.zeros((COUNT, COUNT))
-    cov[np.ix_(use, use)] = np.linalg.pinv(H, hermitian=True)
+    cov[np.ix_(use, use)] = np.linalg.pinv(_of_lens(G, use) + P0, hermitian=True)
     rows = corner_rows(table, lens, _FLAT, T)
     w = table.weight
     rms = float(np.sqrt((w @ (rows.pixels**2).sum(1)) / max(w.sum(), 1.0)))
     return LensFit(lens, T, cost, rms, cov, converged)
+
+
+def _of_lens(G: Array, use: np.ndarray) -> Array:
+    """Information of these values of the lens, the poses taken out of the products of all images, undamped."""
+    poses, c = G[:, :POSE, :POSE], POSE + use
+    across = G[:, c, :POSE]
+    taken = across @ np.linalg.pinv(poses, hermitian=True) @ np.swapaxes(across, 1, 2)
+    return np.asarray((G[:, c[:, None], c] - taken).sum(0))
