@@ -39,7 +39,7 @@ def best_cut(track: Track) -> int | None:
 
 
 def two_explain(track: Track) -> str:
-    """Why two motions, one after the other, are to be thought of, for a person; empty where one is enough."""
+    """Why two motions are to be thought of where one line or circle was found, for a person; empty where one does."""
     cut, n = best_cut(track), len(track)
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""
