@@ -193,8 +193,11 @@ def orthonormal(numbers: Numbers) -> set[int]:
     """Columns that are orientations by their numbers alone: quaternions and matrices, with labels or without."""
     filled = {k: label for k, label in numbers.labels.items() if np.isfinite(numbers.values[:, k]).any()}
     labelled = [*words.matrices(filled), *words.quaternions(filled)]
-    found = [t for t in labelled if _is_turned(numbers, t)] + _windows(numbers, list(filled))
-    return {k for t in found for k in t}
+    found = {k for t in labelled if _is_turned(numbers, t) for k in t}
+    for window in _windows(numbers, list(filled)):  # a matrix's row with noise beside it is no quaternion
+        if not found & set(window):
+            found |= set(window)
+    return found
 
 
 def _is_turned(numbers: Numbers, columns: tuple[int, ...]) -> bool:

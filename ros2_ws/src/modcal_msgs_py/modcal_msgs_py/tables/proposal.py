@@ -105,7 +105,7 @@ def _assumed(found: Findings, used: set[int], lacking: int, odd: Sequence[str]) 
     if lacking:
         out.append(f"{lacking} of {total} rows lack a number that is needed, and are left out")
     if odd:
-        out.append(f"{', '.join(odd)} stand where there is no number")
+        out.append(f"{', '.join(odd)} mark cells without a number")
     if _zeros(found):
         out.append("rows of zeros are rows in which nothing was read")
     out += (*found.assumed, *found.beside.said)

@@ -11,8 +11,9 @@ from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.online.stream import SampleStream
+from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.readings import READING
@@ -36,6 +37,11 @@ class KnownArm:
         self._tried: tuple[str, frozenset[str]] | None = None
         self._largest, self._reach = np.empty(0), 0.0
         self._order: dict[tuple[str, ...], np.ndarray | None] = {}
+
+    @property
+    def serial(self) -> Chain | None:
+        """The arm, where it is known and a serial chain."""
+        return self.chain if self.chain is not None and is_serial_arm(self.chain) else None
 
     def describe(self, text: str) -> None:
         """Take a description that was published. Another one, later, is refused: that is another robot."""

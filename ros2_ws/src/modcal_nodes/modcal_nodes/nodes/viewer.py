@@ -207,7 +207,7 @@ class Viewer(GuardedNode):
 
     def _draw_stations(self) -> None:
         """Publish residuals and stations, of the calibration in use."""
-        chain, robot, chosen = self._arm.chain, self._robot, self._chosen
+        chain, robot, chosen = self._arm.serial, self._robot, self._chosen
         self._judged, self._around_stations, self._missing = None, [], ""
         self._frame = chain.base if chain else self._frame
         if chain is None:
@@ -231,13 +231,13 @@ class Viewer(GuardedNode):
 
     def _draw_posture(self) -> None:
         """Publish axes and ellipsoids where the arm stands; nothing of a posture that is not known now."""
-        chain, joints, robot, scale = self._arm.chain, self._joints, self._robot, self._chosen["arrow_scale"]
+        chain, joints, robot, scale = self._arm.serial, self._joints, self._robot, self._chosen["arrow_scale"]
         axes, present = drawing.nothing(self._frame), []
         try:
             if chain is None or joints is None:
                 raise BadCommand("arm", "is not known", self._arm.trouble or _NO_ARM_YET)
             at = self._present(joints)
-            calibrated = robot.correction.chain if robot else None
+            calibrated = robot.correction.model.serial if robot else None
             nominal = robot.correction.calibration.nominal.serial if robot else chain
             axes = drawing.axes_picture(nominal, calibrated, at.q, scale, _LIFETIME)
             if robot is not None:

@@ -94,7 +94,7 @@ def uncertainty_picture(
 
 def stations_picture(correction: Correction, judged: JudgedStations | None) -> MarkerArray:
     """Where the tool was: at the stations that the calibration was made from, and at the last ones by how they fit."""
-    model, chain = correction.model, correction.chain
+    model, chain = correction.model, correction.model.serial
     parts = []
     if len(correction.calibration.postures):
         T = forward(chain, correction.calibration.postures) @ model.T_tip_tool
