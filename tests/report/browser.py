@@ -107,8 +107,9 @@ class Page:
         file.write_bytes(base64.b64decode(answer["data"]))
 
     def print(self, file: Path) -> None:
-        """Save the page as PDF, as it would be printed."""
-        file.write_bytes(base64.b64decode(self.send("Page.printToPDF", printBackground=True)["data"]))
+        """Save the page as PDF, as it would be printed, on the paper that it asks for."""
+        answer = self.send("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
+        file.write_bytes(base64.b64decode(answer["data"]))
 
     def complaints(self) -> list[str]:
         """Exceptions, console errors and warnings since the page was opened."""

@@ -132,6 +132,17 @@ def test_on_a_phone_in_both_colours(tab: Page, tmp_path: Path, written: Callable
         assert not [said for said, contrast in read if contrast < LEAST]
 
 
+@pytest.mark.parametrize("name", [*MADE, *VERBS])
+def test_on_paper_three_sheets_and_a_certificate_one(
+    tab: Page, tmp_path: Path, written: Callable[[str], str], name: str
+) -> None:
+    (tmp_path / "page.html").write_text(written(name))
+    tab.open(tmp_path / "page.html")
+    tab.print(tmp_path / "page.pdf")
+    sheets = re.findall(rb"/Type /Page\b(?!s)", (tmp_path / "page.pdf").read_bytes())
+    assert 1 <= len(sheets) <= (1 if "certificate" in name else 3)
+
+
 def test_faint_letters_would_be_seen(tab: Page, tmp_path: Path) -> None:
     file = tmp_path / "faint.html"
     file.write_text("<body style='background:#fff'><p style='color:#999'>faint</p><p>plain</p></body>")

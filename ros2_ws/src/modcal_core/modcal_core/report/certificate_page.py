@@ -5,7 +5,8 @@ from __future__ import annotations
 from modcal_core.report.certificate import Certificate, Scale
 from modcal_core.report.page import Chart, framed, render
 
-_WIDTH, _LEFT, _RIGHT = 520.0, 8.0, 512.0  # points
+_WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points; a phone shows all of it
+_LABEL = 36.0  # points, half of what the tolerance's label takes
 _HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
 
 
@@ -45,7 +46,9 @@ def drawn(scale: Scale, tone: str) -> Chart:
     parts.append(
         f'<path d="M{at(scale.asked):.1f} 13V{_AXIS}" style="stroke:var(--bad);stroke-width:1.4;stroke-dasharray:4 2"/>'
     )
-    parts.append(_text(f"tolerance {scale.asked:g}", at(scale.asked), 9.0, "middle"))
+    asked = at(scale.asked)
+    anchor = "start" if asked < _LEFT + _LABEL else "end" if asked > _RIGHT - _LABEL else "middle"
+    parts.append(_text(f"tolerance {scale.asked:g}", asked, 9.0, anchor))
     said = f"tolerance {scale.asked:g} mm"
     if scale.value is not None:
         said += f", error {scale.value:.3f} mm"
