@@ -84,7 +84,8 @@ def stamps_of(path: Path, topic: str) -> NDArray[np.float64]:
     out = []
     for received, _, data in _packed(path, topic):
         if len(data) >= 12:
-            out.append(_stamp(*struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4), received))
+            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+            out.append(_stamp(seconds, nanoseconds, received))
     return np.unique(np.array(out, dtype=float))
 
 

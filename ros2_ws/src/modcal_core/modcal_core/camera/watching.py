@@ -189,5 +189,5 @@ def _gain(columns: Array, y: Array) -> tuple[float, Array]:
     """(gain of −2 log likelihood by columns (m, k) of unit prior, their values), the price of k numbers taken off."""
     H = columns.T @ columns + np.eye(columns.shape[1])
     b = columns.T @ y
-    x = np.linalg.solve(H, b)
+    x = np.asarray(np.linalg.solve(H, b), dtype=float)
     return float(b @ x - np.linalg.slogdet(H)[1]), x

@@ -16,8 +16,6 @@ from modcal_nodes.calibrating.corners import LEAST, CameraSolved, CornerIntake, 
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.worker import SolveWorker
 
-NO_CORNERS = "corners: not received yet: start board_detector, or remap its topic"
-
 
 class _Log(Protocol):
     def info(self, message: str) -> Any: ...

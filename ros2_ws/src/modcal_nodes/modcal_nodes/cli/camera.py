@@ -115,7 +115,8 @@ def calibrate_images(
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
     images = len(found.views) + len(found.left_out)
-    out = out or Path(f"{(camera['images'] or bag).resolve().stem}_calibration")
+    source: Path = camera["images"] or bag
+    out = out or Path(f"{source.resolve().stem}_calibration")
     files = camera_files(solution, robot, images, found.left_out)
     write_folder(out, files)
     data = camera_report(solution, robot, images, found.left_out)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -15,25 +14,26 @@ from sensor_msgs.msg import JointState, PointCloud2, Range, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.errors import BadRobot, BadTable, ModcalError
+from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import RandomWalk
-from modcal_core.online.supervisor import ASKED, BETTER, Policy, Supervisor
+from modcal_core.online.supervisor import Supervisor
 from modcal_core.recalibrate import Job
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
-from modcal_nodes.calibrating.by_camera import NO_CORNERS, ByCamera
+from modcal_nodes.calibrating.by_camera import ByCamera
 from modcal_nodes.calibrating.commands import CommandSubscription
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
 from modcal_nodes.calibrating.intake import Intake
+from modcal_nodes.calibrating.needs import lacking, policy, require_policy
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
@@ -53,9 +53,6 @@ _REST = 0.003  # s
 _SOLVE = "solve"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
-_NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
-_NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
-_NO_TRACKER = "tracker/pose, tracker/point and other readings: none received yet: start the tracker, or remap its topic"
 _MESSAGES = {
     "geometry_msgs/msg/PoseStamped": PoseStamped, "geometry_msgs/msg/PointStamped": PointStamped,
     "geometry_msgs/msg/Vector3Stamped": Vector3Stamped, "sensor_msgs/msg/Range": Range,
@@ -69,8 +66,8 @@ class Calibrator(GuardedNode):
         super().__init__("calibrator")
         declare(self, CALIBRATOR)
         self._chosen = chosen = values(self, CALIBRATOR)
-        _check(chosen)
-        follow(self, CALIBRATOR, chosen, _check, self._take_parameters)
+        require_policy(chosen)
+        follow(self, CALIBRATOR, chosen, require_policy, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = Path(chosen["state"]) if chosen["state"] else None
         self._lock = StateLock(self._folder) if self._folder else None
@@ -84,7 +81,7 @@ class Calibrator(GuardedNode):
         self._candidate: Solved | None = None
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
         random_walk = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
-        self._supervisor = Supervisor(_policy(chosen), random_walk)
+        self._supervisor = Supervisor(policy(chosen), random_walk)
         delta = read_delta(Path(chosen["delta"])) if chosen["delta"] else None
         self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"], delta)
         self._trouble = ""  # why the saved model is not used
@@ -96,7 +93,9 @@ class Calibrator(GuardedNode):
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
         corners = CornerIntake(Path(chosen["target"])) if chosen["target"] else None
-        self._camera = corners and ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
+        self._camera: ByCamera | None = None
+        if corners is not None:
+            self._camera = ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
         self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
         self._inputs = self._listen(chosen["silence_timeout_s"])
         self._commands = CommandSubscription(self, self._intake.command)
@@ -114,7 +113,7 @@ class Calibrator(GuardedNode):
         self.create_timer(1.0, self._tell, clock=steady)
 
     def _take_parameters(self) -> None:
-        self._supervisor.follow(_policy(self._chosen))
+        self._supervisor.follow(policy(self._chosen))
         for ear in self._inputs:
             ear.patience = self._chosen["silence_timeout_s"]
 
@@ -175,16 +174,7 @@ class Calibrator(GuardedNode):
 
     def _lacks(self) -> str:
         """What must come before stations can be cut; empty: nothing."""
-        if self._arm.chain is None:
-            if not self._arm.description and self._arm.delta is None:
-                return _NO_DESCRIPTION
-            return self._arm.trouble or _NO_JOINTS
-        if self._camera is not None:
-            return "" if any(ear.count for ear in self._inputs if ear.topic.endswith("corners")) else NO_CORNERS
-        readings = tuple(kind.topic for kind in kinds().values())
-        if not any(ear.count for ear in self._inputs if ear.topic.endswith(readings)):
-            return _NO_TRACKER
-        return ""
+        return lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
         """Number the frames of readings as the trusted model does."""
@@ -408,16 +398,6 @@ class Calibrator(GuardedNode):
             trouble = self._tf.trouble
             yield Status("tf", ERROR if trouble else OK, trouble or "frames of the trusted model are published")
         yield sample_status(self._supervisor, self._intake.refused, self._arm.stream, self._intake.times)
-
-
-def _check(chosen: dict[str, Any]) -> None:
-    """Raises BadTable for a policy that there is none of."""
-    if chosen["accept"] not in (ASKED, BETTER):
-        raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
-
-
-def _policy(chosen: dict[str, Any]) -> Policy:
-    return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 
 def main() -> None:
