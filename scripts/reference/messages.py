@@ -54,6 +54,12 @@ MEANINGS: dict[str, dict[str, str]] = {
     "robot_description": URDF,
     "tracker/pose": POSE,
     "tracker/point": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "point": "of the target, m"},
+    "tracker/range": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "range": "from the instrument's point to the target, m"},
+    "tracker/bearing": {
+        "header.stamp": STAMP, "header.frame_id": ANY_FRAME, "vector": "towards the target, of any length",
+    },
+    "tracker/plane": {"header.stamp": STAMP, "header.frame_id": "the plane that the tip touches", "range": "from the plane, m"},
+    "gripper/range": {"header.stamp": STAMP, "header.frame_id": "the plane that the ray meets", "range": "along the ray, m"},
     "temperature": TEMPERATURE,
     "wrench": WRENCH,
     "tool_pose": {

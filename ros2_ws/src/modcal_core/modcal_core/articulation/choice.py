@@ -156,7 +156,9 @@ def _weighed(
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
-        flat = fits[kind].motion.uniform and not fits[kind].model.rises  # a line or a circle, as the phases are
+        urdf = by_name[kind].urdf
+        # a line or a circle, as the phases are
+        flat = fits[kind].motion.uniform and not (urdf is not None and urdf.rises)
         doubt = doubt or (two_explain(used) if flat else "")
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)

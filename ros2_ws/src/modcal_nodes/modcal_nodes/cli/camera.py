@@ -115,7 +115,8 @@ def calibrate_images(
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
     images = len(found.views) + len(found.left_out)
-    source: Path = camera["images"] or bag
+    source = camera["images"] or bag
+    assert source is not None
     out = out or Path(f"{source.resolve().stem}_calibration")
     files = camera_files(solution, robot, images, found.left_out)
     write_folder(out, files)
