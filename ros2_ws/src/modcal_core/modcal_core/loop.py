@@ -102,6 +102,7 @@ def calibrate(
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
     geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
+    choice = replace(choice, parameters=geometric.parameters)
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train, samples, cell.distances)
 

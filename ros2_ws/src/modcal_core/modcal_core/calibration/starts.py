@@ -36,6 +36,7 @@ _AROUND = (0.1, 0.4)  # of the arm's reach; tools are between nothing and half a
 _NEARBY = 0.03  # the same about a ball that was located in sockets, which is linear in where it is
 _AGREED = 3  # starts that end alike, from which no further one is tried
 _ALIKE = 1.0  # of the cost; less is no difference that the readings can show
+_NEAR = 0.5  # of what is usual; the prior then costs no value more than a quarter of a squared deviation
 _EACH = 6  # samples for each parameter, from which a start is judged
 _FEWEST = 400  # samples, of which the same is said
 _CAP = 100.0  # squared deviations; no sample may rule alone
@@ -54,14 +55,24 @@ def fit_geometry(
 ) -> Fit:
     """The fit of the whole geometry; its start is the model that the best of several fits was begun from.
 
-    start: base and tool as the nominal arm has them. parameters: as of :func:`held_parameters`. A model whose base or
-    tool moved is fitted from where it is.
+    start: base and tool as the nominal arm has them. parameters: as of :func:`free_cell`; those of the fit have the
+    usual priors where the readings bear out where the nominal arm has base and tool, and where these are known to have
+    moved, for a model is then begun about where they are.
     """
     start = as_stated(start, cell.tool, cell.known)
-    first = identify_moved(start, samples, parameters, cell.distances, tolerance, reject)
-    moved = any(is_move(effect) for effect in start.effects)
-    if moved or not (is_serial_arm(start.chain) and _tool_free(parameters) and _far(first)):
-        return first
+    if any(is_move(effect) for effect in start.effects):
+        return identify_moved(start, samples, _usual(parameters), cell.distances, tolerance, reject)
+    fitted = partial(identify, samples=samples, distances=cell.distances, tolerance=tolerance, reject=reject)
+    first = fitted(start, parameters=parameters)
+    if is_serial_arm(start.chain) and _tool_free(parameters) and _far(first):
+        best = _best(start, samples, parameters, cell, first)
+        if best is not None:
+            return fitted(best.start, parameters=parameters, begin=best.values)
+    return fitted(start, parameters=_usual(parameters)) if _borne_out(first) else first
+
+
+def _best(start: Model, samples: Samples, parameters: Parameters, cell: Cell, first: Fit) -> Fit | None:
+    """The best of fits that begin with the tool elsewhere, to some of the samples; None where the first is as good."""
     some = _some(samples, len(parameters))
     found = [_fitted(start, some, parameters, cell, first.values)]
     for other in _others(start, some, cell):
@@ -70,11 +81,19 @@ def fit_geometry(
         if np.sum(cost < cost.min() + _ALIKE) >= _AGREED:
             break
     cost = _costs(found, some, cell)
-    best = found[int(np.argmin(cost))]
-    if cost[0] <= cost.min() + _ALIKE:
-        return first
-    fitted = partial(identify, best.start, samples, parameters, cell.distances, tolerance=tolerance, reject=reject)
-    return fitted(begin=best.values)
+    return None if cost[0] <= cost.min() + _ALIKE else found[int(np.argmin(cost))]
+
+
+def _usual(parameters: Parameters) -> list[ModelParameter]:
+    """The parameters with the prior that arms have from their drawing, where nothing better is stated."""
+    return [replace(p, prior_std=min(p.prior_std, p.expected)) for p in parameters]
+
+
+def _borne_out(fit: Fit) -> bool:
+    """Whether the readings put base and tool where the nominal arm had them, and know them so well."""
+    rows = [k for k, p in enumerate(fit.parameters) if p.name.startswith(("frame ", "tool/"))]
+    usual = np.array([fit.parameters[k].expected for k in rows])
+    return bool(np.all(np.abs(fit.values[rows]) < _NEAR * usual) and np.all(fit.std[rows] < _NEAR * usual))
 
 
 def _tool_free(parameters: Parameters) -> bool:

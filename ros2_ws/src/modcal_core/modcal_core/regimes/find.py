@@ -75,6 +75,7 @@ def find_regimes(
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
     geometric = fit_geometry(nominal.model, samples, choice.parameters, cell, tolerance=_TOLERANCE)
+    choice = replace(choice, parameters=geometric.parameters)
     if not stated and not _suspicious(geometric, samples):
         return None
     search = _Search(nominal.model, samples, choice.parameters, cell, places)
