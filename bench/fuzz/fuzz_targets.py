@@ -12,6 +12,7 @@ import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,8 @@ from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.choosing import Topics
+from modcal_msgs_py.corners import CORNER, read_corners
+from modcal_msgs_py.images import lens_data, raw_image
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
@@ -51,6 +54,7 @@ from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.types import message_class
 from modcal_nodes.calibrating.standing import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
+from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import joints_of_text, lens_from_data
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,7 +74,7 @@ def targets(folder: Path) -> list[Target]:
     """All targets; folder: for files that cases are written to."""
     return [
         mcap_target(folder), sqlite_target(folder), metadata_target(folder), urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(),
-        report_target(), yaml_target(), other_files_target(),
+        report_target(), yaml_target(), other_files_target(), images_target(),
     ]  # fmt: skip
 
 
@@ -431,6 +435,57 @@ def other_files_target() -> Target:
         return name, data_case(readers[name][0], ways[name], rng)
 
     return Target("others", make, run)
+
+
+_ENCODINGS = ("mono8", "rgb8", "bgra8", "bayer_rggb8", "yuv422", "8UC3", "16UC1", "", "bayer_x", "x" * 1000)
+_SIDES = (0, 1, 2, 3, 7, 64, -1, 2**31 - 1)
+
+
+def images_target() -> Target:
+    """Messages with images, corners and lenses whose sizes, steps, offsets and bytes do not go together."""
+
+    def make(rng: np.random.Generator) -> tuple[Any, Any, Any]:
+        stamp = SimpleNamespace(sec=int(rng.integers(-5, 5)), nanosec=int(rng.integers(10**9)))
+        header = SimpleNamespace(stamp=stamp, frame_id="camera")
+        width, height = (int(x) for x in rng.choice(_SIDES, 2))
+        size = int(rng.choice([0, 1, 10, 64 * 64, 64 * 64 * 3, 64 * 64 * 4]))
+        data = rng.integers(0, 255, size).astype(np.uint8)
+        step = int(rng.choice([0, 1, width, 3 * width, 5, 2**31 - 1]))
+        image = SimpleNamespace(
+            header=header, width=width, height=height, step=step, encoding=str(rng.choice(_ENCODINGS)), is_bigendian=0,
+            data=data,
+        )  # fmt: skip
+        names = [*(CORNER.names or ()), "x"]
+        fields = [
+            SimpleNamespace(name=str(rng.choice(names)) if rng.random() < 0.1 else name,
+                            offset=int(rng.choice([4 * i, 4 * i, 4 * i, 1000, -4])),
+                            datatype=6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7)
+            for i, name in enumerate(names)
+        ]  # fmt: skip
+        cloud = SimpleNamespace(
+            header=header, fields=fields, width=int(rng.choice([0, 1, 4, 170, -1])), height=1,
+            point_step=int(rng.choice([0, 4, 24, 24, 24, 10**9])), is_bigendian=False, data=data.tobytes(),
+        )  # fmt: skip
+        numbers = rng.choice([0.0, 1.0, 500.0, np.nan, np.inf, -3.0], int(rng.choice([9, 9, 0, 4])))
+        info = SimpleNamespace(
+            width=width,
+            height=height,
+            k=numbers,
+            d=numbers[:5],
+            distortion_model=str(rng.choice(["plumb_bob", "fisheye"])),
+        )
+        return image, cloud, info
+
+    def run(case: tuple[Any, Any, Any]) -> None:
+        image, cloud, info = case
+        if (raw := raw_image(image, 1.0)) is not None:
+            grey_of(raw)
+        if (data := lens_data(info)) is not None:
+            with contextlib.suppress(ModcalError):
+                lens_from_data(data, "camera_info")
+        read_corners(cloud)
+
+    return Target("images", make, run)
 
 
 def _example(folder: str) -> Path | None:

@@ -139,7 +139,7 @@ def raw_image(message: Any, received: float = 0.0) -> RawImage | None:
 def lens_data(message: Any) -> dict[str, Any] | None:
     """A camera_info message as its YAML file has it; None where the camera was never calibrated (all zero)."""
     K = [float(x) for x in (message.k if hasattr(message, "k") else message.K)]
-    if not np.isfinite(K).all() or K[0] <= 0.0:
+    if len(K) != 9 or not np.isfinite(K).all() or K[0] <= 0.0:
         return None
     d = [float(x) for x in (message.d if hasattr(message, "d") else message.D)]
     return {

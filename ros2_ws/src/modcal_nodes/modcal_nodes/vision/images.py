@@ -162,6 +162,8 @@ def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
 def is_mosaic(grey: np.ndarray) -> bool:
     """Whether the four phases of pixels differ, as they do behind a colour filter."""
     h, w = (s - s % 2 for s in grey.shape)
+    if not h or not w:
+        return False
     phases = grey[:h, :w].reshape(h // 2, 2, w // 2, 2).mean(axis=(0, 2))
     return bool(np.ptp(phases) > _MOSAIC * max(float(phases.mean()), 1.0))
 
