@@ -24,8 +24,8 @@ _SINE_AND_TRACE = np.concatenate([0.5 * HAT, EYE.reshape(1, 9)]).T
 
 class Motion(ABC):
     """moves: whether it has a configuration. turns: whether that is an angle. uniform:
-    whether the direction along its path is the same for all samples, once unwound. flat: whether its path is a line or a
-    circle.
+    whether the direction along its path is the same for all samples, once unwound. flat: whether its path is a line or
+    a circle.
 
     R: rotation (3, 3) of the start or of the grasp, None where only positions were seen.
     """
