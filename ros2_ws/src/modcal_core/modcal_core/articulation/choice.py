@@ -156,10 +156,7 @@ def _weighed(
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
-        urdf = by_name[kind].urdf
-        # a line or a circle, as the phases are
-        flat = fits[kind].motion.uniform and not (urdf is not None and urdf.rises)
-        doubt = doubt or (two_explain(used) if flat else "")
+        doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)

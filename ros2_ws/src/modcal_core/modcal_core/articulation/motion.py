@@ -24,7 +24,8 @@ _SINE_AND_TRACE = np.concatenate([0.5 * HAT, EYE.reshape(1, 9)]).T
 
 class Motion(ABC):
     """moves: whether it has a configuration. turns: whether that is an angle. uniform:
-    whether the direction along its path is the same for all samples, once unwound.
+    whether the direction along its path is the same for all samples, once unwound. flat: whether its path is a line or
+    a circle.
 
     R: rotation (3, 3) of the start or of the grasp, None where only positions were seen.
     """
@@ -33,6 +34,7 @@ class Motion(ABC):
     moves: ClassVar[bool] = True
     turns: ClassVar[bool] = False
     uniform: ClassVar[bool] = False
+    flat: ClassVar[bool] = False
 
     @property
     @abstractmethod

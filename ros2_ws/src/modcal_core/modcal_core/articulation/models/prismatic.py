@@ -52,6 +52,7 @@ class PrismaticMotion(AxisMotion):
     """It goes along column 0 of G."""
 
     kind: ClassVar[str] = "prismatic"
+    flat: ClassVar[bool] = True
     made: ClassVar[type[JointModel]] = PrismaticJoint
     frame_turns: ClassVar[int] = 2
 

@@ -89,6 +89,7 @@ class RevoluteMotion(AxisMotion):
 
     kind: ClassVar[str] = "revolute"
     turns: ClassVar[bool] = True
+    flat: ClassVar[bool] = True
     made: ClassVar[type[JointModel]] = RevoluteJoint
     frame_turns: ClassVar[int] = 3
     sizes: ClassVar[int] = 1

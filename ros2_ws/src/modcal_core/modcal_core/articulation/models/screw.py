@@ -59,6 +59,7 @@ class ScrewMotion(RevoluteMotion):
     """It rises by h a radian."""
 
     kind: ClassVar[str] = "screw"
+    flat: ClassVar[bool] = False
     made: ClassVar[type[JointModel]] = ScrewJoint
     sizes: ClassVar[int] = 2
     radius_at: ClassVar[int] = -2
