@@ -40,6 +40,18 @@ TRAJECTORY = {
     "joint_names": "of the arm, base to tip",
     "points": "one: positions, rad, m, and time_from_start",
 }
+
+
+def _length(frame: str, said: str) -> dict[str, str]:
+    """What the fields of a Range message mean."""
+    return {
+        "header.stamp": STAMP,
+        "header.frame_id": frame,
+        "range": said,
+        **dict.fromkeys(("radiation_type", "field_of_view", "min_range", "max_range", "variance"), "not looked at"),
+    }
+
+
 URDF = {"data": "a URDF; sent once and kept for whoever comes later"}
 TEMPERATURE = {
     "header.stamp": STAMP,
@@ -54,12 +66,14 @@ MEANINGS: dict[str, dict[str, str]] = {
     "robot_description": URDF,
     "tracker/pose": POSE,
     "tracker/point": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "point": "of the target, m"},
-    "tracker/range": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "range": "from the instrument's point to the target, m"},
+    "tracker/range": _length("the anchor: its origin is where the wire begins", "distance to the target, m"),
+    "tracker/plane": _length("the plane z = 0", "height of the target above the plane, m; 0: it touches"),
+    "gripper/range": _length("the sensor on the gripper", "length of its ray up to the plane that it meets, m"),
     "tracker/bearing": {
-        "header.stamp": STAMP, "header.frame_id": ANY_FRAME, "vector": "towards the target, of any length",
+        "header.stamp": STAMP,
+        "header.frame_id": "the station, a frame of its own",
+        "vector": "unit vector from the station to the target",
     },
-    "tracker/plane": {"header.stamp": STAMP, "header.frame_id": "the plane that the tip touches", "range": "from the plane, m"},
-    "gripper/range": {"header.stamp": STAMP, "header.frame_id": "the plane that the ray meets", "range": "along the ray, m"},
     "temperature": TEMPERATURE,
     "wrench": WRENCH,
     "tool_pose": {
