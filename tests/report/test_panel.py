@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator
 
+from modcal_core.report.effect_shapes import _few_waves
 from modcal_core.report.figures import in_numbers, small
 from modcal_core.report.panel import Panel, round_numbers
 
@@ -70,3 +71,12 @@ def test_a_logarithmic_axis_has_at_least_two_numbers(ends: tuple[float, float]) 
     ticks = [t for t in axes.get_yticks() if ends[0] * (1.0 - 1e-9) <= t <= ends[1] * (1.0 + 1e-9)]
     assert 2 <= len(ticks) <= 9
     assert len({f"{t:g}" for t in ticks}) == len(ticks)
+
+
+def test_of_many_waves_a_few_are_drawn_and_of_few_all() -> None:
+    t = np.linspace(0.0, 1.0, 1600)
+    assert _few_waves(np.sin(2.0 * np.pi * 10.0 * t)) == slice(None)
+    assert _few_waves(t) == slice(None)
+    part = _few_waves(np.sin(2.0 * np.pi * 60.0 * t))
+    assert t[part][-1] - t[part][0] == pytest.approx(6.0 / 60.0, rel=0.05)
+    assert t[part].mean() == pytest.approx(0.5, abs=0.02)

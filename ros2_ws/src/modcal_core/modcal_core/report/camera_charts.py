@@ -31,7 +31,7 @@ def camera_charts(fit: CameraFit) -> list[Chart]:
             "where corners were in the images: the lens is known where they are",
         ),
         apart.chart(
-            "apart", "image", "distance from the arm, σ", "How far each image is from where the arm has its target.",
+            "apart", "image", "distance, σ", "How far each image is from where the arm has its target.",
             "how far each image's target is from where the arm has it; one is usual",
         ),
     ]  # fmt: skip

@@ -16,6 +16,7 @@ from modcal_core.report.panel import Panel
 
 _POINTS = 1600
 _MOST_SHAPES = 24  # charts; more are looked at by nobody
+_MOST_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
 _MOST_TICKS = 250  # of samples, below the curve
 _UNITS = {
     "load": "N m",
@@ -57,17 +58,32 @@ def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, c
         x, at, words = (x - begin) / 60.0, (driver - begin) / 60.0, "time, min"
     slides = direction == AXIS and not _turns(report, effect.place)
     unit = "mm" if direction in _SHIFTS or slides else "mrad"
+    shown = _few_waves(size)
+    x, size, std = x[shown], size[shown], std[shown]
+    at = at[(at >= x[0]) & (at <= x[-1])]
     low, high = (1e3 * (size + k * std) for k in (-2.0, 2.0))
     panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
     panel.band(x, low, high, BEFORE)
     panel.line(x, 1e3 * size, AFTER, 1.1)
     panel.rug(np.sort(at)[thinned(len(at), _MOST_TICKS)], SOFT)
     title = f"{effect.place}, {direction}: {effect.family.replace('_', ' ')}"
+    if shown != slice(None):
+        title += ", a part of its range"
     alt = (
         f"{title} over {words}: {1e3 * float(size.min()):.3g} to {1e3 * float(size.max()):.3g} {unit}, with a standard "
         f"deviation of up to {1e3 * float(std.max()):.2g} {unit}."
     )
     return panel.chart(name, words, f"{direction}, {unit}", alt, title)
+
+
+def _few_waves(size: Array) -> slice:
+    """The points (N,) of a curve that are drawn: of many waves a few in the middle, of which each can be seen."""
+    over = size > size.mean()
+    turns = np.flatnonzero(over[1:] != over[:-1])
+    if len(turns) <= 2 * _MOST_WAVES:
+        return slice(None)
+    middle = len(turns) // 2
+    return slice(int(turns[middle - _DRAWN_WAVES]), int(turns[middle + _DRAWN_WAVES]) + 2)
 
 
 def _limits(low: float, high: float) -> tuple[float, float]:
