@@ -16,7 +16,7 @@ NOISE_FACTOR = 6.0  # standard deviations of encoder noise that are standstill: 
 SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
 LATE_STEPS = 5.0  # usual steps between joint states, by which one may be late beyond the gap that rules allow
 SHORTEST = 0.15  # s; a joint that turns back stands within half a milliradian for less, at any usual acceleration
-_SETTLING = 1.0 / 6.0  # of a standstill that was recorded by itself, at most, that is not used
+_SETTLING = 0.1  # of a standstill that was recorded by itself, at most, that is not used: it was chosen to be recorded
 _MANY = 10  # standstills from which a recording goes from station to station; fewer are pauses of a motion
 _SHARE = 0.1  # of the recorded time that these stand; below, most of what was read was read in motion
 _OUTLYING = 8.0  # times the half-width of the closest half of a dwell's readings: far outside any noise
@@ -73,7 +73,8 @@ def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) ->
         if stand.opens:
             settle = max(settle, 0.0)
         if stand.opens and stand.closes and end - start >= SHORTEST:
-            # somebody chose what to record: a part of it is for settling, and the rest is the station
+            # a part is for settling, the rest is the station; nothing tells that the arm moved just behind the last row
+            end += 0.5 * float(np.median(np.diff(t)))
             settle, least = min(settle, _SETTLING * (end - start)), min(least, 0.5 * (end - start))
         if end - start - settle >= least - 1e-9:
             out.append((start + settle, end))
