@@ -66,6 +66,7 @@ KINDS: dict[str, dict[str, Maker]] = {
             "nearby",
             "fresh_fifth",
             "fresh_sixth",
+            "fresh_seventh",
         ),
         "real",
         *("good", "good_fifth"),

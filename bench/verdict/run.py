@@ -3,10 +3,10 @@
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
 Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``,
-``fresh_fourth``, ``fresh_fifth`` and ``fresh_sixth``, each written after the last change to the code of its day and run
-once; ``real``, made out of recordings of real arms beside the checkout; ``good``; ``good_fifth``, healthy cells of
-other builds. A fault counts as named when what makes the verdict open, or what was modelled, holds the joint, the place
-or the topic that is at fault.
+``fresh_fourth``, ``fresh_fifth``, ``fresh_sixth`` and ``fresh_seventh``, each written after the last change to the code
+of its day and run once; ``real``, made out of recordings of real arms beside the checkout; ``good``; ``good_fifth``,
+healthy cells of other builds. A fault counts as named when what makes the verdict open, or what was modelled, holds the
+joint, the place or the topic that is at fault.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
 import fresh_fifth  # noqa: E402, F401
 import fresh_fourth  # noqa: E402, F401
+import fresh_seventh  # noqa: E402, F401
 import fresh_sixth  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
@@ -135,7 +136,8 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("fresh_fourth", "Kinds once written after the last change, fourth group"),
         ("nearby", "Kinds near those that were missed"),
         ("fresh_fifth", "Kinds once written after the last change, fifth group"),
-        ("fresh_sixth", "Kinds written after the last change"),
+        ("fresh_sixth", "Kinds once written after the last change, sixth group"),
+        ("fresh_seventh", "Kinds written after the last change"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:
