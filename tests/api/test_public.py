@@ -18,7 +18,7 @@ from cells import record, ur10
 
 import modcal
 import modcal_core
-from modcal_core.errors import BadRecording, BadRobot, BadTable, MissingDriver, NotEnoughData
+from modcal_core.errors import BadRecording, BadRobot, BadTable, MissingDriver, NotEnoughData, NotPlannable
 from modcal_core.geometry.read_only import arrays_in
 from modcal_nodes.cli.main import run
 
@@ -269,8 +269,11 @@ def test_a_robot_refuses_what_it_cannot_be_asked() -> None:
         robot.forward([0.0, 1.0, 2.0])
     with pytest.raises(BadRobot, match="4, 4"):
         robot.inverse(np.eye(3))
+    delta = modcal.Robot.delta(["a", "b", "c"], 0.12, 0.2, 0.46)
     with pytest.raises(BadRobot, match="is a Delta"):
-        modcal.plan(modcal.Robot.delta(["a", "b", "c"], 0.12, 0.2, 0.46), stations=10)
+        _ = delta.chain
+    with pytest.raises(NotPlannable, match="needs at least"):
+        modcal.plan(delta, stations=5)
 
 
 def test_tolerances_are_checked_before_anything_is_computed(made: modcal.Result) -> None:

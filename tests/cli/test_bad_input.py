@@ -176,7 +176,7 @@ def sqlite_bag(folder: Path) -> Path:
 FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bag without messages": (empty, "holds no message"),
     "file that is not MCAP": (text_file, "is not an MCAP file"),
-    "table": (table, r"tracker.CSV --urdf ROBOT"),
+    "table in place of a bag": (table, r"tracker.CSV --urdf ROBOT"),
     "file of no bytes": (zero_bytes, "is empty"),
     "folder without a bag": (bare_folder, "holds no .mcap or .db3 file"),
     "folder of bags": (folder_of_bags, "holds no .mcap or .db3 file: give one of the bags in it: morning"),

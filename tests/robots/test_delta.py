@@ -94,7 +94,7 @@ def test_twists_anywhere_move_the_tool_as_their_columns_say() -> None:
         for d in range(6):
             shift, turn = (axes[d], np.zeros(3)) if d < 3 else (np.zeros(3), axes[d - 3])
             if place in f.loops:
-                motion = f.loops[place].moved(shift, turn)
+                motion, _ = f.loops[place].moved(shift, turn)
             else:
                 motion = np.broadcast_to(shift.reshape(3, -1), f.p[-1].shape) + np.cross(
                     np.broadcast_to(turn.reshape(3, -1), f.p[-1].shape), f.p[-1] - f.p[place], axis=0
