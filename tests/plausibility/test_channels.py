@@ -13,8 +13,8 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.agreement import Disagreement
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
-from modcal_core.plausibility.consistency import Disagreement
 from modcal_core.robots.chain import Chain
 
 CHAIN = ur10()

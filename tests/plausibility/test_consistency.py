@@ -14,7 +14,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import Disagreement, disagreement
+from modcal_core.plausibility.agreement import Disagreement
+from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.screening import wrong_joints
 
 CHAIN = ur10()

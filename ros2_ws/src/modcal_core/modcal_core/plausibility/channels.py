@@ -21,7 +21,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_pl
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import ANGLE, OF_REACH, Disagreement
+from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 

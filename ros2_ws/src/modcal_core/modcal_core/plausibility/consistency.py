@@ -10,7 +10,7 @@ agree, one joint may be wrong everywhere: then its angles, base and tool are fou
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -20,6 +20,7 @@ from modcal_core.calibration.runs import consecutive
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.agreement import ANGLE, Disagreement, Placed, limits
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
@@ -34,8 +35,6 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
-OF_REACH = 0.006  # the same for positions
 _CLEARLY = 2.0  # times both; what misses by less may be the arm's own error, or that of a few stations drawn
 _DRAWN = 5  # stations
 _DRAWS = 240  # with a third of the stations in agreement, one draw of five is all of them, 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
@@ -66,41 +65,10 @@ _FACTORS = {
 }
 
 
-@dataclass(frozen=True)
-class Placed:
-    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
-
-    Y: Array
-    X: Array
-    x: Array
-    t: Array
-
-    def residual(self, A: Array, samples: Samples) -> tuple[Array, Array]:
-        """Angles [rad] and distances [m] of samples from what poses A (N, 4, 4) of the tip say, (N,)."""
-        gap = samples.reading - (se3.apply(A, self.x) @ self.Y.T + self.t)
-        turn = turns_left(self.Y, A[:, :3, :3], self.X, samples.R)
-        return np.where(samples.is_pose, np.linalg.norm(turn, axis=1), 0.0), np.linalg.norm(gap, axis=1)
-
-
-def limits(chain: Chain) -> tuple[float, float]:
-    """Angle [rad] and distance [m] that a nominal arm misses by at most."""
-    return ANGLE, OF_REACH * chain.reach()
-
-
 def placed_by_most(samples: Samples, chain: Chain) -> tuple[Placed | None, np.ndarray]:
     """The base and the tool that most of these stations agree on, None of too few, and which of them do, (N,)."""
     search = _Search(samples, chain)
     return search._largest(np.arange(len(samples)))
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """what: a phrase naming what looks wrong. remedy: what to do. stations: how many, of how many."""
-
-    what: str
-    remedy: str
-    stations: int
-    of: int
 
 
 def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:

@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import Disagreement, limits
+from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.joint_columns import LEAST_ROWS, likely_orders
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain

@@ -18,7 +18,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_pos
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import ANGLE, Disagreement, limits
+from modcal_core.plausibility.agreement import ANGLE, Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.plausibility.screening import most_likely

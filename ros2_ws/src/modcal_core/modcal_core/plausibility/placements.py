@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place
 from modcal_core.geometry import so3
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import Disagreement, Placed, limits
+from modcal_core.plausibility.agreement import Disagreement, Placed, limits
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm

@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import Disagreement, limits
+from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake, of_joints, of_several_joints
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm

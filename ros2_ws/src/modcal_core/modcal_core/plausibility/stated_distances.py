@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance, Distance
 from modcal_core.calibration.identify import Fit
 from modcal_core.geometry import se3
-from modcal_core.plausibility.consistency import Disagreement
+from modcal_core.plausibility.agreement import Disagreement
 
 _OFF = 0.003  # of the reach; by which distances of a nominal arm may differ from true ones
 _ALIKE = 0.5  # of what a distance is off by, that another's statement must be nearer to it

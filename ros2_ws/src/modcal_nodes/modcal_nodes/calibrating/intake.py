@@ -7,7 +7,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.node import Node
+from sensor_msgs.msg import Range
 
 from modcal_core.errors import ModcalError
 from modcal_core.online.supervisor import Supervisor
@@ -17,6 +19,12 @@ from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
+
+# of the instruments, by their names in ROS
+READING_MESSAGES = {
+    "geometry_msgs/msg/PoseStamped": PoseStamped, "geometry_msgs/msg/PointStamped": PointStamped,
+    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped, "sensor_msgs/msg/Range": Range,
+}  # fmt: skip
 
 
 class Intake:

@@ -6,11 +6,10 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
-from sensor_msgs.msg import JointState, PointCloud2, Range, Temperature
+from sensor_msgs.msg import JointState, PointCloud2, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -32,7 +31,7 @@ from modcal_nodes.calibrating.by_camera import ByCamera
 from modcal_nodes.calibrating.commands import CommandSubscription
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
-from modcal_nodes.calibrating.intake import Intake
+from modcal_nodes.calibrating.intake import READING_MESSAGES, Intake
 from modcal_nodes.calibrating.needs import lacking, policy, require_policy
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
@@ -53,10 +52,6 @@ _REST = 0.003  # s
 _SOLVE = "solve"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
-_MESSAGES = {
-    "geometry_msgs/msg/PoseStamped": PoseStamped, "geometry_msgs/msg/PointStamped": PointStamped,
-    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped, "sensor_msgs/msg/Range": Range,
-}  # fmt: skip
 
 
 class Calibrator(GuardedNode):
@@ -124,7 +119,7 @@ class Calibrator(GuardedNode):
         inputs = [hear(JointState, "joint_states", self._intake.joint_state, SENSOR, needed=True)]
         for kind in kinds().values():
             take = partial(self._intake.reading, kind.topic, kind.name)
-            inputs.append(hear(_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
+            inputs.append(hear(READING_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
         inputs.append(
             hear(Temperature, "temperature", partial(self._intake.remember, "temperature"), SENSOR, single=False)
         )
