@@ -49,7 +49,7 @@ def record_delta(
     noise_m: float = NOISE_M,
     unequal: float | tuple[float, float, float] = 0.0,
 ) -> RecordedDelta:
-    """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of what nobody declared.
+    """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of the unmodelled effect.
 
     unequal: by how much the two rods of each arm differ [m].
     """

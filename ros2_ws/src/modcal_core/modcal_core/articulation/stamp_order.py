@@ -25,7 +25,7 @@ class StampOrder:
         """What to do with a pose of a stamp [s] that arrived at ``heard`` on a clock that only goes on [s].
 
         next: take it. late: older than the last by less than a second, leave it out. alone: it leaps, and the next has
-        to say whether that is the time now; leave it out. restart: time has begun anew; forget, and take it.
+        to say whether that is the time now; leave it out. restart: time has restarted; forget, and take it.
         """
         gap = stamp - self.last
         leaps = not -_LEAP <= gap <= _LEAP + max(heard - self._heard, 0.0) if math.isfinite(self.last) else False
