@@ -8,6 +8,7 @@ its own. Nodes that other nodes start, and those of test_conventions, start from
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import os
 import runpy
@@ -42,7 +43,8 @@ class Forked:
     def send_signal(self, number: int) -> None:
         """Nothing happens to one that has ended."""
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # it ended between the two
+                os.kill(self.pid, number)
 
     def terminate(self) -> None:
         """Ask it to end."""
