@@ -263,6 +263,7 @@ def test_robots_of_all_kinds(tmp_path: Path) -> None:
         assert np.allclose(robot.forward(robot.inverse(T, near=posture)), T, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_robot_refuses_what_it_cannot_be_asked() -> None:
     robot = modcal.Robot.from_urdf(URDF, tip="tool0")
     with pytest.raises(BadRobot, match=r"shape \(3,\)"):

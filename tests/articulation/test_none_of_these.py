@@ -53,6 +53,7 @@ def test_a_hand_that_holds_nothing_is_none_of_these(rng: np.random.Generator) ->
     assert choice.misfit.between is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oriented", [True, False])
 def test_a_rest_before_and_after_does_not_outvote_the_motion(oriented: bool) -> None:
     rng = np.random.default_rng(3)
@@ -97,6 +98,7 @@ def test_a_track_too_short_for_two_motions_is_not_cut(rng: np.random.Generator) 
     assert best_cut(Track(seen.positions)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oriented", [True, False])
 def test_what_two_motions_explain_down_to_the_noise_is_not_certainly_one(oriented: bool) -> None:
     """A door on two pins: within 3 mm of one hinge all the way, which is no more than handles and cameras leave."""

@@ -27,6 +27,7 @@ def waved(seed: int, n: int = 240) -> tuple[Array, Array]:
     return p, Rotation.from_rotvec(CubicSpline(knots, rng.normal(0.0, 0.4, (7, 3)))(s)).as_matrix()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oriented", [True, False])
 def test_a_hand_that_waves_is_none_and_hardly_ever_trusted(oriented: bool) -> None:
     """A stretch of its way is an arc; once that has been left, trust takes as much more."""
@@ -48,6 +49,7 @@ def test_a_turn_that_does_not_go_with_the_path_is_none() -> None:
     assert not any(s.trusted and s.follows for s in states[100:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "far"), [("prismatic", 0.35), ("revolute", 0.9), ("screw", 1.6)])
 @pytest.mark.parametrize("noise", [1e-4, 2e-3])
 def test_a_joint_is_at_no_moment_none(kind: Kind, far: float, noise: float) -> None:

@@ -31,6 +31,7 @@ def earned(states: list[TrackerState], far: float = 0.4) -> float:
     return next((far * i / (len(states) - 1) for i, s in enumerate(states) if s.trusted), math.inf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "noise"), [("prismatic", 1e-3), ("revolute", 2e-4)])
 def test_the_same_pull_is_trusted_after_the_same_way_however_often_it_is_seen(kind: Kind, noise: float) -> None:
     ways = [earned(pulled(kind, hz, noise, 0)) for hz in RATES]

@@ -22,6 +22,7 @@ from modcal_core.robots.delta import Delta
 FLOOR_MM = 1e3 * NOISE_M * np.sqrt(3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "shaft"), [("point", True), ("pose", True), ("point", False)])
 def test_derivatives_of_a_delta_in_its_cell(kind: str, shaft: bool) -> None:
     """Of positions; of orientations the derivative of the logarithm is left out on purpose."""

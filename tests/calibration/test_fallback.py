@@ -79,6 +79,7 @@ def missed(T: Array, samples: Samples) -> float:
     return 1e3 * float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - samples.reading) ** 2, axis=1))))
 
 
+@pytest.mark.slow
 def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng: np.random.Generator) -> None:
     outside = readings(rng, HIGH + BLEND + 0.01, 1.5, 60)
     alone = missed(made.geometric.predict_samples(outside), outside)

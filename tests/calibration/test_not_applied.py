@@ -131,6 +131,7 @@ def test_time_goes_on_for_a_session_and_stands_still_days_later() -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [BY_TIME, BY_HEAT])
 def test_a_drift_is_not_continued_to_days_later(effect: Effect, rng: np.random.Generator) -> None:
     calibration, samples = frozen(effect)
@@ -170,6 +171,7 @@ def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     assert any("order of rows" in item.why for item in report.grounds.not_applied)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighed", [True, False])
 def test_effort_that_some_joint_states_lack(weighed: bool, rng: np.random.Generator) -> None:
     """Every fourth sample without: gravity stands in there, or the cost is said of that part."""

@@ -55,6 +55,7 @@ def missed(fit: Fit, samples: Samples) -> float:
     return 1e3 * float(np.sqrt(np.mean(errors(fit.model, samples).position_norm ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_tool_that_hardly_turns_is_found_with_the_arm(seed: int) -> None:
     made = cube(np.random.default_rng(seed), tilt=5e-4, side=0.4, error=10.0)
@@ -71,6 +72,7 @@ def test_a_tool_that_hardly_turns_is_found_with_the_arm(seed: int) -> None:
     assert fit.converged
 
 
+@pytest.mark.slow
 def test_sockets_with_a_known_distance_are_found_with_the_arm() -> None:
     made = sockets(np.random.default_rng(1), placements=4, error=12.0)
     cell = Cell(tuple(Distance(pair, DISTANCE) for pair in made.distances))

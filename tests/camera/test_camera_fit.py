@@ -93,6 +93,7 @@ def test_turning_about_one_axis_is_said() -> None:
     assert found.one_axis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_motion_of_the_target_in_the_images(on_tip: bool) -> None:
     """Every derivative of the target's pose as the camera sees it, and of the joints' own."""

@@ -50,6 +50,7 @@ def test_corners_are_where_the_renderer_has_them(board: PrintedTarget) -> None:
     assert 0.5 < np.concatenate(scores).mean() / 2.0 < 4.0
 
 
+@pytest.mark.slow
 def test_noise_makes_corners_worse_as_stated() -> None:
     quiet, loud = (detect(image(noise=n), BOARD, "a").view for n in (2.0, 12.0))
     assert quiet is not None
@@ -103,6 +104,7 @@ def test_images_that_cannot_be_used(spoil: Callable[[np.ndarray], np.ndarray], s
     assert found.remedy
 
 
+@pytest.mark.slow
 def test_another_board() -> None:
     found = detect(image(), replace(BOARD, dictionary="DICT_4X4_100"), "a")
     assert found.view is None
@@ -111,6 +113,7 @@ def test_another_board() -> None:
     assert small.view is None or len(small.view) < 24
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(5, 7), (8, 5), (5, 5)])
 def test_a_board_of_other_squares(size: tuple[int, int]) -> None:
     found = detect(image(), replace(BOARD, columns=size[0], rows=size[1]), "a")

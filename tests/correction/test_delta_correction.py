@@ -33,6 +33,7 @@ def calibration(cell: RecordedDelta) -> Calibration:
     return calibrate(cell.samples.select(np.arange(COUNT)), cell.nominal, np.random.default_rng(0)).calibration
 
 
+@pytest.mark.slow
 def test_true_poses_in_the_trackers_frame(cell: RecordedDelta, calibration: Calibration) -> None:
     rest = cell.samples.select(np.arange(COUNT, COUNT + 40))
     correction = Correction(calibration)

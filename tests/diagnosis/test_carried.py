@@ -34,6 +34,7 @@ def loaded(topic: str, factor: float = 1.0) -> Samples:
     return replace(samples, signals=(SignalTrack(f"signal:{topic}", samples.stamps, factor * mass[:, None], topic),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("topic", "factor", "name", "expected"),
     [("/payload_kg", 1.0, "compliance", COMPLIANCE), ("/load_cell", 9.81, "compliance_per_unit", COMPLIANCE / 9.81)],

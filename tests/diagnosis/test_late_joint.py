@@ -35,6 +35,7 @@ def found() -> Solution:
     return calibrate(late(1, 120, SHARE), ur10(), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_it_is_named_at_its_joint_with_its_share(found: Solution) -> None:
     (effect,) = found.report.effects
     assert (effect.family, effect.place, effect.driver) == ("joint_lag", "elbow_joint", "following:elbow_joint")
@@ -49,6 +50,7 @@ def test_it_is_named_at_its_joint_with_its_share(found: Solution) -> None:
     assert size.rms < 1.03 * truth.rms  # as with a log that is right
 
 
+@pytest.mark.slow
 def test_it_is_kept_in_the_file_and_its_lack_has_a_cost(found: Solution) -> None:
     calibration = from_data(to_data(found.calibration))
     samples = late(1, 120, SHARE)
@@ -62,6 +64,7 @@ def test_it_is_kept_in_the_file_and_its_lack_has_a_cost(found: Solution) -> None
     assert item.cost_mm2 > 0.1
 
 
+@pytest.mark.slow
 def test_a_log_that_is_right_stays_clean() -> None:
     """Joints are away from their commands, and say so."""
     samples = late(2, 120, 0.0)
@@ -69,6 +72,7 @@ def test_a_log_that_is_right_stays_clean() -> None:
     assert report.effects == ()
 
 
+@pytest.mark.slow
 def test_a_joint_that_is_farther_from_its_command_than_it_says_is_not_called_late() -> None:
     """A spring under the torque that makes up the following error: the same driver, the other sign."""
     samples = late(3, 120, -0.8)

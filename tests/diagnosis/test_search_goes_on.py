@@ -37,6 +37,7 @@ def misleading(count: int) -> Samples:
     return replace(samples, signals=tuple(SignalTrack(f"signal:{n}", t, x[:, None], n) for n, x in signals.items()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [200, 620])
 def test_a_choice_that_does_not_predict_does_not_end_the_search(count: int) -> None:
     report = calibrate(misleading(count), ur10(), np.random.default_rng(0)).report

@@ -37,6 +37,7 @@ def speeds(done: object) -> tuple[np.ndarray, np.ndarray]:
     return t[1:], np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["speed", "joint_speed"])
 def test_a_lower_speed_holds_at_once_and_the_pull_goes_on(name: str) -> None:
     lower = limits(speed=0.02) if name == "speed" else limits(joint_speed=np.full(7, 0.03))
@@ -68,6 +69,7 @@ CASES: dict[str, tuple[Callable[[], Limits], ImpedanceTask, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_where_the_new_limits_do_not_allow_what_is_there_the_hand_lets_go(name: str) -> None:
     new, task, why = CASES[name]

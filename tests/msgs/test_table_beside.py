@@ -168,6 +168,7 @@ def test_targets_on_one_tool_are_its_pose_and_a_nest_is_none(tmp_path: Path, rng
     assert np.linalg.norm((tool - tool[0])[:, :3, 3], axis=1).max() < 3e-4
 
 
+@pytest.mark.slow
 def test_two_targets_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
     T = seen(q, rng)
@@ -205,6 +206,7 @@ def test_signals_are_what_changes_and_is_said_of_no_reading(tmp_path: Path, rng:
     assert list(entry["temperature"].values()) == ["Temp A [°C]"]
 
 
+@pytest.mark.slow
 def test_angles_of_a_total_station(tmp_path: Path, rng: np.random.Generator) -> None:
     """Gon, clockwise, from the zenith: as surveyors write them."""
     q = postures(rng)
@@ -219,6 +221,7 @@ def test_angles_of_a_total_station(tmp_path: Path, rng: np.random.Generator) -> 
     assert np.abs(read(made, tmp_path).readings[0].values - u).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1e3), ("in", 1.0 / 0.0254)])
 def test_distances_and_heights(unit: str, scale: float, tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
@@ -233,6 +236,7 @@ def test_distances_and_heights(unit: str, scale: float, tmp_path: Path, rng: np.
     assert np.abs(kinds["touch"] - h).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_distances_of_something_else_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
     with pytest.raises(BadTable, match="no columns are found"):

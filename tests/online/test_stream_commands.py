@@ -15,6 +15,7 @@ from modcal_core.online.recent_commands import RecentCommands
 from modcal_core.online.stream import SampleStream
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dwell", [1.0, 0.01])
 def test_following_is_that_of_the_recording(dwell: float) -> None:
     recording = streams(12 if dwell == 1.0 else 60, dwell=dwell)

@@ -140,6 +140,7 @@ def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:
     assert hypothesis.gain > 0.8 * hypothesis.total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_where_nothing_happens_nothing_is_said(kind: str) -> None:
     rng = np.random.default_rng(9)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from deltas import FILE, nominal, postures
 from finite_differences import assert_jacobian
 
@@ -19,6 +20,7 @@ from modcal_core.robots.mechanism import takes
 from modcal_nodes.cli.main import run
 
 
+@pytest.mark.slow
 def test_stations_that_its_platform_can_take() -> None:
     delta = nominal()
     found = plan(delta, Site(), PlanRequest(24, None, candidates=150, starts=1), np.random.default_rng(0))
@@ -58,6 +60,7 @@ def test_the_closed_chain_moves_as_its_model() -> None:
     )
 
 
+@pytest.mark.slow
 def test_verbs_take_a_delta(tmp_path: Path) -> None:
     out = tmp_path / "plan"
     asked = ["plan", str(FILE), "--stations", "24", "--candidates", "120", "--starts", "1", "--out", str(out)]

@@ -172,6 +172,7 @@ def test_readings_that_move_on_while_the_joints_stand_are_named_in_the_refusal(c
         calibrate(late, CHAIN, np.random.default_rng(0), look_for_effects=False)
 
 
+@pytest.mark.slow
 def test_two_joints_of_a_part(clean: Samples) -> None:
     half = len(clean) // 2
     q = clean.q.copy()
@@ -183,6 +184,7 @@ def test_two_joints_of_a_part(clean: Samples) -> None:
     assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
 
 
+@pytest.mark.slow
 def test_orientations_of_a_part_that_are_turned_and_a_part_in_another_unit(clean: Samples) -> None:
     some = np.arange(len(clean)) % 5 < 2
     flip = Rotation.from_rotvec([0.0, 0.0, np.pi]).as_matrix()

@@ -23,6 +23,7 @@ def clean() -> Samples:
     return record(11, 80).samples
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_nor_of_nonsense(clean: Samples) -> None:
     rng = np.random.default_rng(0)
     nonsense = replace(clean, reading=rng.permutation(clean.reading), R=clean.R[rng.permutation(80)])

@@ -40,6 +40,7 @@ def mixed(i: int, j: int, values: list[list[float]]) -> Array:
     return B
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
     order = np.random.default_rng(0).permutation(len(clean))
     shuffled = replace(clean, reading=clean.reading[order], R=clean.R[order])
@@ -49,6 +50,7 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
         assert part_apart(samples, CHAIN) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "values", [[[1, 1], [1, -1]], [[1, -1], [1, 1]], [[0.5, 0.5], [-0.5, 0.5]], [[1, 0.4], [0, 1]]]
 )
@@ -60,6 +62,7 @@ def test_two_joints_that_are_mixed(clean: Samples, pair: tuple[int, int], values
     assert named == {NAMES[pair[0]], NAMES[pair[1]]} - ({NAMES[pair[1]]} if values[1] == [0, 1] else set())
 
 
+@pytest.mark.slow
 def test_sum_and_difference_is_said_in_fractions_and_seen_by_points(clean: Samples) -> None:
     found = mixed_joints(points(reported(clean, mixed(4, 5, [[1, 1], [1, -1]]))), CHAIN)
     assert found is None or "wrist_2" in found.what  # a point sees little of the last joint
@@ -98,6 +101,7 @@ def test_readings_of_another_link(clean: Samples, link: tuple[int, int], of) -> 
         assert f"{NAMES[-1]} do" in found.what
 
 
+@pytest.mark.slow
 def test_a_part_follows_another_link_or_has_other_columns(clean: Samples) -> None:
     f, half = frames(CHAIN, clean.q), len(clean) // 2
     stand = se3.transform(Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix(), [2.0, 0.5, 0.3])

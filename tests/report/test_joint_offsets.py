@@ -48,6 +48,7 @@ def test_an_arm_that_is_nominal_has_none() -> None:
     assert [o.value for o in found.found] == pytest.approx([0.0] * 4, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Recordings of one arm in MuJoCo that differ by postures and noise; the truth is that of thousands of postures."""
@@ -83,6 +84,7 @@ def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch
     assert np.std([o[0].value for o in drawn]) == pytest.approx(np.mean([o[0].std for o in drawn]), rel=1.0)
 
 
+@pytest.mark.slow
 def test_an_evaluation_has_the_offsets_of_its_calibration() -> None:
     made = record(4, 60, "point")
     found = calibrate(made.samples, ur10(), np.random.default_rng(0), look_for_effects=False)

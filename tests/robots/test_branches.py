@@ -117,6 +117,7 @@ def _tilted() -> Array:
     return np.asarray(turns[0] @ turns[1] @ turns[2])
 
 
+@pytest.mark.slow
 def test_a_soft_torso_is_found_though_the_other_arm_moves(
     postures: tuple[Array, Array], rng: np.random.Generator
 ) -> None:
@@ -153,6 +154,7 @@ COLUMN = (
 )
 
 
+@pytest.mark.slow
 def test_a_column_that_tilts_under_what_it_carries_is_named(rng: np.random.Generator) -> None:
     chain = read_chain(COLUMN, base="foot", tip="a5")
     q = np.column_stack([rng.uniform(-0.3, 0.3, 160), rng.uniform(-1.5, 1.5, (160, 5))])

@@ -53,6 +53,7 @@ def arms(delta: object, radius: float) -> dict[str, object]:
     return data | ({"platform_radius_m": radius} if radius else {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["point", "pose"])
 def test_derivatives_by_rods_and_radius(kind: str) -> None:
     cell = record_delta(2, 12, kind)

@@ -73,6 +73,7 @@ def wires(made: Recorded, off: Array) -> Samples:
     return Samples.from_arrays(made.samples.q, ranges=ranges, names=ur10().names)
 
 
+@pytest.mark.slow
 def test_the_wire_that_is_off_is_named_and_a_good_one_is_not(made: Recorded) -> None:
     straight = np.zeros(140)
     assert "instrument" not in said(wires(made, straight))
@@ -84,6 +85,7 @@ def test_the_wire_that_is_off_is_named_and_a_good_one_is_not(made: Recorded) -> 
     assert "its own length" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late", "open_"), [(0.0, False), (4e-3, True)])
 def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, open_: bool) -> None:
     rng = np.random.default_rng(8)
@@ -97,6 +99,7 @@ def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, op
     assert "direction of motion" not in said(samples, known)
 
 
+@pytest.mark.slow
 def test_two_stated_distances_that_stand_for_each_other(made: Recorded) -> None:
     """Readings in four frames, whose origins are known to be 0.4 and 1.2 m apart, stated the other way round."""
     origin = {"a": [0.0, 0.0, 0.0], "b": [0.4, 0.0, 0.0], "c": [0.0, 0.0, 0.1], "d": [0.0, 1.2, 0.1]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from cells import record, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
@@ -34,6 +35,7 @@ def test_no_direction_is_printed_blank() -> None:
         assert len(named) == min(count, 3 if count > 11 else count)
 
 
+@pytest.mark.slow
 def test_the_column_of_a_lagging_joint_names_the_joint() -> None:
     """A topic tells by how much each joint misses its goal, and one joint is logged where it was to be: 1 rad/rad."""
     samples, rng = record(3, 140).samples, np.random.default_rng(0)
