@@ -51,9 +51,9 @@ def finalise(
     begun = nominal.model if geometry is None else geometry.start
     fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
     fits = [nominal, fit]
-    geometric = fit.model
+    geometric = least_change(fit.model, chain)
     if scored is None or not scored.model.effects:
-        tidy = least_change(fit.model, chain)
+        tidy = geometric
     else:
         start = begun.with_effects(sharpened(scored.model, samples).effects)
         fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)

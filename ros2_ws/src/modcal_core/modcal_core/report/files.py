@@ -30,9 +30,10 @@ def calibration_files(
 ) -> dict[str, str]:
     """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
 
-    factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept.
+    factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept. The robot
+    description and the kinematics hold the geometry that is best alone: their readers know no effects.
     """
-    calibrated = calibration.calibrated.serial
+    calibrated = calibration.geometric.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
     return _with_report(
@@ -48,9 +49,9 @@ def calibration_files(
 
 def delta_files(calibration: Calibration, report: ReportContents, page: bool = True) -> dict[str, str]:
     """The same for a Delta, into whose file the tool that was found is written as well."""
-    calibrated = calibration.calibrated.chain
+    calibrated = calibration.geometric.chain
     assert isinstance(calibrated, Delta)
-    T = calibration.calibrated.T_tip_tool
+    T = calibration.geometric.T_tip_tool
     tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
     with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
     return _with_report(

@@ -155,7 +155,7 @@ class Calibrator(GuardedNode):
         self._expect_frames()
         chain = self._arm.chain
         if is_serial_arm(chain):
-            corrected = calibrated_urdf(self._arm.description, chain, restored.calibration.calibrated.serial)
+            corrected = calibrated_urdf(self._arm.description, chain, restored.calibration.geometric.serial)
             self._files = {**self._files, "calibrated.urdf": corrected}
         self._outputs.model(self._files)
         self._broadcast()
