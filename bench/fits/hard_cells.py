@@ -30,12 +30,14 @@ DISTANCE = 0.05  # m between the two sockets of a plate
 class Fitted:
     """A recording, what is known of its cell, and the RMS [mm] that no model of the arm can go below.
 
-    tool: the point of the tip that is seen (3,) [m]. distances: pairs of sockets that are DISTANCE apart.
+    exact: the same without noise. tool: the point of the tip that is seen (3,) [m]. distances: pairs of sockets that
+    are DISTANCE apart.
     """
 
     urdf: str
     tip: str
     recording: Recording
+    exact: Recording
     floor_mm: float
     tool: Array
     distances: tuple[tuple[str, str], ...] = ()
@@ -111,10 +113,11 @@ def cube(
     seen, _ = tool_at(arm, q + rng.normal(0, repeat, q.shape), tool)
     eye, stand = Rotation.random(rng=rng), rng.uniform(-3.0, 3.0, 3)
     noise = rng.normal(0, 1e-3 * noise_mm, seen.shape)
-    p = eye.apply(seen - stand) + noise
-    floor = float(np.sqrt(np.mean(np.sum((p - eye.apply(exact - stand)) ** 2, axis=1))))
-    t = BEGIN + PERIOD * np.arange(len(q))
-    return Fitted(arm.urdf, arm.tip, _recording(arm, t, q, [("tracker", np.ones(len(q), bool), p)]), 1e3 * floor, tool)
+    p, true = eye.apply(seen - stand) + noise, eye.apply(exact - stand)
+    floor = float(np.sqrt(np.mean(np.sum((p - true) ** 2, axis=1))))
+    t, every = BEGIN + PERIOD * np.arange(len(q)), np.ones(len(q), bool)
+    read, without = (_recording(arm, t, q, [("tracker", every, points)]) for points in (p, true))
+    return Fitted(arm.urdf, arm.tip, read, without, 1e3 * floor, tool)
 
 
 def sockets(
@@ -133,7 +136,7 @@ def sockets(
     arm = arm_of(robot, rng, error * 5e-4, error * 1e-3)
     way = rng.normal(size=3)
     tool = length * way / np.linalg.norm(way)
-    t, q, parts, names, missed = 0.0, [], [], [], []
+    q, held, parts, names, missed = [], [], [], [], []
     for k in range(placements):
         pair = None
         while pair is None:
@@ -151,13 +154,15 @@ def sockets(
             missed.append(np.sum((p - ends[i]) ** 2, axis=1))
             parts.append((name, len(rows)))
             q.append(noted)
+            held.append(rows)
     which = np.repeat(np.arange(len(parts)), [n for _, n in parts])
     Q = np.concatenate(q)
     t = BEGIN + PERIOD * np.arange(len(Q))
     readings = [(name, which == i, np.zeros((n, 3))) for i, (name, n) in enumerate(parts)]
     floor = 1e3 * float(np.sqrt(np.mean(np.concatenate(missed))))
     pairs = tuple((names[2 * k], names[2 * k + 1]) for k in range(placements))
-    return Fitted(arm.urdf, arm.tip, _recording(arm, t, Q, readings), floor, tool, pairs)
+    read, without = (_recording(arm, t, joints, readings) for joints in (Q, np.concatenate(held)))
+    return Fitted(arm.urdf, arm.tip, read, without, floor, tool, pairs)
 
 
 def _holding(arm: Arm, tool: Array, point: Array, q: Array, each: int, rng: np.random.Generator) -> Array | None:
@@ -186,5 +191,7 @@ KINDS: dict[str, Maker] = {
     "cube_far_tool": lambda rng: cube(rng, tilt=1e-3, side=0.3, length=0.4, error=6.0),
     "sockets_4": lambda rng: sockets(rng, placements=4, error=12.0),
     "sockets_6": lambda rng: sockets(rng, placements=6, error=12.0),
+    "sockets_4_longer": lambda rng: sockets(rng, placements=4, each=60, error=12.0),
+    "sockets_6_longer": lambda rng: sockets(rng, placements=6, each=60, error=12.0),
     "sockets_6_scattering": lambda rng: sockets(rng, placements=6, length=0.2, error=6.0, repeat=3e-4),
 }

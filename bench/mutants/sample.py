@@ -261,7 +261,7 @@ MEASUREMENTS = _all(
     "measurements",
     ("pairing.averaged", "stamped when it began", "0.5 * (start + end)", "start"),
     ("dwells.deviation_of_mean", "correlation half counted", "/ (1.0 + min(max(rho, 0.0), 0.99))", ""),
-    ("dwells.find_dwells", "settling time counted in", "out.append((start + settle, end))", "out.append((start, end))"),
+    ("dwells.settling_dwells", "settling time counted in", "else start + settle, start + settle, end", "else start, start, end"),
     ("dwells.inliers", "glitches are averaged in", "return off <= limit", "return off >= 0.0"),
     ("pairing._approach", "sign of the last motion",
      "np.sign(apart[last, np.arange(q.shape[1])])", "-np.sign(apart[last, np.arange(q.shape[1])])"),

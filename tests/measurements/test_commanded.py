@@ -10,7 +10,7 @@ from cells import ur10
 from cli.recordings import START, streams
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.commanded import commanded_at
+from modcal_core.measurements.commanded import commanded_at, following
 from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
@@ -71,3 +71,17 @@ def test_commands_without_a_measured_joint_between_them_are_asked_at_the_moment(
     assert np.isfinite(samples.following[near]).all()
     assert np.isnan(samples.following[~near]).all()
     np.testing.assert_allclose(samples.following[near], -samples.q[near])
+
+
+@pytest.mark.parametrize("behind", [0.0, 3e-4, -3e-4, -1.0])
+def test_a_command_noted_just_behind_its_station_belongs_to_it(behind: float) -> None:
+    """Stations written one by one, a message after the other, in either order; or told a second before."""
+    rng = np.random.default_rng(0)
+    q, t = rng.uniform(-0.09, 0.09, (20, 6)), 100.0 + 4.0 * np.arange(20)
+    unknown = np.full_like(q, np.nan)
+    spans = np.stack([t, t], axis=1)
+    track = JointTrack(NAMES, t + behind, q + 1e-3, unknown, unknown, t, "/joint_commands")
+    np.testing.assert_allclose(following((track,), NAMES, t, q, spans), 1e-3)
+    often = 100.0 + 0.1 * np.arange(800)  # of a driver, a joint state just before a command has not heard of it
+    held = following((replace(track, position=q),), NAMES, often, np.repeat(q, 40, axis=0), spans[1:])
+    np.testing.assert_allclose(held, q[:-1] - q[1:] if behind > 0.0 else 0.0 * q[1:], atol=1e-12)

@@ -10,6 +10,8 @@ from cli.recordings import streams
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells
+from modcal_core.measurements.recording import ReadingTrack
+from modcal_core.measurements.settled import dwells_of
 from modcal_core.robots.kinematics import forward
 
 
@@ -68,6 +70,20 @@ def test_a_standstill_that_is_recorded_by_itself_is_a_dwell(stand: float, rate: 
     assert (dwells[:, 0] >= begins).all()
     assert (dwells[:, 1] <= begins + stand).all()
     assert (dwells[:, 1] - dwells[:, 0] >= 0.3 * stand).all()
+
+
+@pytest.mark.parametrize(("count", "settles_mm", "used"), [(40, 0.0, 10), (40, 0.1, 9), (40, 1.0, 9), (6, 0.0, 9)])
+def test_the_beginning_of_a_standstill_counts_where_it_has_settled(count: int, settles_mm: float, used: int) -> None:
+    """Ten readings of 0.06 mm each; the first of each ten is off where the arm still settles. A few do not tell."""
+    rng = np.random.default_rng(3)
+    t, q = bursts(0.4, count)
+    off = np.where(np.arange(len(t)) % 10 == 0, 1e-3 * settles_mm, 0.0)
+    values = np.repeat(rng.uniform(-1.0, 1.0, (count, 3)), 10, axis=0) + rng.normal(0.0, 6e-5, (len(t), 3))
+    values[:, 0] += off
+    track = ReadingTrack("point", "tracker", t + 1.7e-3, values, t + 1.7e-3)
+    dwells = dwells_of(t, q, [track], StationRules())
+    within = np.diff(np.searchsorted(track.stamps, dwells), axis=1)
+    assert within.tolist() == [[used]] * count
 
 
 def test_a_moving_arm_with_silences_has_no_dwells() -> None:

@@ -15,8 +15,9 @@ import numpy as np
 from modcal_core.calibration.stated import MAX_DEG, MAX_MM, Stated
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.dwells import StationRules, find_dwells, inliers
+from modcal_core.measurements.dwells import StationRules, inliers
 from modcal_core.measurements.recording import POSE, ReadingTrack, Recording, joint_stamps_and_positions
+from modcal_core.measurements.settled import dwells_of
 
 _FACTOR = 3.0  # of deviations; scatter has a slow part that standing still does not show, and filters hide some
 _LEAST = 50  # readings that a scatter is taken from, and twice as many as dwells
@@ -41,7 +42,7 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
         return OwnStatement(Stated())
     t, q = joint_stamps_and_positions(recording, names)
     order = np.argsort(t, kind="stable")
-    dwells = find_dwells(t[order], q[order], rules or StationRules())
+    dwells = dwells_of(t[order], q[order], recording.readings, rules or StationRules())
     believed: list[tuple[float | None, float | None]] = []
     notes = []
     for track in tracks:

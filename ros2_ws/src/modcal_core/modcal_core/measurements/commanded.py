@@ -1,6 +1,7 @@
 """What joints were told beside what they reported: commanded − measured at each sample.
 
 A command holds until the next one. Commands that come close together are points of a course, and are interpolated.
+Where joint states are notes of stations, a command noted right behind belongs to the same station.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack
 
 _COURSE = 0.1  # s between commands up to which they are points of one course; controllers are told more often
+_NOTES = 0.5  # s between joint states from which they are notes of stations; drivers report many times a second
+_BEHIND = 0.1  # s within which messages of one note follow each other, far below the time to the next station
+_NEARER = 0.5  # times as far from what was told; a command of another station is farther by orders of magnitude
 _FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this command: other units, or led by hand
 
 
@@ -39,7 +43,7 @@ def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: A
     out = np.full((len(spans), len(names)), np.nan)
     if not len(t) or not any(name in track.names for track in tracks for name in names):
         return out
-    apart = commanded_at(tracks, names, t) - q
+    apart = _apart(tracks, names, t, q)
     apart[np.abs(apart) > _FARTHEST] = np.nan
     first, last = np.searchsorted(t, spans[:, 0]), np.searchsorted(t, spans[:, 1], side="right")
     long = last - first > 1
@@ -50,6 +54,20 @@ def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: A
         out[long, j] = (total[last] - total[first])[long] / np.where(within > 0, within, np.nan)
         out[~long, j] = np.interp(spans[~long].mean(axis=1), t, column, left=np.nan, right=np.nan)
     return out
+
+
+def _apart(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array) -> Array:
+    """Commanded − measured at joint states, by the command before each, or just behind where that is what was meant."""
+    apart = commanded_at(tracks, names, t) - q
+    if len(t) < 2 or float(np.median(np.diff(t))) < _NOTES:
+        return apart
+    behind = commanded_at(tracks, names, t + _BEHIND) - q
+    return behind if _usually(behind) < _NEARER * _usually(apart) else apart
+
+
+def _usually(apart: Array) -> float:
+    known = np.abs(apart[np.isfinite(apart)])
+    return float(np.median(known)) if len(known) else np.inf
 
 
 def _held(t: Array, x: Array, stamps: Array) -> Array:

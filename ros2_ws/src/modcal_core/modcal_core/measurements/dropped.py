@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.dwells import StationRules, find_dwells, inliers
+from modcal_core.measurements.dwells import StationRules, inliers
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import ReadingTrack, Recording, joint_stamps_and_positions
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.settled import dwells_of
 
 BETWEEN = "readings between stations"  # while the arm moved: as it should be
 GLITCHES = "readings far from the others of their station"
@@ -47,7 +48,7 @@ def dropped(
         if samples.moving[rows].any() or np.isin(samples.stamps[rows], track.stamps).all():
             count[ALONE] += max(len(inside) - len(rows), 0)
         else:
-            dwells = find_dwells(t, q, rules or StationRules()) if dwells is None else dwells
+            dwells = dwells_of(t, q, recording.readings, rules or StationRules()) if dwells is None else dwells
             within, wrong = _in_dwells(track, inside, dwells)
             count[BETWEEN] += len(inside) - within
             count[GLITCHES] += wrong

@@ -60,6 +60,14 @@ def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) ->
     itself, however it compares with the rules' times. fitted: shorten the rules' times where standstills are mostly
     shorter than they ask for.
     """
+    return settling_dwells(t, q, rules, fitted)[:, 1:]
+
+
+def settling_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) -> Array:
+    """As :func:`find_dwells`, (d, 3), and before start and end when each began with what is left for settling [s].
+
+    That is earlier only where a standstill was recorded by itself: elsewhere the time after stopping is the rules'.
+    """
     stands = _stands(t, q, rules)
     if fitted and stands:
         times = np.array([stand.seconds(t, rules.window) for stand in stands])
@@ -69,16 +77,17 @@ def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) ->
     out = []
     for stand in stands:
         start, end = float(t[stand.first]), float(t[stand.last])
-        settle, least = rules.settle - 0.5 * rules.window, rules.least
+        settle, least, alone = rules.settle - 0.5 * rules.window, rules.least, False
         if stand.opens:
             settle = max(settle, 0.0)
         if stand.opens and stand.closes and end - start >= SHORTEST:
             # a part is for settling, the rest is the station; nothing tells that the arm moved just behind the last row
             end += 0.5 * float(np.median(np.diff(t)))
             settle, least = min(settle, _SETTLING * (end - start)), min(least, 0.5 * (end - start))
+            alone = True
         if end - start - settle >= least - 1e-9:
-            out.append((start + settle, end))
-    return np.array(out).reshape(-1, 2)
+            out.append((start if alone else start + settle, start + settle, end))
+    return np.array(out).reshape(-1, 3)
 
 
 def fitted_rules(rules: StationRules, times: Array, recorded: float) -> StationRules:

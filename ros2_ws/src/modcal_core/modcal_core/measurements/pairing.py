@@ -18,7 +18,7 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
 from modcal_core.measurements.commanded import following
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells, inliers
+from modcal_core.measurements.dwells import StationRules, deviation_of_mean, inliers
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
@@ -28,6 +28,7 @@ from modcal_core.measurements.recording import (
     joint_stamps_and,
     joint_stamps_and_positions,
 )
+from modcal_core.measurements.settled import dwells_of
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -72,7 +73,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
     t, q = t[order], q[order]
     velocity = joint_stamps_and(recording, names, "velocity")[1][order]
     effort = joint_stamps_and(recording, names, "effort")[1][order]
-    dwells = find_dwells(t, q, rules)
+    dwells = dwells_of(t, q, tracks, rules)
     pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
     counts = [len(p.q) for p in pieces]
     if not sum(counts):

@@ -1,0 +1,59 @@
+"""Dwells of a whole recording, with the beginning of standstills that were recorded by themselves where it has settled.
+
+Of such a standstill a tenth is left for settling, although whoever recorded it may have waited. Over all of them the
+readings tell: where those of the first tenth lie about the mean of the rest as far as their scatter lets them, the arm
+had settled, and every reading counts. What could settle unseen adds no more to a mean than the readings take off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dwells import StationRules, inliers, settling_dwells
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.recording import ReadingTrack
+
+_FEWEST = 10  # standstills that say whether the arm had settled; as many as make a recording one of stations
+_SIGMAS = 3.0  # of the mean square of so many differences, beyond which the arm is taken to settle still
+_SCATTER = 3  # readings behind the first tenth, from which their scatter is known
+
+
+def dwells_of(t: Array, q: Array, tracks: Sequence[ReadingTrack], rules: StationRules) -> Array:
+    """Start and end [s] of the times the arm stood still, (d, 2), for readings of these tracks.
+
+    t: stamps of joint states, sorted, (m,). q: positions, (m, n).
+    """
+    found = settling_dwells(t, q, rules)
+    begins = found[found[:, 0] < found[:, 1]]
+    if len(begins) >= _FEWEST:
+        said = [_settled(track, begins) for track in tracks if track.kind in kinds() and len(track.stamps)]
+        if True in said and False not in said:
+            return found[:, [0, 2]]
+    return found[:, 1:]
+
+
+def _settled(track: ReadingTrack, dwells: Array) -> bool | None:
+    """Whether readings of the first part of dwells (d, 3) are like those behind; None where there are none."""
+    order = np.argsort(track.stamps, kind="stable")
+    parts = np.searchsorted(track.stamps[order], dwells).tolist()
+    if all(first == start for first, start, _ in parts):
+        return None
+    width = min(3, track.values.shape[1])
+    apart, expected, count = 0.0, 0.0, 0
+    for first, start, end in parts:
+        m, k = start - first, end - start
+        if m == 0 or k < _SCATTER:
+            continue
+        values = track.values[order[first:end], :width]
+        right = inliers(values)
+        early, late = values[:m][right[:m]], values[m:][right[m:]]
+        if len(early) == 0 or len(late) < _SCATTER:
+            continue
+        variance = float(np.sum((late - late.mean(axis=0)) ** 2)) / (len(late) - 1)
+        apart += float(np.sum((early.mean(axis=0) - late.mean(axis=0)) ** 2))
+        expected += variance * (1.0 / len(early) + 1.0 / len(late))
+        count += width
+    return bool(count >= _FEWEST * width and apart <= expected * (1.0 + _SIGMAS * np.sqrt(2.0 / max(count, 1))))
