@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +25,6 @@ from modcal_core.measurements.dropped import BETWEEN
 from modcal_core.measurements.imported import remedies_of
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import as_recording
-from modcal_core.planning.plan import Plan, PlanRequest
-from modcal_core.planning.plan import plan as plan_stations
-from modcal_core.planning.site import Site
 from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
 from modcal_core.result import Result
@@ -34,6 +32,10 @@ from modcal_core.robot import Robot
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.verdict.readings import COMPUTED
 from modcal_core.verdict.tolerance import STATISTICS, Asked
+
+if TYPE_CHECKING:
+    from modcal_core.planning.plan import Plan
+    from modcal_core.planning.site import Site
 
 
 def quiet(stage: str) -> None:
@@ -144,6 +146,10 @@ def plan(
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
     seed: of candidates and starts. Raises NotPlannable where no set of stations will do.
     """
+    from modcal_core.planning.plan import PlanRequest  # not for those who only calibrate
+    from modcal_core.planning.plan import plan as plan_stations
+    from modcal_core.planning.site import Site
+
     request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
     return sealed(plan_stations(robot.mechanism, site or Site(), request, np.random.default_rng(seed)))
 

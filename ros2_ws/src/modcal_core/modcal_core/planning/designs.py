@@ -11,7 +11,6 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from scipy.stats import qmc
 
 from modcal_core.calibration.structure import joint_ranges
 from modcal_core.errors import BadTable
@@ -86,6 +85,8 @@ def sobol_postures(chain: Mechanism, count: int, rng: np.random.Generator) -> Ar
 def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array:
     """The first points of a scrambled Sobol sequence, (count, dimensions), each number in (0, 1)."""
     whole = 1 << max(count - 1, 0).bit_length()  # the sequence is balanced at powers of two
+    from scipy.stats import qmc  # takes three quarters of a second, and every calibration imports this file
+
     return np.asarray(qmc.Sobol(dimensions, seed=rng).random(whole)[:count])
 
 

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from modcal_core.calibration.score import Errors
 from modcal_core.geometry import so3
@@ -86,6 +85,8 @@ def visits(samples: Samples, rows: np.ndarray) -> list[np.ndarray]:
     come = np.where(np.abs(step) > TRAVEL, np.sign(step), 0.0)
     side = np.where((approach != 0.0).any(axis=1)[:, None], approach, come)
     new = np.flatnonzero(~stood)
+    from scipy.spatial import cKDTree  # takes a tenth of a second to load
+
     near = cKDTree(q[new]).query_ball_point(q[new], SAME, p=np.inf)
     taken = np.zeros(len(new), bool)
     members = []
