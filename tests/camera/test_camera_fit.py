@@ -272,6 +272,24 @@ def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
+    """Rulers read 2 % short, an arm 4 mm off a body: images do not decide, so the interval has both, and says so."""
+    s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=MEASURED, printed=1.02 * BOARD.points)
+    r = solved(s)
+    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    assert r.decision.word == DO_NOT_APPLY
+    assert true_error(s, r.fit, q) < r.in_view.interval[2]
+    assert any("look much alike" in said or "The sheet is +" in said for said in r.decision.because)
+    clean = solved(
+        replace(s, views=views(np.random.default_rng(0), se3.inverse(s.T) if on_tip else s.T, board=s.board))
+    )
+    assert clean.decision.word == APPLY
+    assert clean.in_view.interval[2] < 4e-3
+    assert "rests on the sheet's stated size" in clean.decision.because[-1]
+
+
+@pytest.mark.slow
 def test_a_lens_of_another_camera_is_named() -> None:
     """Focal length 2 % and centre of another resolution, both stated as exact: neither can be the arm's fault."""
     s = images(True)

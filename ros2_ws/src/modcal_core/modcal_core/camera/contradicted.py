@@ -5,22 +5,27 @@ stated looks like an arm whose links are all 2 % shorter. What gives it away is 
 statement in turn is widened until it says next to nothing, all else stays, and the sizes of all errors are found again:
 where the data are likelier by far, everything integrated out, the statement is what is wrong, or the arm is built
 to another scale, which is said too.
+
+Where the data say neither, because the arm is as faulty as a wrong statement would make it look, the statement is in
+doubt: what it may do to the arm, weighed by its chance, belongs into the interval of the error at the tool.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.corners import COMMON
-from modcal_core.camera.equations import Equations
+from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import FIXED, CommonPrior, common_prior
 from modcal_core.camera.sizes import likeliest, usual
 from modcal_core.camera.target import PrintScale
+from modcal_core.geometry.so3 import Array
 
 # Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
 # (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
@@ -28,28 +33,83 @@ _GAIN = 6.0
 _SCREEN = 2.0  # the same at the state of the fit, which is a unit or two off; below it no second fit is worth its time
 _ANY_SIZE, _ANY_SHAPE = 0.05, 0.01  # of a sheet whose size is not known: fitted to the page, another printer's
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
+# Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
+# looked at: what a 95 % interval leaves out, and the odds of _GAIN.
+_WRONG = 0.05
+_IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
+SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 _NAMES = ("focal length", "focal length", "centre", "centre", "k1", "k2", "p1", "p2", "k3")
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """A statement taken back. what: size, bow or lens. prior: without it. equations, sizes: with that prior, at the
+    state of the fit. misfit: −2 log likelihood there. chance: that the statement is wrong, given the images.
+    """
+
+    what: str
+    prior: CommonPrior
+    equations: Equations
+    sizes: Sizes
+    misfit: float
+    chance: float
+
+
+def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) -> tuple[Doubt, ...]:
+    """Each of the statements taken back, with the chance that it is wrong.
+
+    lens: as stated. stated: what became of its values, None where nobody stated any. arm: as in the fit.
+    """
+    weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in _wider(fit.prior, lens, stated).items()]
+    odds = np.array([_WRONG * np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
+    chances = odds / (1.0 + odds.sum())
+    return tuple(Doubt(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
+
+
 def contradictions(
-    fit: CameraFit, lens: Lens, scale: PrintScale, stated: str | None, arm: float | None
+    fit: CameraFit,
+    doubted: Sequence[Doubt],
+    lens: Lens,
+    scale: PrintScale,
+    arm: float | None,
 ) -> tuple[str, ...]:
-    """What the images contradict of what was stated, in sentences. lens, scale: as stated. stated: what became of the
-    lens's values, None where nobody stated any. arm: as in the fit.
+    """What the images contradict of what was stated, in sentences.
+
+    doubted: of this fit. lens, scale: as stated. arm: as in the fit.
     """
     out = []
     plain = fit.misfit
-    for what, prior in _wider(fit.prior, lens, stated).items():
-        if _screened(fit, prior, arm) < plain - _SCREEN:
-            other = fit_camera(fit.table, fit.poses, fit.state.lens, prior, fit.sizes, arm)
+    for doubt in doubted:
+        if doubt.misfit < plain - _SCREEN:
+            other = fit_camera(fit.table, fit.poses, fit.state.lens, doubt.prior, fit.sizes, arm)
             if other.converged and other.misfit < plain - _GAIN:
-                out.append(_said(what, other, lens, scale))
+                out.append(_said(doubt.what, other, lens, scale))
     if arm is not None and fit.poses.of_arm.any():
         free = likeliest(fit.equations, fit.sizes)
         if free.arm > arm and fit.equations.solve(free).misfit() + usual(free) < plain - _GAIN:
             out.append(
                 f"The arm is some {free.arm / arm:.1f} times as far off as --arm-mm states: state what you know of it, "
                 "or check the square's size."
+            )
+    return tuple(out)
+
+
+def in_doubt(fit: CameraFit, doubted: Sequence[Doubt], scale: PrintScale) -> tuple[str, ...]:
+    """What the images leave in doubt of what was stated, in sentences."""
+    out = []
+    for doubt in doubted:
+        if doubt.chance > _IN_DOUBT:
+            step = doubt.equations.solve(doubt.sizes).step()[fit.poses.count + 1 :]
+            common = fit.state.common + step
+            what = {
+                SIZE: f"a sheet {_percent(common, scale)} off its stated size",
+                BOW: f"a sheet bent by {1e3 * float(np.abs(common[LENS + 2 :]).max()):.1f} mm",
+                LENS_VALUES: "another lens than the stated one",
+            }[doubt.what]
+            out.append(
+                f"An arm with these faults and {what} look much alike (chance of the latter "
+                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
+                "as a few tracker points."
             )
     return tuple(out)
 
@@ -64,19 +124,19 @@ def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, Comm
     bow[LENS + 2 :, LENS + 2 :] = np.eye(COMMON - LENS - 2) / _ANY_BOW_M**2
     free = prior.free.copy()
     free[LENS + 2 :] = True
-    out = {"size": replace(prior, information=size), "bow": replace(prior, information=bow, free=free)}
+    out = {SIZE: replace(prior, information=size), BOW: replace(prior, information=bow, free=free)}
     if stated is not None:
         unknown = common_prior(lens, PrintScale(), None)
         information, open_ = prior.information.copy(), prior.free.copy()
         information[:LENS, :LENS] = unknown.information[:LENS, :LENS]
         open_[:LENS] = True
         mean = np.r_[unknown.mean[:LENS], prior.mean[LENS:]]
-        out["lens"] = CommonPrior(mean, information, open_)
+        out[LENS_VALUES] = CommonPrior(mean, information, open_)
     return out
 
 
-def _screened(fit: CameraFit, prior: CommonPrior, arm: float | None) -> float:
-    """−2 log likelihood with another prior, at the state of the fit."""
+def _without(fit: CameraFit, prior: CommonPrior, arm: float | None) -> tuple[Equations, Sizes, float]:
+    """(equations, sizes, −2 log likelihood) with another prior, at the state of the fit."""
     count = len(fit.equations.offset) - COMMON
     information = fit.equations.information.copy()
     information[count:, count:] = prior.information
@@ -84,22 +144,20 @@ def _screened(fit: CameraFit, prior: CommonPrior, arm: float | None) -> float:
     free = np.r_[fit.equations.free[:count], prior.free]
     there: Equations = replace(fit.equations, information=information, offset=offset, free=free)
     sizes = likeliest(there, fit.sizes, arm)
-    return there.solve(sizes).misfit() + usual(sizes)
+    return there, sizes, there.solve(sizes).misfit() + usual(sizes)
 
 
 def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
     P = other.poses.count
     std = np.sqrt(np.diag(other.covariance))[P + 1 :]
     shape = other.state.shape
-    if what == "size":
-        x, y = shape[0] + 1.0, shape[1] + 1.0
-        off = [100.0 * (x / scale.x - 1.0), 100.0 * (y / scale.y - 1.0)]
+    if what == SIZE:
         return (
-            f"The sheet is {off[0]:+.1f} % (x) and {off[1]:+.1f} % (y) off its stated size, ± "
+            f"The sheet is {_percent(other.state.common, scale)} off its stated size, ± "
             f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure a square, "
             "and check the target file."
         )
-    if what == "bow":
+    if what == BOW:
         worst = float(np.abs(shape[2:]).max())
         return f"The sheet is bent by {1e3 * worst:.1f} mm at its corners: glue it to something flat."
     off_by = np.abs(other.state.lens.values - lens.values) / np.maximum(std[:LENS], 1e-9)
@@ -108,6 +166,11 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
         f"The images contradict the stated lens: {_NAMES[i]} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
         f"{lens.values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
     )
+
+
+def _percent(common: Array, scale: PrintScale) -> str:
+    x, y = common[LENS : LENS + 2] + 1.0
+    return f"{100.0 * (x / scale.x - 1.0):+.1f} % (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
 def is_stated(lens: Lens | None, stated: str) -> str | None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from modcal_core.camera.tool_error import ToolError
 
 APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
@@ -25,13 +23,19 @@ class Decision:
     chance_worse: float
 
 
-def decide(error: ToolError, metric: bool, problems: tuple[str, ...], stated_m: float | None = None) -> Decision:
+def decide(
+    error: ToolError,
+    metric: bool,
+    problems: tuple[str, ...],
+    stated_m: float | None = None,
+    doubtful: tuple[str, ...] = (),
+) -> Decision:
     """The decision over the postures that were asked for.
 
     metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
-    RMS error of the nominal arm, as the user states it [m].
+    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences.
     """
-    worse = float((error.ratio >= 1.0).mean())
+    worse = error.chance_worse
     middle, _, high = error.interval
     drawn, drawn_low, _ = error.nominal_interval
     if problems:
@@ -46,11 +50,5 @@ def decide(error: ToolError, metric: bool, problems: tuple[str, ...], stated_m: 
     )
     if worse > _WORSE or high >= least:
         stated = "" if stated_m is None else f", and {1e3 * stated_m:.2f} mm is stated of it"
-        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.",), worse)
-    return Decision(APPLY, (f"{compared}.",), worse)
-
-
-def chance(draws: np.ndarray) -> str:
-    """A share of draws for a person: never 0 or 100 % of what was sampled."""
-    share, least = float(draws.mean()), 1.0 / max(len(draws), 1)
-    return f"below {100.0 * least:.1g} %" if share < least else f"{100.0 * share:.0f} %"
+        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *doubtful), worse)
+    return Decision(APPLY, (f"{compared}.", *doubtful), worse)

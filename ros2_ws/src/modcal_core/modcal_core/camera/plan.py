@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.camera.at_tool import flange_motions
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import tilt_and_distance
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
 _TRIED = 4000  # postures drawn
@@ -56,7 +56,7 @@ def plan_images(
         said = f"{len(pool)} of {_TRIED} postures near those of the images show the target, {count} are asked for"
         raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
     rows, T = _rows(fit, target, pool)
-    J = _at_tool(fit, pool[rng.permutation(len(pool))[:_JUDGED]])
+    J = flange_motions(fit, pool[rng.permutation(len(pool))[:_JUDGED]])
     C = fit.covariance
     expected, chosen = [_rms(J, C)], list[int]()
     for _ in range(count):
@@ -119,14 +119,6 @@ def _rows(fit: CameraFit, target: PrintedTarget, q: Array) -> tuple[list[Array],
         keep = values > 1e-9 * values[-1]
         out.append((np.sqrt(values[keep])[:, None] * vectors[:, keep].T * scale) @ A)
     return out, T
-
-
-def _at_tool(fit: CameraFit, q: Array) -> Array:
-    """Motion of the flange, (m, 3, P), per parameter."""
-    at = fit.poses.at_postures(q)
-    T, motions = at.tool_motions(fit.state.values)
-    away = T[:, :3, :3] @ se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
-    return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
 
 
 def _rms(J: Array, C: Array) -> float:

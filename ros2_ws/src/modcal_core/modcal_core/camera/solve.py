@@ -19,7 +19,7 @@ from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
-from modcal_core.camera.contradicted import contradictions, is_stated
+from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
 from modcal_core.camera.corners import SHAPE, CornerTable, residuals
 from modcal_core.camera.decision import Decision, decide
 from modcal_core.camera.fit import CameraFit, fit_camera
@@ -33,7 +33,7 @@ from modcal_core.camera.priors import FREE, CommonPrior, common_prior
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.tool_error import ToolError, postures_anywhere, postures_in_view, tool_error
 from modcal_core.camera.views import BoardView
-from modcal_core.camera.weakness import shares, weak_directions
+from modcal_core.camera.weakness import rests_on, shares, weak_directions
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -171,13 +171,16 @@ def solve_camera(
     progress("verdict")
     moved = moved_half(fit, size_of_arm)
     near, _ = postures_in_view(fit, rng)
-    in_view = tool_error(fit, nominal, near, rng)
-    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng)
+    used_lens = lens or lens_fit.lens
+    doubted = doubts(fit, used_lens, is_stated(lens, stated), size_of_arm)
+    in_view = tool_error(fit, nominal, near, rng, doubted)
+    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m, beside)
-    wrong = contradictions(fit, lens or lens_fit.lens, target.scale, is_stated(lens, stated), size_of_arm)
+    wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
     problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
-    decision = decide(in_view, bool(metric), problems, arm_m)
+    doubtful = in_doubt(fit, doubted, target.scale) or rests_on(fit, doubted, near)
+    decision = decide(in_view, bool(metric), problems, arm_m, doubtful)
     return CameraSolution(
         *(
             fit,

@@ -4,16 +4,21 @@ What counts is where the model has a point of the tool in the frame of the other
 where the camera is carried, in the camera's where the target is. Errors over M postures are drawn from the fit's
 covariance; each draw has one RMS, and the interval is that of the draws. Of the nominal arm, camera and target placed
 by the same images, the same draws say what it is off by, so that the two can be compared draw by draw. What each image
-has of its own, joints that do not repeat and whatever no parameter describes, is part of both.
+has of its own, joints that do not repeat and whatever no parameter describes, is part of both. A statement in doubt has
+draws of its own, which count by its chance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.camera.at_tool import at_flange, flange_in_tool
+from modcal_core.camera.contradicted import Doubt
 from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import usual
 from modcal_core.geometry import se3
@@ -22,6 +27,7 @@ from modcal_core.robots.chain import Chain
 
 _DRAWS = 1000  # for the ends of a 95 % interval to within a few per cent of themselves
 _POSTURES = 150  # which give the RMS over a range of joints to a few per cent
+_NEVER = 1e-5  # chance of a statement that is wrong, below which its draws could change no end of an interval
 _TRIES = 20  # postures drawn for each that shows the target
 _LEAST_SEEN = 20  # postures that show the target, below which those of the images are taken
 _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in view
@@ -29,60 +35,73 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 
 @dataclass(frozen=True)
 class ToolError:
-    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,)."""
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, sum 1, (D,)."""
 
     calibrated: Array
     nominal: Array
+    weight: Array
 
     @property
     def interval(self) -> tuple[float, float, float]:
         """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m]."""
-        low, middle, high = np.quantile(self.calibrated, [0.025, 0.5, 0.975])
-        return float(middle), float(low), float(high)
+        return _interval(self.calibrated, self.weight)
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
         """The same of the nominal arm."""
-        low, middle, high = np.quantile(self.nominal, [0.025, 0.5, 0.975])
-        return float(middle), float(low), float(high)
+        return _interval(self.nominal, self.weight)
 
     @property
-    def ratio(self) -> Array:
-        """Calibrated over nominal, draw by draw, (D,)."""
-        return self.calibrated / np.maximum(self.nominal, 1e-12)
+    def chance_worse(self) -> float:
+        """Chance that the calibrated arm is no better than the nominal one."""
+        return float(self.weight @ (self.calibrated >= self.nominal))
 
 
-def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Generator) -> ToolError:
-    """The errors over postures q (M, n). nominal: of the same images, the arm held nominal."""
+def _interval(values: Array, weight: Array) -> tuple[float, float, float]:
+    order = np.argsort(values)
+    below = np.cumsum(weight[order]) - 0.5 * weight[order]
+    low, middle, high = np.interp([0.025, 0.5, 0.975], below / weight.sum(), values[order])
+    return float(middle), float(low), float(high)
+
+
+def tool_error(
+    fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Generator, doubted: Sequence[Doubt] = ()
+) -> ToolError:
+    """The errors over postures q (M, n).
+
+    nominal: of the same images, the arm held nominal. doubted: statements that may be wrong.
+    """
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
-    point = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]  # the tip, in the tool
-    away = T[:, :3, :3] @ point
-    J = motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1)
-    draws = _draws(fit, J.shape[2], rng)
+    point = flange_in_tool(fit)
+    J = at_flange(T, point, motions)
+    P = J.shape[2]
+    parts = [(1.0 - sum(d.chance for d in doubted), _draws(fit, fit.equations, fit.sizes, P, rng))]
+    parts += [(d.chance, _draws(fit, d.equations, d.sizes, P, rng)) for d in doubted if d.chance > _NEVER]
+    draws = np.concatenate([drawn for _, drawn in parts])
+    weight = np.concatenate([np.full(len(drawn), chance / len(drawn)) for chance, drawn in parts])
     error = np.einsum("mip,dp->dmi", J, draws)
     drawn, _ = nominal.poses.at_postures(q).tool_motions(nominal.state.values)
     apart = (se3.apply(drawn, point) - se3.apply(T, point))[None] - error
-    joints = at.joint_motions(fit.state.values, T)
-    throw = joints[:, :3] - np.cross(away[:, :, None], joints[:, 3:], axisa=1, axisb=1, axisc=1)
+    throw = at_flange(T, point, at.joint_motions(fit.state.values, T))
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
     def rms(e: Array) -> Array:
         return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1) + scatter))
 
-    return ToolError(rms(error), rms(apart))
+    return ToolError(rms(error), rms(apart), weight / weight.sum())
 
 
-def _draws(fit: CameraFit, P: int, rng: np.random.Generator) -> Array:
-    """Draws (D, P) of what the arm's parameters are off by.
+def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:
+    """Draws (D, P) of what the arm's parameters are off by, by these equations of the fit and about these sizes.
 
     How faulty this arm is, is known from these images only where it is not stated; so the draws are from a mixture over
     the sizes that its faults may have, each as likely as the data make it.
     """
-    sizes = [fit.sizes]
+    sizes = [best]
     if fit.poses.of_arm.any() and not fit.arm_stated:
-        sizes = [replace(fit.sizes, arm=float(fit.sizes.arm * factor)) for factor in np.exp(np.linspace(-2.5, 2.5, 11))]
-    solved = [fit.equations.solve(size) for size in sizes]
+        sizes = [replace(best, arm=float(best.arm * factor)) for factor in np.exp(np.linspace(-2.5, 2.5, 11))]
+    solved = [equations.solve(size) for size in sizes]
     misfit = np.array([s.misfit() + usual(size) for s, size in zip(solved, sizes, strict=True)])
     share = np.exp(-0.5 * (misfit - misfit.min()))
     counts = rng.multinomial(_DRAWS, share / share.sum())

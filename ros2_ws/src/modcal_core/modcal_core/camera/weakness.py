@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from modcal_core.camera.at_tool import flange_motions
+from modcal_core.camera.contradicted import SIZE, Doubt
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
@@ -16,6 +20,7 @@ _DISTANCES = 1.3  # farthest over nearest
 _COVERED = 0.4  # of the image, in a grid of eight by eight
 _GRID = 8  # cells a side
 _JOINT = np.radians(20.0)  # range of a joint that shows what its axis does
+_RESTS = 3.0  # times better is the stated size known than the images show it: they say nothing against it
 _SLIDE = 0.05  # m, of a sliding joint
 
 
@@ -58,6 +63,30 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     return tuple(out)
 
 
+def rests_on(fit: CameraFit, doubted: Sequence[Doubt], q: Array) -> tuple[str, ...]:
+    """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
+    postures q (M, n), as a sentence.
+    """
+    doubt = next((d for d in doubted if d.what == SIZE), None)
+    if doubt is None:
+        return ()
+    P = fit.poses.count
+    x = P + 1 + LENS
+    C = doubt.equations.solve(doubt.sizes).covariance()
+    both = np.array([0.5, 0.5])
+    free = float(np.sqrt(both @ C[x : x + 2, x : x + 2] @ both))
+    held = float(np.sqrt(both @ fit.covariance[x : x + 2, x : x + 2] @ both))
+    if free < _RESTS * held:
+        return ()
+    per_unit = C[:P, x : x + 2] @ both / free**2
+    moved = flange_motions(fit, q) @ per_unit
+    worth = 0.01 * float(np.sqrt((moved**2).sum() / len(q)))
+    return (
+        f"All of this rests on the sheet's stated size, which these images by themselves show to {100.0 * free:.1f} % "
+        f"only: each per cent that it is off puts the tool {1e3 * worth:.1f} mm off.",
+    )
+
+
 def tilt_and_distance(seen: Array, centre: Array) -> tuple[Array, Array]:
     """(tilt of the sheet against the line of sight [rad], its distance [m]) of T_camera_target (N, 4, 4), (N,) each."""
     at = se3.apply(seen, centre)
@@ -76,11 +105,7 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
     """For lens, print scale, flatness and clock: (mean square error at the tool that is known [m²], the same if that
     thing were known exactly), over postures q (M, n).
     """
-    at = fit.poses.at_postures(q)
-    T, motions = at.tool_motions(fit.state.values)
-    point = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
-    away = T[:, :3, :3] @ point
-    J = motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1)
+    J = flange_motions(fit, q)
     P = J.shape[2]
     C = fit.covariance
     lens = np.arange(P + 1, P + 1 + LENS)
