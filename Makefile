@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera constants closed-loop \
-	soak chaos kills long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
+	soak chaos kills live long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -94,6 +94,9 @@ long-bag: setup-test build  ## an hour at 1 kHz from the bag to the report: proc
 
 soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: losses, latency, memory
 	@$(PY) bench/soak.py $(SOAK_ARGS)
+
+live: setup-test build  ## what nodes cost at 1 kHz above one that discards the messages; BENCH_ARGS="--only recorder" narrows
+	@$(PY) bench/live/run.py $(BENCH_ARGS)
 
 kills: setup-test build  ## the recorder killed twenty times at 1 kHz: was it recording, and what was lost? BENCH_ARGS="--kills 5"
 	@$(PY) bench/kills.py $(BENCH_ARGS)

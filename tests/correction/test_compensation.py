@@ -17,9 +17,10 @@ from modcal_core.calibration.linearise import Deviations, apply_deviations
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.compensation import compensate
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import Correction, Target
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
@@ -91,6 +92,27 @@ def test_what_a_tracker_would_show_is_what_the_fitted_model_says(name: str, rng:
     T = correction.pose(q, at, "tool", "tracker")
     assert np.abs(T - model.predict_samples(as_samples(q, at))[0]).max() < 1e-12
     assert np.abs(T - model.with_effects(()).predict(q[None])[0]).max() > 1e-6, "the effect did nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["tip", "tool"])
+def test_what_is_computed_together_is_what_is_computed_apart(target: Target, rng: np.random.Generator) -> None:
+    """With an uncertainty, and with effects of the arm, of the tool and of the load."""
+    model = true_model(*(started(name) for name in ("gear", "compliance", "bump", "settling")))
+    made = calibration_of(model)
+    parameters = choose_parameters(made.nominal, views_of(as_samples(np.zeros(6), moment(np.zeros(6), rng)))).parameters
+    size = len(parameters) + sum(len(e.values) for e in model.effects)
+    spread = rng.standard_normal((size, size))
+    correction = Correction(replace(made, uncertainty=Uncertainty(parameters, 1e-9 * spread @ spread.T)))
+    for _ in range(5):
+        q = rng.uniform(-2, 2, 6)
+        at = moment(q, rng)
+        T, C, joints = correction.corrected(at, target)
+        assert np.array_equal(T, correction.pose(q, at, target))
+        assert np.array_equal(C, correction.covariance(q, at, target))
+        assert np.array_equal(joints, correction.joints(q, at))
+    assert np.abs(C).max() > 1e-10
+    assert np.abs(joints - q).max() > 1e-6
 
 
 def test_a_late_tracker_moves_no_true_pose(rng: np.random.Generator) -> None:

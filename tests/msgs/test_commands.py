@@ -47,6 +47,24 @@ def test_joint_states_of_another_time_are_refused(late: float) -> None:
         arm().receive(states(10.0 + late, a=0.0, b=0.0), 10.0, 0.1)
 
 
+def test_messages_of_other_joints_in_turn_are_told_apart() -> None:
+    """Names of the last message are remembered: others, in another order, or twice the same one, are looked at anew."""
+    heard = arm()
+    for names, q in (("ab", (0.1, 0.2)), ("ba", (0.3, 0.4)), ("b", (0.5,)), ("xy", (9.0, 9.0)), ("ab", (0.6, 0.7))):
+        heard.receive(stamped(1.0, name=list(names), position=list(q), velocity=[], effort=[]), 1.0, 0.1)
+        told = dict(zip(names, q, strict=True))
+        for j, name in enumerate("ab"):
+            assert heard.position[j] == told.get(name, heard.position[j])
+    assert heard.position.tolist() == [0.6, 0.7]
+    assert heard.complete
+    for _ in range(2):
+        with pytest.raises(BadCommand, match="2 positions for 2 names"):
+            heard.receive(stamped(1.0, name=["a", "a"], position=[0.0, 1.0], velocity=[], effort=[]), 1.0, 0.1)
+        with pytest.raises(BadCommand, match="1 positions for 2 names"):
+            heard.receive(stamped(1.0, name=["a", "b"], position=[0.0], velocity=[], effort=[]), 1.0, 0.1)
+    assert heard.position.tolist() == [0.6, 0.7]
+
+
 def test_an_arm_is_as_fresh_as_its_oldest_joint() -> None:
     heard = arm()
     heard.receive(states(10.0, a=0.0, b=0.0), 10.0, 0.1)

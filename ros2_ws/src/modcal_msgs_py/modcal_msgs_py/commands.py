@@ -59,6 +59,9 @@ class JointInput:
         self.names = tuple(names)
         self._column = {name: j for j, name in enumerate(self.names)}
         self._lower, self._upper = lower - _BEYOND, upper + _BEYOND
+        self._told: tuple[str, ...] | None = None  # names of the last message ...
+        self._rows = self._columns = np.empty(0, int)  # ... and which of them are which of this arm's joints
+        self.complete = False  # whether every joint was heard of
         n = len(self.names)
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.full(n, math.nan)
         self.stamps = np.full(n, -math.inf)
@@ -76,15 +79,19 @@ class JointInput:
                 f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit",
                 "make the driver stamp with this clock, or check why it is late",
             )
-        names = list(message.name)
-        if len(message.position) != len(names) or len(set(names)) != len(names):
+        names = tuple(message.name)
+        if names != self._told:
+            self._told = None
+            known = [(i, self._column[name]) for i, name in enumerate(names) if name in self._column]
+            self._rows, self._columns = np.array(known, int).reshape(-1, 2).T
+        if len(message.position) != len(names) or (self._told is None and len(set(names)) != len(names)):
             raise BadCommand(
                 "joint_states", f"{len(message.position)} positions for {len(names)} names", "send one for every name"
             )
-        rows = [(i, self._column[name]) for i, name in enumerate(names) if name in self._column]
-        if not rows:
+        self._told = names
+        at, column = self._rows, self._columns
+        if not len(at):
             return
-        at, column = (np.array(index) for index in zip(*rows, strict=True))
         q = np.asarray(message.position, dtype=float)[at]
         if not ((q >= self._lower[column]) & (q <= self._upper[column])).all():  # NaN is neither
             worst = int(np.argmin((q >= self._lower[column]) & (q <= self._upper[column])))
@@ -103,6 +110,7 @@ class JointInput:
             kept[column] = told[at] if len(told) == len(names) else unknown
         # no joint goes this fast: a driver that sends it does not know, and then nothing is made of it
         self.velocity[~(np.abs(self.velocity) < _FASTEST)] = 0.0
+        self.complete = self.complete or not self.missing()
 
     def missing(self) -> tuple[str, ...]:
         """Joints never heard of."""

@@ -51,6 +51,7 @@ class Correction:
         self._fallback = calibration.fallback(self.model, calibration.geometric)
         self._outside = _Parts.of(calibration.geometric.with_effects(()))
         self._covariance = _deviations_covariance(calibration)
+        self._needs, self._needs_effort = self.needs, self.needs_effort
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -131,25 +132,45 @@ class Correction:
             out += share * (self._outside.joints(q, around) - out)
         return out
 
+    def corrected(self, at: ArmState, target: Target = "tip") -> tuple[Array, Array, Array]:
+        """Where the arm truly is now: pose (4, 4), its covariance (6, 6) and the joints (n,), as pose, covariance and
+        joints give them, with what the three have in common computed once.
+        """
+        share = 0.0 if self._fallback is None else float(self._fallback.share(at.q[None])[0])
+        if share > 0.0 or not is_serial_arm(self.chain):
+            return self.pose(at.q, at, target), self.covariance(at.q, at, target), self.joints(at.q, at)
+        around = self._around(at.q[None], at)
+        twists, _ = motion(self._full.of_arm, around)
+        f = frames(self.chain, at.q[None], twists)
+        T = self._full.behind(f.transform(-1), around, target)[0]
+        return T, self._of_serial(f, around, T, target), self._full.turned(at.q, twists)
+
     def covariance(self, q: Array, at: ArmState, target: Target = "tip") -> Array:
         """Covariance (6, 6) of a pose in the base link: x y z [m], turns about its x y z [rad].
 
         The calibration's, through the Jacobian, and on top of it how the arm scattered about the model when it was
         calibrated; the latter alone where the calibration does not say how well it is known.
         """
-        noise = self.calibration.noise
-        out = np.diag([noise.position**2] * 3 + [noise.rotation**2] * 3)
         if self._covariance is None:
-            return out
+            return self._scatter()
         around = self._around(q[None], at)
         chain = self.chain
         if not is_serial_arm(chain):
-            return np.asarray(out + self._of_closed(around, target))
+            return np.asarray(self._scatter() + self._of_closed(around, target))
         twists, _ = motion(self._full.of_arm, around)
         f = frames(chain, q[None], twists)
-        end = self._full.behind(f.transform(-1), around, target)[0]
+        return self._of_serial(f, around, self._full.behind(f.transform(-1), around, target)[0], target)
+
+    def _scatter(self) -> Array:
+        noise = self.calibration.noise
+        return np.diag([noise.position**2] * 3 + [noise.rotation**2] * 3)
+
+    def _of_serial(self, f: Frames, around: Drivers, end: Array, target: Target) -> Array:
+        """Covariance (6, 6) of the target, at a pose (4, 4), of an arm at these frames."""
+        if self._covariance is None:
+            return self._scatter()
         n = self.chain.n
-        units = np.stack([_unit_motions(f, place, end[:3, 3]) for place in range(n)] + [_at_end(end)])
+        units = _unit_motions(f, n, end)
         rows = np.zeros((6, len(self._covariance)))
         for place in range(1, n):
             rows[:, 6 * (place - 1) : 6 * place] = units[place]
@@ -164,7 +185,7 @@ class Correction:
                     j += 1
             else:
                 j += len(effect.values)
-        return out + rows @ self._covariance @ rows.T
+        return np.asarray(self._scatter() + rows @ self._covariance @ rows.T)
 
     def _of_closed(self, around: Drivers, target: Target) -> Array:
         """Covariance (6, 6) by the parameters and effects of a Delta: what lies in its base is not the arm's."""
@@ -209,8 +230,10 @@ class Correction:
         return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
     def _around(self, postures: Array, at: ArmState) -> Drivers:
-        signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
-        samples = replace(at, signals=signals).samples(self.chain, postures, self._arm)
+        signals = tuple(_lasting(track) for track in at.signals) if self._needs else ()
+        # efforts must be seen beside the weight that they hold, which takes as long as all the rest
+        effort = at.effort if self._needs_effort else np.full(len(at.effort), np.nan)
+        samples = replace(at, signals=signals, effort=effort).samples(self.chain, postures, self._arm)
         return Drivers(samples, self._arm)
 
 
@@ -248,8 +271,11 @@ class _Parts:
 
     def joints(self, q: Array, around: Drivers) -> Array:
         """Where the joints stand when they report q (n,)."""
+        return self.turned(q, motion(self.of_arm, around)[0])
+
+    def turned(self, q: Array, twists: Mapping[int, Array]) -> Array:
+        """Joints (n,) at q (n,) with what these twists turn them by about their own axes."""
         chain = self.model.chain
-        twists, _ = motion(self.of_arm, around)
         out = np.array(q, dtype=float)
         for place, twist in twists.items():
             j = place - chain.first_place
@@ -286,19 +312,15 @@ def _lasting(track: SignalTrack) -> SignalTrack:
     return replace(track, stamps=stamps, values=values)
 
 
-def _unit_motions(f: Frames, place: int, end: Array) -> Array:
-    """Motion (6, 6) of a point of the arm, in the base, per unit of each direction of a place (columns)."""
-    R, arm = f.axes[place, :, :, 0].T, end - f.p[place, :, 0]
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = R
-    out[:3, 3:] = np.cross(R, arm, axisa=0, axisc=0)
-    return out
-
-
-def _at_end(T: Array) -> Array:
-    """The same for directions of the end itself."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = T[:3, :3]
+def _unit_motions(f: Frames, n: int, end: Array) -> Array:
+    """Motions (n + 1, 6, 6) of the end, at a pose (4, 4), in the base, per unit of each direction (columns) of the
+    arm's places 0 … n − 1, and of the end itself.
+    """
+    out = np.zeros((n + 1, 6, 6))
+    R, p = f.axes[:n, :, :, 0].transpose(0, 2, 1), f.p[:n, :, 0]
+    out[:n, :3, :3] = out[:n, 3:, 3:] = R
+    out[:n, :3, 3:] = np.cross(R, (end[:3, 3] - p)[:, :, None], axisa=1, axisb=1, axisc=1)
+    out[n, :3, :3] = out[n, 3:, 3:] = end[:3, :3]
     return out
 
 

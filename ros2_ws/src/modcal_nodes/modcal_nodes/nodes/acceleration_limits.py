@@ -24,6 +24,7 @@ from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
+_REST = 0.004  # s
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
@@ -111,7 +112,7 @@ class AccelerationLimits(GuardedNode):
     def _tick(self, _: object = None) -> None:
         """Publish bounds of where the arm stands now, if it has been heard since the last ones."""
         arm, joints = self._arm, self._joints
-        if arm is None or joints is None or joints.missing() or (stamp := float(joints.stamps.min())) == self._last:
+        if arm is None or joints is None or not joints.complete or (stamp := float(joints.stamps.min())) == self._last:
             return
         joints.require_fresh(self._now(), self._chosen["timeout_s"])
         lower, upper = arm.bounds(joints.position, joints.velocity, self._chosen["method"])
@@ -161,4 +162,4 @@ def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(AccelerationLimits)
+    run(AccelerationLimits, rest=_REST)

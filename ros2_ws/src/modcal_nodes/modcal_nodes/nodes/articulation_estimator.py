@@ -44,6 +44,7 @@ _POSES: dict[str, type] = {
 }
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
+_REST = 0.002  # s
 _SILENT = 1.0  # s without a pose, after which what is believed is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
@@ -142,7 +143,7 @@ class ArticulationEstimator(GuardedNode):
             return
         now = self._now()
         self._joints.receive(message, now, self._chosen["timeout_s"])
-        if self._joints.missing():
+        if not self._joints.complete:
             return
         self._joints.require_fresh(now, self._chosen["timeout_s"])
         stamp = float(self._joints.stamps.min())
@@ -308,4 +309,4 @@ def _alike(one: JointModel, other: JointModel) -> bool:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(ArticulationEstimator)
+    run(ArticulationEstimator, rest=_REST)

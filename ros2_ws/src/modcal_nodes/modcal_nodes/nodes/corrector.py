@@ -41,6 +41,7 @@ from modcal_nodes.ros.tf_frames import corrected_frame
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+_REST = 0.002  # s, little beside the tenth of a second that a setpoint looks ahead
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
@@ -178,7 +179,7 @@ class Corrector(GuardedNode):
             return
         now = self._now()
         self._joints.receive(message, now, self._chosen["timeout_s"])
-        if self._joints.missing():
+        if not self._joints.complete:
             return
         self._approach.update(self._joints.position)
         self._commander.paused(now)
@@ -193,8 +194,7 @@ class Corrector(GuardedNode):
         """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
-        T, C = correction.pose(at.q, at, target), correction.covariance(at.q, at, target)
-        q = correction.joints(at.q, at)
+        T, C, q = correction.corrected(at, target)
         finite(T, C, q)
         stamp = float(joints.stamps.min())
         pose = PoseWithCovarianceStamped()
@@ -319,4 +319,4 @@ def _settings(chosen: dict[str, Any]) -> CommanderSettings:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Corrector)
+    run(Corrector, rest=_REST)

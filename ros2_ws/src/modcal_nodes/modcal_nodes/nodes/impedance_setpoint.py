@@ -67,6 +67,7 @@ def _noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]
     return noted
 
 
+_REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
 
 
@@ -99,6 +100,11 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self.create_service(Trigger, "~/pull", self._pull)
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._start_itself) if self._chosen["autostart"] else None
+
+    @property
+    def hurried(self) -> bool:
+        """Whether something is being pulled."""
+        return self._operation is not None
 
     # lifecycle
 
@@ -405,4 +411,4 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
 def main() -> None:
     """Entry point of the executable."""
-    run(ImpedanceSetpoint)
+    run(ImpedanceSetpoint, rest=_REST)

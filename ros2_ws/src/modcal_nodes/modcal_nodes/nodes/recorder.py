@@ -22,7 +22,7 @@ from modcal_nodes.ros.running import run
 from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
 
 _LOOK_SECONDS = 0.1
-_REST = 0.002  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
+_REST = 0.01  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
 _MEASURE_SECONDS = 1.0
 _FEW_MINUTES = 10.0
 _MB = 1e6

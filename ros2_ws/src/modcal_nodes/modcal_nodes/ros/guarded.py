@@ -25,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from modcal_core.errors import ModcalError
+from modcal_nodes.ros.pending import waiting
 
 _AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
@@ -130,8 +131,10 @@ class GuardedNode(Node):
     """A node whose callbacks cannot end it. Stands first among the bases: ``class Arm(GuardedNode, LifecycleNode)``."""
 
     _faults: CallbackFaults | None = None
+    most_at_once = 100  # messages of one topic before others have their turn
 
     def __init__(self, *args: Any, **options: Any) -> None:
+        self.pollers: list[Callable[[], int]] = []  # take what waits in a subscription; how much that was
         super().__init__(*args, **{"enable_logger_service": True, **options})
         for service in self.services:  # those that rclpy makes without asking create_service
             if not _is_guarded(service.callback):
@@ -143,6 +146,20 @@ class GuardedNode(Node):
         if self._faults is None:
             self._faults = CallbackFaults(self)
         return self._faults
+
+    @property
+    def hurried(self) -> bool:
+        """Whether it has no time to rest now (see resting.py)."""
+        return False
+
+    def take_waiting(self) -> int:
+        """Take the messages that have arrived, simulated time first; the most that were of one topic."""
+        if self.get_clock().ros_time_is_active:
+            for subscription in list(self.subscriptions):
+                if subscription.topic_name == "/clock":
+                    for message, _ in waiting(subscription, self.most_at_once):
+                        subscription.callback(message)
+        return max((poll() for poll in self.pollers), default=0)
 
     def guarded(self, place: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         """A callback whose exceptions cost what it was called for, and no more."""

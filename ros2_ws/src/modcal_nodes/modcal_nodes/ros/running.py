@@ -16,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
+from modcal_nodes.ros.resting import RestingExecutor
 from modcal_nodes.ros.signals import SignalGuard
 from modcal_nodes.ros.usage import answered
 
@@ -32,8 +33,8 @@ FRESH = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durabili
 def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     """Spin the node until it is told to stop (Ctrl-C, SIGTERM, shutdown), then close it, however often it is told.
 
-    rest: seconds between two looks for messages. Each look costs as much as handling ten messages; a node that takes
-    all that waits (see hearing.py) and need not answer within a millisecond gets by with few.
+    rest: seconds between two looks for messages, of a node that need not answer within a millisecond. A look of the
+    executor costs as much as handling ten messages, so while messages come they are taken past it (see resting.py).
 
     ``--help`` is answered in place of starting. A ModcalError while it starts or closes, NodeEnds, or a parameter
     outside its bounds, ends the process with exit code 2 and one line on stderr.
@@ -46,13 +47,11 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make()
-        executor = SingleThreadedExecutor()
+        executor = RestingExecutor(node, rest)
         executor.add_node(node)
         stopping.wake(executor.wake)
         while rclpy.ok() and not stopping.asked:
             spin_once(executor, node)
-            if rest:
-                time.sleep(rest)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except NodeEnds as end:

@@ -10,9 +10,12 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
 
+from modcal_msgs_py.joint_state_bytes import JointStateBytes
 from modcal_nodes.ros.guarded import GuardedNode, is_latched
 from modcal_nodes.ros.health import ERROR, OK, WARN, Status
 from modcal_nodes.ros.pending import waiting
@@ -21,7 +24,7 @@ _LESS = {
     QoSPolicyKind.RELIABILITY: "received with best effort; on a busy network some messages will be lost",
     QoSPolicyKind.DURABILITY: "received, but messages published before are missed; it should be transient local",
 }
-_AT_ONCE = 100  # messages of one topic before others have their turn
+_READ = {JointState: JointStateBytes}  # of what comes a thousand times a second
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -49,29 +52,36 @@ class MonitoredSubscription:
         self._less: Timer | None = None
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
+        self._read = _READ[kind](partial(deserialize_message, message_type=kind)) if kind in _READ else None
         self._subscriptions = [self._subscribe(topic, qos)]
+        node.pollers.append(self.poll)
         self.topic = self._subscriptions[0].topic_name
 
     def _subscribe(self, topic: str, qos: QoSProfile) -> Subscription:
+        raw = self._read is not None
+
         def hear(message: Any) -> None:
             self._take(message)
-            for behind, _ in waiting(subscription, _AT_ONCE):
+            for behind, _ in waiting(subscription, most, raw):
                 self._take(behind)
 
+        most = self._node.most_at_once
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
-        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events)
+        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events, raw=raw)
         return subscription
 
-    def poll(self) -> None:
-        """Take what has arrived, without an executor."""
+    def poll(self) -> int:
+        """Take what has arrived, without an executor; how many messages that were."""
+        before = self.count
         for subscription in list(self._subscriptions):
-            for message, _ in waiting(subscription, _AT_ONCE):
+            for message, _ in waiting(subscription, self._node.most_at_once, self._read is not None):
                 self._take(message)
+        return self.count - before
 
     def _take(self, message: Any) -> None:
         self.count += 1
         self._last = time.monotonic()
-        self._callback(message)
+        self._callback(message if self._read is None else self._read(message))
 
     def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         try:

@@ -35,9 +35,6 @@ _SETTLES = 1.0  # s from the first message, after which one of several subscript
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
 UNHEARD = "unheard"  # kind of that complaint
 _FAST = (*READINGS, "joint_states", "wrench")
-# Messages that are taken in one go, before other topics, timers and services have their turn.
-_AT_ONCE = 200
-
 
 _SLASHED_FAST = tuple("/" + role for role in _FAST)
 
@@ -81,6 +78,7 @@ class TopicRecorder:
         self._node, self._take, self.patience = node, take, patience
         self._keep = node.guarded(topic, self._keep_one)  # each message of a burst is guarded by itself
         self._inputs: dict[Offer, Subscription] = {}
+        node.pollers.append(self.poll)
         self._types: set[str] = set()
         self._seen: set[tuple[int, int]] = set()
         self._order: deque[tuple[int, int]] = deque()
@@ -224,12 +222,22 @@ class TopicRecorder:
 
     def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
         self._keep(offer, cdr, info)
-        more = 1
-        for behind in waiting(box[0], _AT_ONCE, raw=True):
+        self._take_behind(offer, box[0], 1)
+
+    def poll(self) -> int:
+        """Take what has arrived, without an executor; how many messages that were."""
+        return sum(self._take_behind(offer, subscription) for offer, subscription in self._subscriptions())
+
+    def _subscriptions(self) -> list[tuple[Offer, Subscription]]:
+        return [*self._inputs.items(), *self._spares]
+
+    def _take_behind(self, offer: Offer, subscription: Subscription, more: int = 0) -> int:
+        for behind in waiting(subscription, self._node.most_at_once, raw=True):
             self._keep(offer, *behind)
             more += 1
         if self._spares:
-            self._heard[id(box[0])] += more
+            self._heard[id(subscription)] += more
+        return more
 
     def _keep_one(self, offer: Offer, cdr: bytes, info: dict[str, Any]) -> None:
         published = info["source_timestamp"]
