@@ -11,6 +11,7 @@ import pytest
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.distances import Distance
+from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.locate_instruments import Known
@@ -83,6 +84,26 @@ def test_sockets_with_a_known_distance_are_found_with_the_arm() -> None:
     alone = fitted(made, cell, train, together=False)
     assert missed(alone, rest) > 5.0 * made.floor_mm  # what about the nominal arm's sockets came to
     assert max(abs(d.residual) for d in distances_of(fit, train, cell.distances)) < 2e-4  # m, four deviations
+
+
+@pytest.fixture(scope="module")
+def socketed() -> Fitted:
+    """Two hundred and forty postures about eight sockets, of which four pairs are 50 mm apart."""
+    return sockets(np.random.default_rng(2), placements=4, error=4.0)
+
+
+@pytest.mark.parametrize("stated", [1.0, 1.12, 0.9])
+def test_fixed_points_say_nothing_of_scale(socketed: Fitted, stated: float) -> None:
+    """By themselves they draw all lengths together by a tenth, which is no evidence against a right distance."""
+    known = tuple(Distance(pair, stated * DISTANCE) for pair in socketed.distances)
+    cell = Cell(known, sockets=tuple(name for pair in socketed.distances for name in pair))
+    train, _ = halves(socketed, cell)
+    fit = fitted(socketed, cell, train)
+    assert bool(contradicted_together(fit, train, known)) == (stated != 1.0)
+    single = replace(cell, distances=known[:1])
+    (alone,) = distances_of(fitted(socketed, single, train), train, single.distances)
+    assert abs(alone.found - DISTANCE) < 3.0 * alone.std < 0.1 * DISTANCE
+    assert alone.contradicted == (stated != 1.0)
 
 
 def test_a_stated_tool_is_held_within_its_tolerance() -> None:

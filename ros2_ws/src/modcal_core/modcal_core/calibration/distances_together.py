@@ -13,6 +13,7 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.known_distances import CONTRADICTED
+from modcal_core.calibration.scale import scale_without_distances
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -23,15 +24,20 @@ def contradicted_together(fit: Fit, samples: Samples, distances: Sequence[AnyDis
     """A sentence where one factor common to all known distances is contradicted by readings and arm.
 
     The fit is made once more without any of them: what they pull the readings away from would else be taken for the
-    noise of these, and make room for themselves.
+    noise of these, and make room for themselves. For fixed points see :mod:`modcal_core.calibration.scale`.
     """
     if len(distances) < 2:
         return ()
-    try:
-        free = without_distances(fit, samples)
-    except NotEnoughData:  # nothing but the distances tells these parameters
-        return ()
-    factor, std = common_factor(free, uncertainty(free.model, samples, free.parameters, free), distances)
+    scale = scale_without_distances(fit, samples, distances)
+    if scale is not None:
+        each = [d.distance**2 / (d.std**2 + 2.0 * fit.noise.position**2) for d in distances]
+        factor, std = -scale.longer, float(np.hypot(scale.std, sum(each) ** -0.5))
+    else:
+        try:
+            free = without_distances(fit, samples)
+        except NotEnoughData:  # nothing but the distances tells these parameters
+            return ()
+        factor, std = common_factor(free, uncertainty(free.model, samples, free.parameters, free), distances)
     if abs(factor) <= CONTRADICTED * std:
         return ()
     return (

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, Distance, distance_rows
 from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.scale import Scale, scale_without_distances
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.measurements.samples import Samples
 
@@ -49,7 +50,15 @@ def distances_of(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -
     """Every known distance as a fit to these samples has it."""
     if not distances:
         return ()
-    return known_distances(fit, uncertainty(fit.model, samples, fit.parameters, fit, distances), distances)
+    known = known_distances(fit, uncertainty(fit.model, samples, fit.parameters, fit, distances), distances)
+    scale = scale_without_distances(fit, samples, distances) if len(distances) == 1 else None
+    return known if scale is None else (_by_scale(known[0], scale, fit),)
+
+
+def _by_scale(only: KnownDistance, scale: Scale, fit: Fit) -> KnownDistance:
+    """The only known distance, beside what fixed points and the drawing say of the scale without it."""
+    std = float(np.hypot(scale.std * only.stated, np.sqrt(2.0) * fit.noise.position))
+    return replace(only, found=(1.0 + scale.longer) * only.stated, std=std)
 
 
 def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[KnownDistance, ...]:
