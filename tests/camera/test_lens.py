@@ -50,20 +50,21 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
     T = facing(rng, 2)
     table = CornerTable.of(views(rng, T), BOARD)
     shape = np.array([0.01, -0.02, 2e-3, -1e-3, 3e-3])
-    rows = corner_rows(table, LENS, shape, T)
+    sweep = 0.2 * rng.normal(size=(2, 6))
+    rows = corner_rows(table, LENS, shape, T, 0.02, sweep)
 
     def predicted(x: Array) -> Array:
         moved = se3.exp(np.stack([x[:6], x[6:12]])) @ T
-        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:], moved)
+        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:26], moved, 0.02 + x[26], sweep)
         return -at.residual.ravel()
 
-    J = np.zeros((2 * len(table), 26))
+    J = np.zeros((2 * len(table), 27))
     first = 2 * table.of_view(0).stop
     pose = rows.by_pose.reshape(-1, 6)
     J[:first, :6], J[first:, 6:12] = pose[:first], pose[first:]
-    J[:, 12:] = rows.by_common.reshape(-1, 14)
-    assert_jacobian(predicted, J, np.zeros(26), tolerance=1e-7)
-    assert np.abs(residuals(table, LENS, shape, T) - rows.pixels).max() < 1e-12
+    J[:, 12:] = rows.by_common.reshape(-1, 15)
+    assert_jacobian(predicted, J, np.zeros(27), tolerance=1e-7)
+    assert np.abs(residuals(table, LENS, shape, T, 0.02, sweep) - rows.pixels).max() < 1e-12
 
 
 def test_homography_takes_points_to_pixels(rng: np.random.Generator) -> None:

@@ -20,9 +20,10 @@ from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
 from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
-from modcal_core.camera.corners import SHAPE, CornerTable, residuals
+from modcal_core.camera.corners import READOUT, SHAPE, CornerTable
 from modcal_core.camera.decision import Decision, decide
-from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.findings import CameraFinding, findings
+from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
@@ -56,7 +57,8 @@ class CameraSolution:
     found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
     in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
     joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: see weakness.
-    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. causes: effects beyond geometry.
+    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. findings: what target and
+    camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one.
     """
 
@@ -76,6 +78,7 @@ class CameraSolution:
     shares: dict[str, tuple[float, float]]
     held_out_px: tuple[float, float]
     metric: tuple[str, ...]
+    findings: tuple[CameraFinding, ...] = ()
     causes: tuple[CameraCause, ...] = ()
     left: EffectChoice | None = None
 
@@ -133,13 +136,13 @@ def solve_camera(
     progress("lens")
     prior = common_prior(lens or first_lens(table, size), target.scale, stated if lens is not None else None, flat)
     lens_fit, table = _lens(table, lens, prior, size)
-    poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
+    poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
         table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
         _require_views(table.views)
         lens_fit, table = _lens(table, lens, prior, size)
-        poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
+        poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
 
     progress("mounting")
     mounting = find_mounting(forward(chain, q), poses, camera_on_tip)
@@ -177,6 +180,7 @@ def solve_camera(
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m, beside)
+    other_length = arm_m is not None or (beside is not None and beside.metric)
     wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
     problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
     doubtful = in_doubt(fit, doubted, target.scale) or rests_on(fit, doubted, near)
@@ -200,6 +204,7 @@ def solve_camera(
         shares(fit, near),
         _held_out(fit, nominal, size_of_arm),
         metric,
+        findings(fit, target.scale, other_length, near, size_of_arm),
         causes,
         left,
     )
@@ -316,6 +321,5 @@ def _held_out(fit: CameraFit, nominal: CameraFit, arm: float | None) -> tuple[fl
 
 
 def _predicted_px(fit: CameraFit, table: CornerTable, poses: ArmPoses) -> float:
-    T, _ = poses.tool_motions(fit.state.values, fit.state.offset_s)
-    gap = residuals(table, fit.state.lens, fit.state.shape, poses.seen(T))
+    gap = missed_pixels(table, poses, fit.state)
     return float(np.sqrt((table.weight @ (gap**2).sum(1)) / max(table.weight.sum(), 1.0)))

@@ -156,6 +156,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
                 if name.startswith("sheet/")
             },
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
+            "readout_s": {"value": fit.state.readout_s, "std": float(std[-1])} if std[-1] > 0.0 else None,
             "moved": None if solution.moved is None else _moved(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
@@ -173,7 +174,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
 
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
-    out = [f"{sentence}." for _, sentence in _named(solution)]
+    out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
     if solution.left is not None:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
@@ -225,6 +226,26 @@ def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
                 "rms_mm_at_tool": 1e3 * at_tool(model, [i], solution.fit.poses.drivers().samples),
                 "same_as": list(cause.same_as),
                 "sentence": sentence,
+            }
+        )
+    scatter = throw * solution.fit.sizes.joint
+    for found in solution.findings:
+        out.append(
+            {
+                "family": found.family,
+                "place": found.place,
+                "direction": found.direction,
+                "driver": found.driver,
+                "parameters": {
+                    name: {"value": value, "std": std, "unit": unit}
+                    for name, (value, std, unit) in found.values.items()
+                },
+                "p_value": found.p_value,
+                "rms_mm_before": 1e3 * float(np.hypot(scatter, found.at_tool_m)),
+                "rms_mm_after": 1e3 * scatter,
+                "rms_mm_at_tool": 1e3 * found.at_tool_m,
+                "same_as": list(found.same_as),
+                "sentence": found.sentence,
             }
         )
     return out
