@@ -23,7 +23,7 @@ from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.report.as_json import FORMAT
+from modcal_core.report.as_json import FORMAT, tolerance_data
 from modcal_core.report.contents import STAGES
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.report.trace import Trace
@@ -31,6 +31,7 @@ from modcal_core.robot import Robot
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
+from modcal_core.verdict.tolerance import Tolerance
 
 _WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
 
@@ -55,9 +56,14 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
 
 
 def camera_files(
-    solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], page: bool = True
+    solution: CameraSolution,
+    robot: Robot,
+    images: int,
+    left_out: Mapping[str, str],
+    page: bool = True,
+    met: Tolerance | None = None,
 ) -> dict[str, str]:
-    """Names and texts of everything a calibration by camera leaves behind. page: report.html too."""
+    """Names and texts of everything a calibration by camera leaves behind. page: report.html too. met: a tolerance."""
     from modcal_core.report import camera_charts, camera_page  # templates, which a page alone needs
 
     assert robot.description is not None
@@ -65,7 +71,7 @@ def camera_files(
     calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
-    report = camera_report(solution, robot, images, left_out)
+    report = camera_report(solution, robot, images, left_out, met)
     files = {
         "report.json": to_json(report),
         "calibration.yaml": to_yaml(to_data(calibration)),
@@ -97,7 +103,9 @@ def camera_info(fit: CameraFit) -> dict[str, Any]:
     }
 
 
-def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, Any]:
+def camera_report(
+    solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], met: Tolerance | None = None
+) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
     fit, decision = solution.fit, solution.decision
     P = fit.poses.count
@@ -128,7 +136,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
         "converged": fit.converged,
         "regimes": [],
         "convention": None,
-        "tolerance": None,
+        "tolerance": tolerance_data(met),
         "trace": asdict(trace),
         "camera": {
             "decision": decision.word,
