@@ -39,7 +39,7 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _WRONG = 0.05
 _IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
-_NAMES = ("focal length", "focal length", "centre", "centre", "k1", "k2", "p1", "p2", "k3")
+_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,9 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
         return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
     off_by = np.abs(other.state.lens.values - lens.values) / np.maximum(std[:LENS], 1e-9)
     i = int(np.argmax(off_by))
+    name = _PLAIN.get(lens.names[i], lens.names[i])
     return (
-        f"The images contradict the stated lens: {_NAMES[i]} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
+        f"The images contradict the stated lens: {name} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
         f"{lens.values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
     )
 

@@ -90,12 +90,11 @@ class CameraFit:
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
         from modcal_core.camera.corners import SHAPE_NAMES
-        from modcal_core.camera.lens import NAMES
 
         return (
             *self.poses.names,
             "clock",
-            *(f"lens/{n}" for n in NAMES),
+            *(f"lens/{n}" for n in self.state.lens.names),
             *(f"sheet/{n}" for n in SHAPE_NAMES),
             "readout",
         )

@@ -26,7 +26,7 @@ from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
@@ -117,14 +117,16 @@ def solve_camera(
     inertias: Inertias | None = None,
     beside: ReadingsBeside | None = None,
     look_for_effects: bool = True,
+    fisheye: bool = False,
 ) -> CameraSolution:
     """The calibration of an arm from views of a target at joint positions q (N, n).
 
     size: of the images [px]. velocity: of the joints at the images, (N, n); None: it stood. lens: as stated, with what
     becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the nominal arm
     [m], as stated. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat. fixed:
-    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments. Raises
-    ModcalError for images that cannot carry a fit.
+    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments.
+    fisheye: whether the lens is one, where nothing is stated of it. Raises ModcalError for images that cannot carry a
+    fit.
     """
     velocity = np.zeros_like(q) if velocity is None else velocity
     keep = np.array([enough_corners(target.points[v.ids]) for v in views], dtype=bool)
@@ -134,14 +136,17 @@ def solve_camera(
     q, velocity, moments = q[keep], velocity[keep], moments.select(keep)
 
     progress("lens")
-    prior = common_prior(lens or first_lens(table, size), target.scale, stated if lens is not None else None, flat)
-    lens_fit, table = _lens(table, lens, prior, size)
+    model = FISHEYE if fisheye else PINHOLE
+    prior = common_prior(
+        lens or first_lens(table, size, model), target.scale, stated if lens is not None else None, flat
+    )
+    lens_fit, table = _lens(table, lens, prior, size, model)
     poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
         table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
         _require_views(table.views)
-        lens_fit, table = _lens(table, lens, prior, size)
+        lens_fit, table = _lens(table, lens, prior, size, model)
         poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
 
     progress("mounting")
@@ -238,10 +243,10 @@ def _require_views(count: int) -> None:
 
 
 def _lens(
-    table: CornerTable, lens: Lens | None, prior: CommonPrior, size: tuple[int, int]
+    table: CornerTable, lens: Lens | None, prior: CommonPrior, size: tuple[int, int], model: str
 ) -> tuple[LensFit, CornerTable]:
     """The lens from the images alone, and the corners with those left out that fit no pose."""
-    start = Lens(prior.mean[:LENS], size) if lens is None else lens
+    start = Lens(prior.mean[:LENS], size, model) if lens is None else lens
     information = prior.information[:LENS, :LENS]
     shape = np.zeros(SHAPE)
     for _ in range(3):

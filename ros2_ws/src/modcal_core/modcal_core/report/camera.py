@@ -16,7 +16,7 @@ from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.lens import NAMES
+from modcal_core.camera.lens import DISTORTIONS
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.effects.entry import ReportEntry
@@ -90,14 +90,15 @@ def camera_info(fit: CameraFit) -> dict[str, Any]:
     """The lens in the form of ROS's camera_info files."""
     lens = fit.state.lens
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
+    count = DISTORTIONS[lens.model]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": "camera",
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [float(x) for x in lens.values[4:]]},
+        "distortion_model": lens.model,
+        "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
@@ -156,7 +157,9 @@ def camera_report(
             "rms_px": fit.rms_px,
             "sizes": asdict(fit.sizes),
             "lens": {
-                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])} for i, name in enumerate(NAMES)
+                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])}
+                for i, name in enumerate(fit.state.lens.names)
+                if fit.state.lens.used[i]
             },
             "sheet": {
                 name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
-_TOGETHER = (*_OF_IMAGES, "flat_target")
+_TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye")
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
 _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
@@ -64,6 +64,7 @@ OPTIONS = (
     click.option(
         "--mounting", type=click.Choice(["tip", "world"]), default=None, help="Where the camera is. Default: found."
     ),
+    click.option("--fisheye", is_flag=True, help="The lens is a fisheye, where no camera_info says so."),
     click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),
 )  # fmt: skip
 
@@ -218,6 +219,7 @@ def _solved(
         inertias=robot.inertias,
         beside=others,
         look_for_effects=not options["geometry_only"],
+        fisheye=camera["fisheye"],
     )
     return robot, found, solution
 
