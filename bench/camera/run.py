@@ -39,8 +39,11 @@ BOW_M = 3e-4
 SIZES = ((640, 480), (1280, 720))
 
 
-def drawn(seed: int, rendered: bool) -> CameraScene:
-    """A cell: everything that differs from one to the next comes from its seed."""
+def drawn(seed: int, rendered: bool, faults: float | None = None, ruler_m: float = RULER_STD_M) -> CameraScene:
+    """A cell: everything that differs from one to the next comes from its seed.
+
+    faults: of the arm, 1 for 4 mm and 5 mrad a body; None: drawn too. ruler_m: to what the sheet was measured.
+    """
     rng = np.random.default_rng([25, seed])
     size = SIZES[seed % 2]
     f = rng.uniform(0.7, 1.1) * size[0]
@@ -58,15 +61,16 @@ def drawn(seed: int, rendered: bool) -> CameraScene:
         size,
     )
     true = 1.0 + rng.normal(0.0, 0.01) + rng.normal(0.0, 0.002, 2)
-    measured = true * RULERS + rng.normal(0.0, RULER_STD_M, 2)
-    board = replace(BOARD, scale=scale_of_rulers(RULERS, (float(measured[0]), float(measured[1])), "rulers"))
+    measured = true * RULERS + rng.normal(0.0, ruler_m, 2)
+    board = replace(BOARD, scale=scale_of_rulers(RULERS, (float(measured[0]), float(measured[1])), "rulers", ruler_m))
     points = BOARD.points * np.r_[true, 1.0]
     middle = 0.5 * (points.max(0) + points.min(0))
     x, y = ((points - middle)[:, :2] / (0.5 * np.linalg.norm(np.ptp(points, axis=0)))).T
     bow = rng.normal(0.0, BOW_M, 3)
-    if not rendered:  # the ray tracer's sheet is flat
-        points[:, 2] = bow[0] * x * x + bow[1] * x * y + bow[2] * y * y
+    points[:, 2] = bow[0] * x * x + bow[1] * x * y + bow[2] * y * y
     size_of_faults = rng.choice([0.0, 0.1, 0.3, 1.0])
+    if faults is not None:
+        size_of_faults = faults
     s = scene(
         1000 + seed,
         on_tip=bool(seed % 4 < 2),
@@ -83,12 +87,10 @@ def drawn(seed: int, rendered: bool) -> CameraScene:
     if not rendered:
         return s
     T = se3.inverse(s.T) if s.on_tip else s.T
-    found = [
-        detect(
-            render(pose, lens, BOARD, rng, float(rng.uniform(0.6, 1.3)), 3.0, scale=(true[0], true[1])), board, f"{i}"
-        )
-        for i, pose in enumerate(T)
-    ]
+    found = []
+    for i, pose in enumerate(T):
+        blur = float(rng.uniform(0.6, 1.3))
+        found.append(detect(render(pose, lens, BOARD, rng, blur, 3.0, 2, (true[0], true[1]), bow), board, f"{i}"))
     keep = [i for i, one in enumerate(found) if one.view is not None]
     return replace(s, q=s.q[keep], T=s.T[keep], views=[one.view for one in found if one.view is not None])
 
@@ -121,11 +123,11 @@ def against_opencv(s: CameraScene) -> float:
     return own.cost / (rms**2 * len(table)) - 1.0
 
 
-def one_cell(seed: int, rendered: bool) -> dict[str, Any]:
+def one_cell(seed: int, rendered: bool, faults: float | None, ruler_m: float) -> dict[str, Any]:
     """What came of a cell, and what is true of it."""
     out: dict[str, Any] = {"cell": seed}
     try:
-        s = drawn(seed, rendered)
+        s = drawn(seed, rendered, faults, ruler_m)
         began = time.process_time()
         r = solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(seed))
     except ModcalError as error:
@@ -133,7 +135,7 @@ def one_cell(seed: int, rendered: bool) -> dict[str, Any]:
     tip = se3.inverse(r.fit.poses.model_at(r.fit.state.values).T_tip_tool)[:3, 3]
     near, _ = postures_in_view(r.fit, np.random.default_rng(seed + 1))
     far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
-    P = len(r.fit.poses.parameters)
+    P = r.fit.poses.count
     z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[P + 1 : P + 10]
     return out | {
         "opencv": against_opencv(s),
@@ -149,6 +151,7 @@ def one_cell(seed: int, rendered: bool) -> dict[str, Any]:
         "anywhere_said": [1e3 * x for x in r.anywhere.interval],
         "word": r.decision.word,
         "because": list(r.decision.because),
+        "found_of_camera": [f.sentence for f in r.findings],
         "lens_sigmas": [float(x) for x in z],
     }
 
@@ -200,11 +203,13 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rendered", action="store_true", help="make images and find the corners in them")
+    parser.add_argument("--faults", type=float, default=None, help="of every arm: 1 for 4 mm and 5 mrad a body")
+    parser.add_argument("--measured-to-mm", type=float, default=1e3 * RULER_STD_M, help="of the sheet's rulers")
     parser.add_argument("--json", type=Path, default=None, help="file that the cells are added to, one a line")
     chosen = parser.parse_args()
     cells = []
     for seed in range(chosen.first, chosen.first + chosen.cells):
-        cells.append(one_cell(seed, chosen.rendered))
+        cells.append(one_cell(seed, chosen.rendered, chosen.faults, 1e-3 * chosen.measured_to_mm))
         if chosen.json is not None:
             with chosen.json.open("a") as file:
                 file.write(json.dumps(cells[-1]) + "\n")

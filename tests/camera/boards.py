@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.geometry import se3, so3
@@ -30,6 +30,9 @@ def facing(rng: np.random.Generator, count: int, tilt: float = 0.6, near: float 
 def seen(T: Array, points: Array, lens: Lens) -> Array:
     """Pixels (m, 2) of points (m, 3) on a board at T, by OpenCV."""
     rotation = cv2.Rodrigues(np.ascontiguousarray(T[:3, :3]))[0]
+    if lens.model == FISHEYE:
+        at = np.ascontiguousarray(points).reshape(-1, 1, 3)
+        return np.asarray(cv2.fisheye.projectPoints(at, rotation, T[:3, 3], lens.K, lens.values[4:8])[0]).reshape(-1, 2)
     return np.asarray(cv2.projectPoints(points, rotation, T[:3, 3], lens.K, lens.values[4:])[0]).reshape(-1, 2)
 
 

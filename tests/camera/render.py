@@ -40,9 +40,11 @@ def bitmap(board: PrintedTarget) -> np.ndarray:
 
 def render(
     T_camera_target: Array, lens: Lens, board: PrintedTarget, rng: np.random.Generator, blur: float = 0.8,
-    noise: float = 3.0, rays: int = 2, scale: tuple[float, float] = (1.0, 1.0),
+    noise: float = 3.0, rays: int = 2, scale: tuple[float, float] = (1.0, 1.0), bow: Array | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """A grey image of 8 bits. blur: standard deviation [px]. scale: how much larger the print came out in x and y."""
+    """A grey image of 8 bits. blur: standard deviation [px]. scale: how much larger the print came out in x and y.
+    bow: how far it leaves the plane by x², x y and y² about its middle, at half its corners' diagonal, (3,) [m].
+    """
     w, h = lens.size
     sheet = bitmap(board)
     step = 1.0 / rays
@@ -54,6 +56,13 @@ def render(
     direction = np.c_[ray, np.ones(len(ray))] @ T[:3, :3].T
     distance = -T[2, 3] / direction[:, 2]
     at = T[:2, 3] + distance[:, None] * direction[:, :2]
+    if bow is not None:
+        points = board.points[:, :2]
+        middle, half = 0.5 * (points.max(0) + points.min(0)), 0.5 * np.linalg.norm(np.ptp(points, axis=0))
+        for _ in range(3):  # to where the ray meets the bent sheet
+            u, v = np.clip((at - middle) / half, -2.0, 2.0).T
+            distance = (bow[0] * u * u + bow[1] * u * v + bow[2] * v * v - T[2, 3]) / direction[:, 2]
+            at = T[:2, 3] + distance[:, None] * direction[:, :2]
     at = at / np.array(scale) * _PER_M + _BORDER_M * _PER_M - 0.5
     at[distance <= 0.0] = -1e6
     coordinates = at.reshape(h * rays, w * rays, 2).astype(np.float32)

@@ -18,7 +18,7 @@ from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.fit import CameraFit, CameraState, equations_at, fit_camera
 from modcal_core.camera.flange import flange_arm, flange_joints, flange_poses
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FIXED, TOLERANCE, common_prior
@@ -166,7 +166,7 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert not r.left_out
     assert r.moved is None
     # lens and sheet within what is stated of them
-    std = np.sqrt(np.diag(r.fit.covariance))[-14:-5]
+    std = np.sqrt(np.diag(r.fit.covariance))[-15:-6]
     assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()
     assert r.held_out_px[1] < 0.1 * r.held_out_px[0]
 
@@ -329,3 +329,16 @@ def test_two_boards_in_turn_are_refused() -> None:
     other = views(np.random.default_rng(0), T, board=s.board)
     with pytest.raises((BadRecording, NotEnoughData)):
         solved(replace(s, views=[a if i % 2 else b for i, (a, b) in enumerate(zip(s.views, other, strict=True))]))
+
+
+@pytest.mark.slow
+def test_an_arm_behind_a_fisheye() -> None:
+    """Up to 60° to its side; nothing stated of it but that it is one."""
+    wide = Lens(np.array([340.0, 341.0, 645.0, 355.0, 0.03, -0.012, 0.004, -0.001, 0.0]), LENS.size, FISHEYE)
+    s = scene(1, True, count=25, board=MEASURED, lens=wide)
+    r = solved(s, fisheye=True)
+    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    assert true_error(s, r.fit, q) < min(r.in_view.interval[2], 1.5e-3)
+    assert r.fit.state.lens.model == FISHEYE
+    assert r.fit.state.lens.values[8] == 0.0
+    assert np.abs(r.fit.state.lens.values[:2] / wide.values[:2] - 1.0).max() < 0.005

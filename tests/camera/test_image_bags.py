@@ -153,7 +153,7 @@ def test_images_and_a_tracker_in_one_bag(
     [
         (["--image-topic", "/other"], "holds no images of topic /other"),
         (["--joints", "J"], "--joints needs --images"),
-        (["--tolerance-mm", "1"], "--tolerance-mm does not work with images"),
+        (["--block", "2"], "--block does not work with images"),
     ],
 )
 def test_calls_that_cannot_be_done(

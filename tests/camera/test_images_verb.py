@@ -84,6 +84,31 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     assert report["camera"]["tool_error_mm"]["in_view"]["nominal"]["rms"] > stated
 
 
+@pytest.mark.slow
+def test_a_certificate_of_images(cell: tuple[Path, CameraScene], capsys: pytest.CaptureFixture[str]) -> None:
+    """PASS with reservations within 6 mm, on a sheet that was measured; CANNOT TELL within 1 mm, exit code 3."""
+    where, _ = cell
+    assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
+    for tolerance, code, heading in (("6", 0, "PASS, with reservations"), ("0.9", 3, "CANNOT TELL")):
+        more = ["--tolerance-mm", tolerance, "--certificate", "--serial", "A-17", "--out", str(where / "certified")]
+        assert run([*arguments(where), "--geometry-only", *more]) == code
+        page = (where / "certified" / "certificate.html").read_text()
+        for words in (
+            heading,
+            "A-17",
+            "ChArUco board of 7 × 5",
+            "rulers were measured",
+            "images and joints",
+        ):
+            assert words in page
+        assert "ISO 9283</h2>" not in page
+        assert (where / "certified" / "certificate.pdf").read_bytes()[:5] == b"%PDF-"
+        report = json.loads((where / "certified" / "report.json").read_text())
+        assert report["tolerance"]["result"] == heading.partition(",")[0]
+        assert report["tolerance"]["statistic"] == "rms"
+        assert heading.partition(",")[0] in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [

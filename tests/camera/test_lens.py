@@ -5,13 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from camera.boards import BOARD, LENS, SIZE, facing, views
+from camera.boards import BOARD, LENS, SIZE, facing, seen, views
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.corners import CornerTable, corner_rows, residuals
 from modcal_core.camera.homography import homography
 from modcal_core.camera.intrinsics import first_lens, fit_lens
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.camera.views import BoardView
@@ -50,20 +50,21 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
     T = facing(rng, 2)
     table = CornerTable.of(views(rng, T), BOARD)
     shape = np.array([0.01, -0.02, 2e-3, -1e-3, 3e-3])
-    rows = corner_rows(table, LENS, shape, T)
+    sweep = 0.2 * rng.normal(size=(2, 6))
+    rows = corner_rows(table, LENS, shape, T, 0.02, sweep)
 
     def predicted(x: Array) -> Array:
         moved = se3.exp(np.stack([x[:6], x[6:12]])) @ T
-        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:], moved)
+        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:26], moved, 0.02 + x[26], sweep)
         return -at.residual.ravel()
 
-    J = np.zeros((2 * len(table), 26))
+    J = np.zeros((2 * len(table), 27))
     first = 2 * table.of_view(0).stop
     pose = rows.by_pose.reshape(-1, 6)
     J[:first, :6], J[first:, 6:12] = pose[:first], pose[first:]
-    J[:, 12:] = rows.by_common.reshape(-1, 14)
-    assert_jacobian(predicted, J, np.zeros(26), tolerance=1e-7)
-    assert np.abs(residuals(table, LENS, shape, T) - rows.pixels).max() < 1e-12
+    J[:, 12:] = rows.by_common.reshape(-1, 15)
+    assert_jacobian(predicted, J, np.zeros(27), tolerance=1e-7)
+    assert np.abs(residuals(table, LENS, shape, T, 0.02, sweep) - rows.pixels).max() < 1e-12
 
 
 def test_homography_takes_points_to_pixels(rng: np.random.Generator) -> None:
@@ -122,3 +123,34 @@ def test_square_on_views_do_not_show_the_focal_length(rng: np.random.Generator) 
     straight = Lens(np.r_[LENS.values[:4], np.zeros(5)], SIZE)
     with pytest.raises(NotEnoughData, match="focal length"):
         first_lens(CornerTable.of(views(rng, T, noise=0.0, lens=straight), BOARD), SIZE)
+
+
+WIDE = Lens(np.array([340.0, 341.0, 645.0, 355.0, 0.03, -0.012, 0.004, -0.001, 0.0]), SIZE, FISHEYE)
+
+
+def test_a_fisheye_projects_as_opencv_s(rng: np.random.Generator) -> None:
+    """Up to 80° off its axis, on the axis too; and back to rays; and its derivatives."""
+    angle = np.radians(np.r_[0.0, rng.uniform(0.0, 80.0, 30)])
+    about = rng.uniform(0.0, 2.0 * np.pi, 31)
+    X = np.stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)], axis=1)
+    assert np.abs(WIDE.project(X) - seen(np.eye(4), X, WIDE)).max() < 1e-7
+    rays = WIDE.rays(WIDE.project(X))
+    assert np.abs(rays - X[:, :2] / X[:, 2:]).max() < 1e-8
+    _, by_point, by_values = WIDE.linearise(X[1:6])
+    for i in range(5):
+        assert_jacobian(WIDE.project, by_point[i], X[1 + i])
+        assert_jacobian(
+            lambda v, i=i: Lens(v, SIZE, FISHEYE).project(X[1 + i]), by_values[i], np.array(WIDE.values), tolerance=1e-6
+        )
+
+
+def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
+    T = facing(rng, 20, near=0.12, far=0.3)
+    table = CornerTable.of([v for v in views(rng, T, lens=WIDE) if len(v) >= 12], BOARD)
+    fit = fit_lens(table, first_lens(table, SIZE, FISHEYE))
+    assert fit.converged
+    assert fit.rms < 0.16
+    used = WIDE.used
+    std = np.sqrt(np.diag(fit.cov))[used]
+    assert (np.abs(fit.lens.values - WIDE.values)[used] < 4.0 * std).all()
+    assert fit.lens.values[0] == pytest.approx(340.0, rel=0.01)

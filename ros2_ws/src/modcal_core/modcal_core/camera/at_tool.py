@@ -15,7 +15,7 @@ def flange_in_tool(fit: CameraFit) -> Array:
 
 
 def at_flange(T: Array, point: Array, motions: Array) -> Array:
-    """How a point (3,) of the tool moves in the frame, (M, 3, K), for motions (M, 6, K) at T_frame_tool, (M, 4, 4)."""
+    """Motion of a point (3,) of the tool along the frame, (M, 3, K), for motions (M, 6, K) at poses T (M, 4, 4)."""
     away = T[:, :3, :3] @ point
     return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.camera.corners import residuals
 from modcal_core.camera.evidence import CameraScanner, WithModel
-from modcal_core.camera.fit import CameraFit, CameraState, fit_camera
+from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.mounting import LEAST_VIEWS
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.search import SIGNIFICANT
@@ -106,7 +105,7 @@ def _with(fit: CameraFit, effect: Effect, arm: float | None) -> CameraFit:
     poses = fit.poses.with_effects((*_valued(fit), effect))
     state = fit.state
     values = np.insert(state.values, fit.poses.of_model, effect.values)
-    begin = CameraState(values, state.offset_s, state.lens, state.shape)
+    begin = state.with_values(values)
     return fit_camera(fit.table, poses, state.lens, fit.prior, fit.sizes, arm, begin=begin)
 
 
@@ -137,7 +136,6 @@ def predicted(fit: CameraFit, arm: float | None = None) -> float:
 
 def _of_images(there: CameraFit, fit: CameraFit, held: np.ndarray) -> Array:
     table, poses = fit.table.select(held), fit.poses.select(held)
-    T, _ = poses.tool_motions(there.state.values, there.state.offset_s)
-    gap = residuals(table, there.state.lens, there.state.shape, poses.seen(T))
+    gap = missed_pixels(table, poses, there.state)
     total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
     return np.asarray(total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0))

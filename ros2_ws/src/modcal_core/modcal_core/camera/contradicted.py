@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.corners import COMMON
+from modcal_core.camera.corners import BOW as BENT
+from modcal_core.camera.corners import COMMON, SCALE, SHAPE
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.lens import COUNT as LENS
@@ -38,7 +39,7 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _WRONG = 0.05
 _IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
-_NAMES = ("focal length", "focal length", "centre", "centre", "k1", "k2", "p1", "p2", "k3")
+_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[Doubt], scale: PrintScale) -> tup
             common = fit.state.common + step
             what = {
                 SIZE: f"a sheet {_percent(common, scale)} off its stated size",
-                BOW: f"a sheet bent by {1e3 * float(np.abs(common[LENS + 2 :]).max()):.1f} mm",
+                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
                 LENS_VALUES: "another lens than the stated one",
             }[doubt.what]
             out.append(
@@ -119,11 +120,11 @@ def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, Comm
     size = prior.information.copy()
     both, apart = _ANY_SIZE**2, (0.5 * _ANY_SHAPE) ** 2
     cov = np.array([[both + apart, both - apart], [both - apart, both + apart]])
-    size[LENS : LENS + 2, LENS : LENS + 2] = np.linalg.inv(cov)
+    size[SCALE, SCALE] = np.linalg.inv(cov)
     bow = prior.information.copy()
-    bow[LENS + 2 :, LENS + 2 :] = np.eye(COMMON - LENS - 2) / _ANY_BOW_M**2
+    bow[BENT, BENT] = np.eye(SHAPE - 2) / _ANY_BOW_M**2
     free = prior.free.copy()
-    free[LENS + 2 :] = True
+    free[BENT] = True
     out = {SIZE: replace(prior, information=size), BOW: replace(prior, information=bow, free=free)}
     if stated is not None:
         unknown = common_prior(lens, PrintScale(), None)
@@ -158,18 +159,19 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
             "and check the target file."
         )
     if what == BOW:
-        worst = float(np.abs(shape[2:]).max())
-        return f"The sheet is bent by {1e3 * worst:.1f} mm at its corners: glue it to something flat."
+        worst = float(np.abs(other.table.bow @ shape[2:]).max())
+        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
     off_by = np.abs(other.state.lens.values - lens.values) / np.maximum(std[:LENS], 1e-9)
     i = int(np.argmax(off_by))
+    name = _PLAIN.get(lens.names[i], lens.names[i])
     return (
-        f"The images contradict the stated lens: {_NAMES[i]} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
+        f"The images contradict the stated lens: {name} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
         f"{lens.values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
     )
 
 
 def _percent(common: Array, scale: PrintScale) -> str:
-    x, y = common[LENS : LENS + 2] + 1.0
+    x, y = common[SCALE] + 1.0
     return f"{100.0 * (x / scale.x - 1.0):+.1f} % (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 

@@ -16,11 +16,14 @@ _WHAT_TELLS = (
 
 @dataclass(frozen=True)
 class Decision:
-    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn."""
+    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn.
+    problems: those sentences that say what contradicts the fit.
+    """
 
     word: str
     because: tuple[str, ...]
     chance_worse: float
+    problems: tuple[str, ...] = ()
 
 
 def decide(
@@ -39,7 +42,7 @@ def decide(
     middle, _, high = error.interval
     drawn, drawn_low, _ = error.nominal_interval
     if problems:
-        return Decision(DO_NOT_APPLY, problems, worse)
+        return Decision(DO_NOT_APPLY, problems, worse, problems)
     if not metric:
         said = "Nothing in these images has a length that somebody measured: "
         return Decision(CANNOT_TELL, (said + _WHAT_TELLS + ".",), worse)

@@ -49,10 +49,10 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Equations:
-    """At one state: grams (N, 21, 21) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock; joints
+    """At one state: grams (N, 22, 22) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock; joints
     (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the arm.
-    offset (K + 14,): the state less the prior's mean. information: of the prior with arm faults of size 1, (K + 14,
-    K + 14). free: (K + 14,) bool. corners: number of corners in use. beside: rows of other instruments.
+    offset (K + 15,): the state less the prior's mean. information: of the prior with arm faults of size 1, (K + 15,
+    K + 15). free: (K + 15,) bool. corners: number of corners in use. beside: rows of other instruments.
     """
 
     grams: Array
@@ -72,7 +72,7 @@ class Equations:
         return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
 
     def prior(self, sizes: Sizes) -> Array:
-        """Information of the prior, (K + 14, K + 14)."""
+        """Information of the prior, (K + 15, K + 15)."""
         scale = np.ones(len(self.information))
         scale[: len(self.arm)][self.arm] = 1.0 / sizes.arm
         return self.information * np.outer(scale, scale)
@@ -131,7 +131,7 @@ class SolvedEquations:
     E: Array
 
     def step(self, damping: float = 0.0) -> Array:
-        """The step of all parameters (K + 14,), zero for those held fixed."""
+        """The step of all parameters (K + 15,), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         H = self.H * np.outer(scale, scale) + damping * np.eye(len(self.b))
         out = np.zeros(self.count)
@@ -139,7 +139,7 @@ class SolvedEquations:
         return out
 
     def covariance(self) -> Array:
-        """Of all parameters, (K + 14, K + 14), zero for those held fixed."""
+        """Of all parameters, (K + 15, K + 15), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self.H * np.outer(scale, scale)), np.eye(len(self.b)))
         out = np.zeros((self.count, self.count))

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.camera.corners import POSE
-from modcal_core.camera.fit import CameraFit, CameraState, equations_at
+from modcal_core.camera.fit import CameraFit, equations_at
 from modcal_core.diagnosis.evidence import Scanner, Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
@@ -73,7 +73,7 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
         poses = fit.poses.with_effects(asked.model.effects)
         parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
         values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
-        state = CameraState(values, fit.state.offset_s, fit.state.lens, fit.state.shape)
+        state = fit.state.with_values(values)
         fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
     eq, solved = fit.equations, fit.equations.solve(fit.sizes)
     E = solved.E

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.corners import COMMON, CornerTable, corner_rows, grams
+from modcal_core.camera.corners import COMMON, READOUT, CornerTable, corner_rows, grams, residuals
 from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
@@ -25,32 +25,43 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 @dataclass(frozen=True)
 class CameraState:
-    """values: of the arm's parameters, (P,). offset_s: of the clock. lens, shape (5,): as elsewhere."""
+    """values: of the arm's parameters, (P,). offset_s: of the clock. lens, shape (5,): as elsewhere. readout_s: in
+    which a rolling shutter goes down an image.
+    """
 
     values: Array
     offset_s: float
     lens: Lens
     shape: Array
+    readout_s: float = 0.0
 
     @property
     def common(self) -> Array:
-        """Lens and shape, (14,)."""
-        return np.r_[self.lens.values, self.shape]
+        """Lens, shape and readout, (15,)."""
+        return np.r_[self.lens.values, self.shape, self.readout_s]
 
     def moved(self, step: Array) -> CameraState:
-        """The state a step (P + 1 + 14,) farther."""
+        """The state a step (P + 1 + 15,) farther."""
         P = len(self.values)
-        lens = self.lens.moved(step[P + 1 : P + 1 + LENS])
+        common = step[P + 1 :]
         return CameraState(
-            self.values + step[:P], self.offset_s + float(step[P]), lens, self.shape + step[P + 1 + LENS :]
+            self.values + step[:P],
+            self.offset_s + float(step[P]),
+            self.lens.moved(common[:LENS]),
+            self.shape + common[LENS:READOUT],
+            self.readout_s + float(common[READOUT]),
         )
+
+    def with_values(self, values: Array) -> CameraState:
+        """The same with other values of the arm's parameters."""
+        return replace(self, values=values)
 
 
 @dataclass(frozen=True)
 class CameraFit:
     """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
-    clock, lens and shape, (P + 1 + 14, P + 1 + 14). equations: at the state. pixels: residuals (M, 2), the images' own
-    twists not put in. converged: whether it met. arm_stated: whether the size of the arm's faults was.
+    clock, lens, shape and readout, (P + 1 + 15, P + 1 + 15). equations: at the state. pixels: residuals (M, 2), the
+    images' own twists not put in. converged: whether it met. arm_stated: whether the size of the arm's faults was.
     """
 
     table: CornerTable
@@ -79,9 +90,14 @@ class CameraFit:
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
         from modcal_core.camera.corners import SHAPE_NAMES
-        from modcal_core.camera.lens import NAMES
 
-        return (*self.poses.names, "clock", *(f"lens/{n}" for n in NAMES), *(f"sheet/{n}" for n in SHAPE_NAMES))
+        return (
+            *self.poses.names,
+            "clock",
+            *(f"lens/{n}" for n in self.state.lens.names),
+            *(f"sheet/{n}" for n in SHAPE_NAMES),
+            "readout",
+        )
 
 
 def fit_camera(
@@ -99,7 +115,7 @@ def fit_camera(
     sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
     sizes as they are. begin: a state to begin with instead.
     """
-    state = begin or CameraState(poses.start, 0.0, lens, prior.mean[LENS:].copy())
+    state = begin or CameraState(poses.start, 0.0, lens, prior.mean[LENS:READOUT].copy())
     if arm is not None:
         sizes = replace(sizes, arm=arm)
     converged = False
@@ -115,8 +131,7 @@ def fit_camera(
             break
     if not fixed_sizes:
         state, equations, converged = _descend(table, poses, prior, state, sizes)
-    T, _ = poses.tool_motions(state.values, state.offset_s)
-    pixels = corner_rows(table, state.lens, state.shape, poses.seen(T)).pixels
+    pixels = missed_pixels(table, poses, state)
     covariance = equations.solve(sizes).covariance()
     return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged, arm is not None)
 
@@ -127,15 +142,18 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     joints = poses.joint_motions(state.values, T)
     N, P = len(T), motions.shape[2]
     by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
+    clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
     shifts = np.zeros((N, 6, 3))
     shifts[:, :3] = np.eye(3)
-    rows = corner_rows(table, state.lens, state.shape, poses.seen(T))
+    sweep = moved[:, :, P] if clocked else None
+    rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     information = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
     information[:P, :P] = np.diag(poses.prior_std**-2)
     information[P, P] = CLOCK_S**-2
     information[P + 1 :, P + 1 :] = prior.information
-    clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
+    common_free = prior.free.copy()
+    common_free[READOUT] &= clocked
     return Equations(
         grams(table, rows),
         moved,
@@ -144,10 +162,20 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         np.r_[poses.of_arm, False],
         np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
         information,
-        np.r_[np.ones(P, bool), clocked, prior.free],
+        np.r_[np.ones(P, bool), clocked, common_free],
         int((table.weight > 0.0).sum()),
         poses.rows_beside(state.values, P + 1),
     )
+
+
+def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
+    """By how much corners (M, 2) are elsewhere than the model has them [px]."""
+    T, _ = poses.tool_motions(state.values, state.offset_s)
+    sweep = None
+    if np.abs(poses.velocity).max(initial=0.0) > _MOVING:
+        by_clock = np.einsum("nij,nj->ni", poses.joint_motions(state.values, T), poses.velocity)
+        sweep = poses.as_twists(T, by_clock[:, :, None])[:, :, 0]
+    return residuals(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
 
 
 def _descend(

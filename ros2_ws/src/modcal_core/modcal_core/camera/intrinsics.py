@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
 from modcal_core.camera.homography import homography, lens_of_homographies
-from modcal_core.camera.lens import COUNT, Lens
+from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.camera.pnp import board_poses
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -20,6 +20,7 @@ from modcal_core.geometry.so3 import Array
 _STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
+_HALF_ANGLES = np.radians([35.0, 45.0, 55.0, 65.0, 80.0, 95.0])  # of fisheyes, from the middle to the farther edge
 _MANY, _LEAST = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
@@ -38,8 +39,16 @@ class LensFit:
     converged: bool
 
 
-def first_lens(table: CornerTable, size: tuple[int, int]) -> Lens:
-    """A lens to begin with, from the homographies of all images. Raises NotEnoughData."""
+def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) -> Lens:
+    """A lens to begin with: of a pinhole from the homographies of all images, of a fisheye the one of some angles of
+    view that meets the images best. Raises NotEnoughData.
+    """
+    if model == FISHEYE:
+        middle = 0.5 * (np.array(size) - 1.0)
+        tried = [
+            Lens(np.r_[[0.5 * max(size) / angle] * 2, middle, np.zeros(5)], size, FISHEYE) for angle in _HALF_ANGLES
+        ]
+        return min(tried, key=lambda lens: float(np.median(board_poses(table, lens, _FLAT).rms)))
     counts = np.bincount(table.view, minlength=table.views)
     many = np.flatnonzero(counts >= _MANY)
     found = []
@@ -54,7 +63,7 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
 
     free: which of its nine values to fit, (9,) bool; None: all. prior: information (9, 9) about the start; None: none.
     """
-    use = np.flatnonzero(np.ones(COUNT, bool) if free is None else free)
+    use = np.flatnonzero(start.used if free is None else free & start.used)
     P0 = np.zeros((len(use), len(use))) if prior is None else prior[np.ix_(use, use)]
     lens, T = start, board_poses(table, start, _FLAT).T[:, 0]
     damping, converged = 1e-4, False
@@ -74,7 +83,7 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
         moves = back[:, :, -1] - back[:, :, :-1] @ step
         values = lens.values.copy()
         values[use] += step
-        new_lens, new_T = Lens(values, lens.size), se3.exp(moves) @ T
+        new_lens, new_T = lens.moved(values - lens.values), se3.exp(moves) @ T
         new_G = grams(table, corner_rows(table, new_lens, _FLAT, new_T))
         new_cost = float(new_G[:, -1, -1].sum() + (off + step) @ P0 @ (off + step))
         if new_cost <= cost and values[:2].min() > 0.0:

@@ -10,23 +10,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.camera.corners import COMMON, SHAPE
+from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE, SHAPE
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.target import PrintScale
 from modcal_core.geometry.so3 import Array
 
 FREE, TOLERANCE, FIXED = "free", "tolerance", "fixed"  # what becomes of stated intrinsics
 _FOCAL, _CENTRE = 0.5, 0.1  # of the focal length and of the image's width: nothing is known of them
 _RADIAL, _TANGENTIAL = (0.5, 0.5, 0.3), 0.01  # k1 k2 k3, p1 and p2 of lenses that are no fisheyes
+_FISHEYE = 0.1  # k1 … k4 of fisheyes, of which most are within 0.05
 _STATED_FOCAL, _STATED_CENTRE, _STATED_RADIAL, _STATED_TANGENTIAL = 0.005, 0.005, 0.02, 0.001  # of a usual calibration
 BOW_M = 3e-4  # of a sheet glued to a board, at its corner; 0.5 mm is common
+READOUT_S = 0.02  # of a rolling shutter: an image's rows fill most of the 16 to 33 ms between two; none of a global one
 CLOCK_S = 0.05  # of stamps of a camera that nothing synchronises
 
 
 @dataclass(frozen=True)
 class CommonPrior:
-    """Expectation of lens and shape. mean: (14,). information: inverse covariance, (14, 14). free: (14,) bool."""
+    """Expectation of lens, shape and readout. mean: (15,). information: inverse covariance, (15, 15). free: (15,)."""
 
     mean: Array
     information: Array
@@ -40,24 +42,29 @@ def common_prior(lens: Lens, scale: PrintScale, stated: str | None = None, flat:
     be flat (glass, aluminium).
     """
     width = float(lens.size[0])
-    mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(SHAPE - 2)]
+    mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(COMMON - SCALE.stop)]
     std = np.empty(LENS)
     f = lens.values[:2].mean()
     if stated == TOLERANCE:
         std[:4] = [_STATED_FOCAL * f] * 2 + [_STATED_CENTRE * width] * 2
         std[4:] = [_STATED_RADIAL] * 2 + [_STATED_TANGENTIAL] * 2 + [_STATED_RADIAL]
+        if lens.model == FISHEYE:
+            std[4:] = _STATED_RADIAL
     else:
         std[:4] = [_FOCAL * f] * 2 + [_CENTRE * width] * 2
         std[4:] = [_RADIAL[0], _RADIAL[1], _TANGENTIAL, _TANGENTIAL, _RADIAL[2]]
+        if lens.model == FISHEYE:
+            std[4:] = _FISHEYE
         if stated != FIXED:
             mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
     information = np.zeros((COMMON, COMMON))
     information[:LENS, :LENS] = np.diag(std**-2)
     shared, apart = scale.std**2, (0.5 * scale.std_apart) ** 2
     print_cov = np.array([[shared + apart, shared - apart], [shared - apart, shared + apart]])
-    information[LENS : LENS + 2, LENS : LENS + 2] = np.linalg.inv(print_cov)
-    information[LENS + 2 :, LENS + 2 :] = np.eye(SHAPE - 2) / BOW_M**2
+    information[SCALE, SCALE] = np.linalg.inv(print_cov)
+    information[BOW, BOW] = np.eye(SHAPE - 2) / BOW_M**2
+    information[READOUT, READOUT] = READOUT_S**-2
     free = np.ones(COMMON, bool)
-    free[:LENS] = stated != FIXED
-    free[LENS + 2 :] = not flat
+    free[:LENS] = lens.used & (stated != FIXED)
+    free[BOW] = not flat
     return CommonPrior(mean, information, free)

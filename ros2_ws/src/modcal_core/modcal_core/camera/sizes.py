@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 
-from modcal_core.camera.equations import Equations, Sizes
+from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.geometry.so3 import Array
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
@@ -28,8 +29,16 @@ def usual(sizes: Sizes) -> float:
     return float(off @ off)
 
 
-def likeliest(equations: Equations, start: Sizes, arm: float | None = None) -> Sizes:
-    """The sizes that make the data likeliest. arm: size of the arm's faults where it is stated."""
+def likeliest(
+    equations: Equations,
+    start: Sizes,
+    arm: float | None = None,
+    misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
+) -> Sizes:
+    """The sizes that make the data likeliest.
+
+    arm: size of the arm's faults where it is stated. misfit_of: −2 log likelihood of the equations with their sizes.
+    """
     begin = start if arm is None else replace(start, arm=arm)
     unknown = [0, 1, 2]
     if arm is None and equations.arm.any():
@@ -45,7 +54,7 @@ def likeliest(equations: Equations, start: Sizes, arm: float | None = None) -> S
     def misfit(logs: Array) -> float:
         full = inside(logs)
         sizes = Sizes.of_logs(full)
-        return equations.solve(sizes).misfit() + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
     first = begin.logs[unknown]
     simplex = np.vstack([first, first + np.eye(len(first))])

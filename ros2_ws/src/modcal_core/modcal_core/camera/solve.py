@@ -20,12 +20,13 @@ from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
 from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
-from modcal_core.camera.corners import SHAPE, CornerTable, residuals
+from modcal_core.camera.corners import READOUT, SHAPE, CornerTable
 from modcal_core.camera.decision import Decision, decide
-from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.findings import CameraFinding, findings
+from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
@@ -56,7 +57,8 @@ class CameraSolution:
     found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
     in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
     joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: see weakness.
-    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. causes: effects beyond geometry.
+    held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. findings: what target and
+    camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one.
     """
 
@@ -76,6 +78,7 @@ class CameraSolution:
     shares: dict[str, tuple[float, float]]
     held_out_px: tuple[float, float]
     metric: tuple[str, ...]
+    findings: tuple[CameraFinding, ...] = ()
     causes: tuple[CameraCause, ...] = ()
     left: EffectChoice | None = None
 
@@ -114,14 +117,16 @@ def solve_camera(
     inertias: Inertias | None = None,
     beside: ReadingsBeside | None = None,
     look_for_effects: bool = True,
+    fisheye: bool = False,
 ) -> CameraSolution:
     """The calibration of an arm from views of a target at joint positions q (N, n).
 
     size: of the images [px]. velocity: of the joints at the images, (N, n); None: it stood. lens: as stated, with what
     becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the nominal arm
     [m], as stated. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat. fixed:
-    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments. Raises
-    ModcalError for images that cannot carry a fit.
+    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments.
+    fisheye: whether the lens is one, where nothing is stated of it. Raises ModcalError for images that cannot carry a
+    fit.
     """
     velocity = np.zeros_like(q) if velocity is None else velocity
     keep = np.array([enough_corners(target.points[v.ids]) for v in views], dtype=bool)
@@ -131,15 +136,18 @@ def solve_camera(
     q, velocity, moments = q[keep], velocity[keep], moments.select(keep)
 
     progress("lens")
-    prior = common_prior(lens or first_lens(table, size), target.scale, stated if lens is not None else None, flat)
-    lens_fit, table = _lens(table, lens, prior, size)
-    poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
+    model = FISHEYE if fisheye else PINHOLE
+    prior = common_prior(
+        lens or first_lens(table, size, model), target.scale, stated if lens is not None else None, flat
+    )
+    lens_fit, table = _lens(table, lens, prior, size, model)
+    poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
         table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
         _require_views(table.views)
-        lens_fit, table = _lens(table, lens, prior, size)
-        poses = board_poses(table, lens_fit.lens, prior.mean[LENS:])
+        lens_fit, table = _lens(table, lens, prior, size, model)
+        poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
 
     progress("mounting")
     mounting = find_mounting(forward(chain, q), poses, camera_on_tip)
@@ -177,6 +185,7 @@ def solve_camera(
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m, beside)
+    other_length = arm_m is not None or (beside is not None and beside.metric)
     wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
     problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
     doubtful = in_doubt(fit, doubted, target.scale) or rests_on(fit, doubted, near)
@@ -200,6 +209,7 @@ def solve_camera(
         shares(fit, near),
         _held_out(fit, nominal, size_of_arm),
         metric,
+        findings(fit, target.scale, other_length, near, size_of_arm),
         causes,
         left,
     )
@@ -233,10 +243,10 @@ def _require_views(count: int) -> None:
 
 
 def _lens(
-    table: CornerTable, lens: Lens | None, prior: CommonPrior, size: tuple[int, int]
+    table: CornerTable, lens: Lens | None, prior: CommonPrior, size: tuple[int, int], model: str
 ) -> tuple[LensFit, CornerTable]:
     """The lens from the images alone, and the corners with those left out that fit no pose."""
-    start = Lens(prior.mean[:LENS], size) if lens is None else lens
+    start = Lens(prior.mean[:LENS], size, model) if lens is None else lens
     information = prior.information[:LENS, :LENS]
     shape = np.zeros(SHAPE)
     for _ in range(3):
@@ -316,6 +326,5 @@ def _held_out(fit: CameraFit, nominal: CameraFit, arm: float | None) -> tuple[fl
 
 
 def _predicted_px(fit: CameraFit, table: CornerTable, poses: ArmPoses) -> float:
-    T, _ = poses.tool_motions(fit.state.values, fit.state.offset_s)
-    gap = residuals(table, fit.state.lens, fit.state.shape, poses.seen(T))
+    gap = missed_pixels(table, poses, fit.state)
     return float(np.sqrt((table.weight @ (gap**2).sum(1)) / max(table.weight.sum(), 1.0)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.camera.at_tool import flange_motions
 from modcal_core.camera.contradicted import SIZE, Doubt
-from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.corners import READOUT, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.mounting import Mounting
@@ -114,6 +114,7 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
         "print scale": lens[-1] + 1 + np.arange(2),
         "flatness": lens[-1] + 3 + np.arange(3),
         "clock": np.array([P]),
+        "readout": np.array([P + 1 + READOUT]),
     }
     whole = _mean_square(J, C[:P, :P])
     out = {}

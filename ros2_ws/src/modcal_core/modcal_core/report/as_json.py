@@ -47,7 +47,7 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "not_applied": [asdict(missing) for missing in report.grounds.not_applied],
         "regimes": [asdict(regime) for regime in report.grounds.regimes],
         "convention": report.grounds.convention,
-        "tolerance": _tolerance(report.tolerance),
+        "tolerance": tolerance_data(report.tolerance),
         "trace": asdict(report.trace),
         "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
         "effects": [_effect(finding) for finding in report.effects],
@@ -187,7 +187,8 @@ def _rejection(report: ReportContents) -> dict[str, Any] | None:
     )
 
 
-def _tolerance(met: Tolerance | None) -> dict[str, Any] | None:
+def tolerance_data(met: Tolerance | None) -> dict[str, Any] | None:
+    """The tolerance as ``report.json`` has it."""
     if met is None:
         return None
     return {

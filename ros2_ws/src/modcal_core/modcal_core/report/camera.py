@@ -16,14 +16,14 @@ from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.lens import NAMES
+from modcal_core.camera.lens import DISTORTIONS
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.report.as_json import FORMAT
+from modcal_core.report.as_json import FORMAT, tolerance_data
 from modcal_core.report.contents import STAGES
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.report.trace import Trace
@@ -31,6 +31,7 @@ from modcal_core.robot import Robot
 from modcal_core.robots.urdf import joint_origins
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
+from modcal_core.verdict.tolerance import Tolerance
 
 _WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
 
@@ -55,9 +56,14 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
 
 
 def camera_files(
-    solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], page: bool = True
+    solution: CameraSolution,
+    robot: Robot,
+    images: int,
+    left_out: Mapping[str, str],
+    page: bool = True,
+    met: Tolerance | None = None,
 ) -> dict[str, str]:
-    """Names and texts of everything a calibration by camera leaves behind. page: report.html too."""
+    """Names and texts of everything a calibration by camera leaves behind. page: report.html too. met: a tolerance."""
     from modcal_core.report import camera_charts, camera_page  # templates, which a page alone needs
 
     assert robot.description is not None
@@ -65,7 +71,7 @@ def camera_files(
     calibrated = calibration.geometric.serial  # readers of a URDF know no effects
     corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
-    report = camera_report(solution, robot, images, left_out)
+    report = camera_report(solution, robot, images, left_out, met)
     files = {
         "report.json": to_json(report),
         "calibration.yaml": to_yaml(to_data(calibration)),
@@ -84,20 +90,23 @@ def camera_info(fit: CameraFit) -> dict[str, Any]:
     """The lens in the form of ROS's camera_info files."""
     lens = fit.state.lens
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
+    count = DISTORTIONS[lens.model]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": "camera",
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [float(x) for x in lens.values[4:]]},
+        "distortion_model": lens.model,
+        "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
 
 
-def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str]) -> dict[str, Any]:
+def camera_report(
+    solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], met: Tolerance | None = None
+) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
     fit, decision = solution.fit, solution.decision
     P = fit.poses.count
@@ -128,7 +137,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
         "converged": fit.converged,
         "regimes": [],
         "convention": None,
-        "tolerance": None,
+        "tolerance": tolerance_data(met),
         "trace": asdict(trace),
         "camera": {
             "decision": decision.word,
@@ -148,7 +157,9 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
             "rms_px": fit.rms_px,
             "sizes": asdict(fit.sizes),
             "lens": {
-                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])} for i, name in enumerate(NAMES)
+                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])}
+                for i, name in enumerate(fit.state.lens.names)
+                if fit.state.lens.used[i]
             },
             "sheet": {
                 name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
@@ -156,6 +167,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
                 if name.startswith("sheet/")
             },
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
+            "readout_s": {"value": fit.state.readout_s, "std": float(std[-1])} if std[-1] > 0.0 else None,
             "moved": None if solution.moved is None else _moved(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
@@ -173,7 +185,7 @@ def camera_report(solution: CameraSolution, robot: Robot, images: int, left_out:
 
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
-    out = [f"{sentence}." for _, sentence in _named(solution)]
+    out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
     if solution.left is not None:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
@@ -225,6 +237,26 @@ def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
                 "rms_mm_at_tool": 1e3 * at_tool(model, [i], solution.fit.poses.drivers().samples),
                 "same_as": list(cause.same_as),
                 "sentence": sentence,
+            }
+        )
+    scatter = throw * solution.fit.sizes.joint
+    for found in solution.findings:
+        out.append(
+            {
+                "family": found.family,
+                "place": found.place,
+                "direction": found.direction,
+                "driver": found.driver,
+                "parameters": {
+                    name: {"value": value, "std": std, "unit": unit}
+                    for name, (value, std, unit) in found.values.items()
+                },
+                "p_value": found.p_value,
+                "rms_mm_before": 1e3 * float(np.hypot(scatter, found.at_tool_m)),
+                "rms_mm_after": 1e3 * scatter,
+                "rms_mm_at_tool": 1e3 * found.at_tool_m,
+                "same_as": list(found.same_as),
+                "sentence": found.sentence,
             }
         )
     return out

@@ -22,7 +22,7 @@ from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
-from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
+from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
@@ -101,7 +101,6 @@ _TOLERANCE = (
         help="Which error of the held-out stations is compared with the tolerance.",
     ),
 )  # fmt: skip
-UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 
 
 def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
@@ -157,7 +156,8 @@ def calibrate_command(
     """
     camera = split_options(options)
     if by_camera(ctx, bag, camera) or bag is None:
-        return calibrate_images(camera, options, bag, out, output)
+        said = particulars(certificate, serial, options["cell_file"], options["tolerance_mm"])
+        return calibrate_images(camera, options, bag, out, output, said)
     asked = Options(**options)
     said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
     with output.working() as watch:

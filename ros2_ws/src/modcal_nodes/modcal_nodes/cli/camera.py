@@ -15,6 +15,7 @@ from modcal_core.files import write_folder
 from modcal_core.robot import Robot
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.certificate import UNMET, camera_certificate_files, certified_hashes
 from modcal_nodes.cli.console import Output, tell, written
 from modcal_nodes.cli.robot import arm_line, described
 from modcal_nodes.io.progress import Watch
@@ -24,13 +25,15 @@ if TYPE_CHECKING:
     from modcal_core.camera.beside import ReadingsBeside
     from modcal_core.camera.solve import CameraSolution
     from modcal_core.camera.target import PrintedTarget
+    from modcal_core.report.particulars import Particulars
     from modcal_nodes.vision.images import ImageFolder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
-_TOGETHER = (*_OF_IMAGES, "flat_target")
+_TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye")
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
-_ALSO = (*_OF_ALL, "out", "as_json", "verbose", "bag")
+_CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
+_ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
         "--images", type=click.Path(exists=True, file_okay=False, path_type=Path), default=None, metavar="FOLDER",
@@ -61,6 +64,7 @@ OPTIONS = (
     click.option(
         "--mounting", type=click.Choice(["tip", "world"]), default=None, help="Where the camera is. Default: found."
     ),
+    click.option("--fisheye", is_flag=True, help="The lens is a fisheye, where no camera_info says so."),
     click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),
 )  # fmt: skip
 
@@ -100,30 +104,50 @@ def by_camera(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> b
             raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
         if "image_topic" in given:
             raise click.UsageError("--image-topic is of a bag: leave out --images.", ctx)
+    if "cell_file" in given and "certificate" not in given:
+        raise click.UsageError(
+            "--cell states what is on a certificate where there are images: give --certificate.", ctx
+        )
     if other := given - set(_TOGETHER) - set(_ALSO):
         raise click.UsageError(f"{_option(min(other))} does not work with images.", ctx)
     return True
 
 
 def calibrate_images(
-    camera: dict[str, Any], options: dict[str, Any], bag: Path | None, out: Path | None, output: Output
+    camera: dict[str, Any],
+    options: dict[str, Any],
+    bag: Path | None,
+    out: Path | None,
+    output: Output,
+    said: Particulars | None = None,
 ) -> int:
-    """Calibrate the arm from images, of a folder or in the bag, write the results, and say them."""
+    """Calibrate the arm from images, of a folder or in the bag, write the results, and say them.
+
+    said: what is stated for a certificate, None where none is asked for. Returns the exit code.
+    """
     # OpenCV, which other verbs can do without
     from modcal_core.report.camera import camera_files, camera_report, lines
+    from modcal_core.report.camera_certificate import camera_tolerance
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
-    images = len(found.views) + len(found.left_out)
-    source = camera["images"] or bag
-    assert source is not None
+        images = len(found.views) + len(found.left_out)
+        source = camera["images"] or bag
+        assert source is not None
+        met = None if options["tolerance_mm"] is None else camera_tolerance(solution, options["tolerance_mm"])
+        files: dict[str, str | bytes] = {**camera_files(solution, robot, images, found.left_out, met=met)}
+        if said is not None:
+            watch("writing the certificate")
+            calibration = str(files["calibration.yaml"])
+            hashes = certified_hashes(options["urdf"] or robot.description, calibration, [source, camera["joints"]])
+            files |= camera_certificate_files(solution, robot.name or "", met, said, hashes, images)
     out = out or Path(f"{source.resolve().stem}_calibration")
-    files = camera_files(solution, robot, images, found.left_out)
     write_folder(out, files)
-    data = camera_report(solution, robot, images, found.left_out)
-    said = [arm_line(robot), *lines(solution, images, found.left_out)]
-    output.result(data, partial(tell, said), written(out, files))
-    return 0
+    data = camera_report(solution, robot, images, found.left_out, met)
+    told = [arm_line(robot), *lines(solution, images, found.left_out)]
+    told += [] if met is None else [f"{met.result}: {met.because}"]
+    output.result(data, partial(tell, told), written(out, files))
+    return 0 if met is None or met.result == "PASS" else UNMET
 
 
 def plan_next_images(
@@ -195,6 +219,7 @@ def _solved(
         inertias=robot.inertias,
         beside=others,
         look_for_effects=not options["geometry_only"],
+        fisheye=camera["fisheye"],
     )
     return robot, found, solution
 

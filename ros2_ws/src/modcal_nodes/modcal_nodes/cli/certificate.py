@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +17,11 @@ from modcal_core.report.particulars import Particulars
 from modcal_core.report.report import Report
 from modcal_nodes.io.inputs import read_particulars
 
+if TYPE_CHECKING:
+    from modcal_core.camera.solve import CameraSolution
+    from modcal_core.verdict.tolerance import Tolerance
+
+UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
     click.option(
         "--certificate", is_flag=True,
@@ -51,11 +58,34 @@ def certificate_files(
     return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
 
 
-def certified_hashes(description: str | Path | None, calibration: str | Path) -> Hashes:
-    """SHA-256 of a robot description and a calibration, each a text, or a file (of a folder its calibration.yaml)."""
+def camera_certificate_files(
+    solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
+) -> dict[str, str | bytes]:
+    """The same of a calibration by camera; the arguments are those of its certificate."""
+    from modcal_core.report.camera_certificate import camera_certificate
+    from modcal_core.report.certificate_page import to_html
+    from modcal_nodes.io.certificate_pdf import to_pdf
+
+    one = camera_certificate(solution, robot, met, said, hashes, images)
+    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+
+
+def certified_hashes(
+    description: str | Path | None, calibration: str | Path, images: Sequence[Path | None] = ()
+) -> Hashes:
+    """SHA-256 of a robot description and a calibration, each a text, or a file (of a folder its calibration.yaml).
+
+    images: folders and files that a calibration by camera was made from; of all of them one, as of a bag of many files.
+    """
     if isinstance(calibration, Path) and calibration.is_dir():
         calibration = calibration / "calibration.yaml"
-    return Hashes(description=None if description is None else _digest(description), calibration=_digest(calibration))
+    files = [file for one in images if one is not None for file in (sorted(one.iterdir()) if one.is_dir() else [one])]
+    listed = "".join(f"{_digest(file)}  {file.name}\n" for file in files if file.is_file())
+    return Hashes(
+        recording=_digest(listed) if listed else None,
+        description=None if description is None else _digest(description),
+        calibration=_digest(calibration),
+    )
 
 
 def _digest(content: str | Path) -> str:

@@ -172,7 +172,7 @@ def _by_camera(
         raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")
     chosen = {
         "images": camera, "joints": joints, "target": target, "image_topic": None, "camera_info": None,
-        "intrinsics": "tolerance", "arm_mm": None, "mounting": None, "flat_target": False,
+        "intrinsics": "tolerance", "arm_mm": None, "mounting": None, "flat_target": False, "fisheye": False,
     }  # fmt: skip
     options = {
         "urdf": robot, "base": base, "tip": tip, "fixed": fixed, "seed": seed, "geometry_only": True,

@@ -42,8 +42,10 @@ def _written(one: Certificate, size: float) -> tuple[FPDF, float]:
     _result(pdf, one, size, line)
     _scale(pdf, one.scale, one.tone)
     _facts(pdf, one, size, line)
-    _errors(pdf, one, size, line)
-    _paragraphs(pdf, "ISO 9283", one.iso, size, line)
+    if one.errors:
+        _errors(pdf, one, size, line)
+    if one.iso:
+        _paragraphs(pdf, "ISO 9283", one.iso, size, line)
     _paragraphs(pdf, "What this certificate does not say", one.silent_on, size, line, "•")
     if one.hashes:
         _title(pdf, "SHA-256", size)

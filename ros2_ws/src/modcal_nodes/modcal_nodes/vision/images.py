@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
@@ -120,10 +120,12 @@ def lens_from_data(data: Any, source: str) -> Lens:
         remedy = "give image_width, image_height, camera_matrix and distortion_coefficients as camera_info files do"
         raise BadTable(source, "is not a camera_info file", remedy) from error
     usable = bool(np.isfinite(K).all() and np.isfinite(d).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0)
-    if model not in ("plumb_bob", "") or len(d) > 5 or not usable:
+    known = {"plumb_bob": PINHOLE, "": PINHOLE, "equidistant": FISHEYE, "fisheye": FISHEYE}.get(model)
+    if known is None or len(d) > DISTORTIONS[known] or not usable:
         said = f"has model {model[:40]} with {len(d)} coefficients"
-        raise BadTable(source, said, "give plumb_bob with up to five coefficients, or leave it to the images")
-    return Lens.of(K, d, size)
+        remedy = "give plumb_bob with up to five coefficients, equidistant with four, or leave it to the images"
+        raise BadTable(source, said, remedy)
+    return Lens.of(K, d, size, known)
 
 
 def require_size(lens: Lens, size: tuple[int, int], source: str) -> None:
