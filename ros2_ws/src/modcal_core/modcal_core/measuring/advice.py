@@ -252,9 +252,7 @@ class Advisor:
             return self._asked(session, stations, "random stations for the proof", status, refitted)
         if np.isfinite(best):
             status = replace(status, needed=int(np.ceil(best)))
-            return self._asked(
-                session, batch.stations[:size], "stations that lower the error most", status, refitted
-            )
+            return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
 
     def _worse_than_expected(self, refitted: Refit, view: Outlook, left: Array) -> float:
@@ -293,7 +291,7 @@ class Advisor:
         return self._settle_ties(session, status, refitted, ended)
 
     def _improvement(self, refitted: Refit, model: float, fitted: int) -> float:
-        """Error now over that which the whole budget of stations would leave: the model's part falls with their root."""
+        """Error now over that which the whole budget of stations would leave: the model's part shrinks."""
         best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
         return float(np.sqrt((refitted.spread**2 + model**2) / best))
 
@@ -332,12 +330,13 @@ class Advisor:
         return f"{name} {1e3 * self.goal.of_tool(rms):.3f} mm"
 
     def _proven(self, proof: Proof, status: Status) -> Outcome:
-        assert self.goal.accuracy is not None and proof.rms is not None
+        assert self.goal.accuracy is not None
+        assert proof.rms is not None
         bound = proof.bound or 0.0
         return Outcome(
             "proven",
-            f"{1e3 * self.goal.accuracy:g} mm is proven: at {len(proof.errors)} random stations that no fit has seen the "
-            f"{self._said(proof.rms)}, at most {1e3 * self.goal.of_tool(bound):.3f} mm with "
+            f"{1e3 * self.goal.accuracy:g} mm is proven: at {len(proof.errors)} random stations that no fit has seen "
+            f"the {self._said(proof.rms)}, at most {1e3 * self.goal.of_tool(bound):.3f} mm with "
             f"{100 * self.goal.confidence:g} % confidence, from {status.measured} stations in all.",
         )
 
@@ -353,7 +352,8 @@ class Advisor:
         if floor is None:
             cause = "what is left does not get smaller with more stations; no posture was visited twice to tell why"
         elif refitted.spread**2 > _UNEXPLAINED * 1e-6 * floor.square:
-            cause = f"{1e3 * refitted.spread:.3f} mm is left, {floor.rms:.3f} mm of it does not repeat; the rest has no known cause"
+            left = f"{1e3 * refitted.spread:.3f} mm is left, {floor.rms:.3f} mm of it does not repeat"
+            cause = f"{left}; the rest has no known cause"
         else:
             many = f"{floor.returns} returns" if floor.returns else "what was stated"
             cause = f"{floor.rms:.3f} mm is what this arm repeats and this instrument reads, by {many}"

@@ -49,7 +49,7 @@ def first_stations(pool: Pool, session: Session, count: int, planned: bool) -> l
     if planned and not session.stations:
         chosen = pool.first(count)
         return [_station(pool, int(j), FIT) for j in in_order(pool.q, chosen, None)]
-    # from the end, so that the stations of the proof, which are drawn from the beginning, stay what they would have been
+    # from the end: the stations of the proof, which are drawn from the beginning, stay what they would have been
     free = [int(j) for j in pool.order[::-1] if not taken[j]]
     return [_station(pool, j, FIT) for j in free[:missing]]
 

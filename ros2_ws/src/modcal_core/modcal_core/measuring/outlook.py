@@ -49,8 +49,8 @@ _SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried
 class Outlook:
     """model, known: the fitted model and its parameters. suspects: effects it does not have, of unit size. noise:
     standard deviations (position [m], rotation [rad]) of readings. scale: of all values, the priors' deviations (K,).
-    fitted: how many of the K values the fit has. H: information (K, K) of the stations so far and the priors. gamma: mean
-    of GᵀG where accuracy counts, (K, K) [m²].
+    fitted: how many of the K values the fit has. H: information (K, K) of the stations so far and the priors. gamma:
+    mean of GᵀG where accuracy counts, (K, K) [m²].
     """
 
     model: Model
@@ -82,8 +82,8 @@ class Outlook:
         return float(np.sqrt(max(np.sum(np.linalg.inv(known) * self.gamma[:k, :k]), 0.0)))
 
     def best(self, J: Array, weight: Array, count: int, H: Array | None = None) -> tuple[list[int], list[Array]]:
-        """Numbers of the ``count`` stations, of those with rows J (N, c, K), that together lower the error most, and the
-        information (K, K) after each. weight: chance of each to be measured, (N,); 0 leaves it out.
+        """Numbers of the ``count`` stations, of those with rows J (N, c, K), that lower the error most together, and
+        the information (K, K) after each. weight: chance of each to be measured, (N,); 0 leaves it out.
         """
         H = self.H if H is None else H
         chosen: list[int] = []
@@ -179,7 +179,7 @@ def _rivals(rivals: Sequence[Sequence[Effect]]) -> Iterator[Effect]:
 
 
 def _rows(model: Model, known: Uncertainty, suspects: Sequence[Effect], samples: Samples) -> Array:
-    """Derivatives (K, 3 N or 6 N) of the tool's motion: parameters, values of the effects, amplitudes of the suspects."""
+    """Derivatives (K, 3 N or 6 N) of the tool's motion: parameters, values of effects, amplitudes of suspects."""
     at = Drivers(samples, model.drivers(samples).arm)
     view = RowView.of(model.with_effects(()), samples, at)
     P = len(known.parameters)

@@ -49,9 +49,7 @@ class Pool:
         return np.concatenate([q[None], near[self.allowed(near)]])
 
 
-def of_robot(
-    chain: Mechanism, site: Site, kind: str, rng: np.random.Generator, candidates: int = CANDIDATES
-) -> Pool:
+def of_robot(chain: Mechanism, site: Site, kind: str, rng: np.random.Generator, candidates: int = CANDIDATES) -> Pool:
     """Postures of a robot at a site: within limits, touching nothing, seen by the instrument. Raises NotPlannable."""
     there = survey(chain, site, rng, kind, (), 2 * candidates)
     if len(there.q) < 2 * _TRIED:
@@ -106,4 +104,3 @@ def of_recording(q: Array, rng: np.random.Generator) -> Pool:
         return np.array(chosen)
 
     return Pool(q, where, order, first, None, q.min(axis=0), q.max(axis=0), recorded=True)
-
