@@ -28,6 +28,7 @@ VERBS = {
     "compare": ("compare", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
     "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
+    "measure": ("measure", "measure_command", "Measure station after station until an accuracy is proven."),
     "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
     "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
     "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
@@ -48,6 +49,7 @@ VERBS = {
 GROUPS = {
     "Begin": ("examples",),
     "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
+    "Measure": ("measure",),
     "Get and look at a recording": ("import", "info", "repair"),
     "Calibrate": ("calibrate", "evaluate", "compare", "fleet"),
     "Use the result": ("export", "watch"),

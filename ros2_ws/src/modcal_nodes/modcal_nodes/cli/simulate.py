@@ -69,9 +69,9 @@ def simulate_command(
     chosen["stations"], chosen["returns"], chosen["obey_limits"] = _STATIONS, returns, True
     chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
     for text in given:
-        name, value = _parameter(text)
+        name, value = parameter(text)
         chosen[name] = value
-    changes = sorted(((when, *_parameter(text)) for when, text in later), key=lambda change: change[0])
+    changes = sorted(((when, *parameter(text)) for when, text in later), key=lambda change: change[0])
     with output.working() as watch:
         watch("building the cell")
         plant = Plant(chosen)
@@ -93,7 +93,7 @@ def simulate_command(
     output.result(data, partial(tell, lines))
 
 
-def _parameter(text: str) -> tuple[str, Any]:
+def parameter(text: str) -> tuple[str, Any]:
     """Name and value of NAME=VALUE, of the type and within the bounds of the node's parameter."""
     name, equals, written = text.partition("=")
     if not equals or name not in SIMULATED_CELL or name in _OF_THE_NODE:

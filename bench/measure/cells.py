@@ -1,0 +1,123 @@
+"""Cells to measure in: an arm of MuJoCo with planted faults, and who measures one station after the other there.
+
+The truth is that of ``bench/undeclared``: another engine, bodies displaced in all directions, effects that are not
+written as modcal writes them.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
+
+from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant  # noqa: E402
+from scenarios import SCENARIOS, Fault, Stations  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+
+from modcal_core.calibration.score import errors  # noqa: E402
+from modcal_core.calibration.store import Calibration  # noqa: E402
+from modcal_core.measurements.kinds.kind import KIND_NAMES  # noqa: E402
+from modcal_core.measurements.samples import Samples  # noqa: E402
+from modcal_core.measuring.advice import Advice, Advisor  # noqa: E402
+from modcal_core.measuring.goal import Goal  # noqa: E402
+from modcal_core.measuring.pool import Pool, of_robot  # noqa: E402
+from modcal_core.measuring.session import FRAME, Session, Station  # noqa: E402
+from modcal_core.planning.site import Noise, Site  # noqa: E402
+from modcal_core.robots.chain import Chain  # noqa: E402
+from modcal_core.robots.urdf import read_chain  # noqa: E402
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias  # noqa: E402
+
+Array = np.ndarray
+EACH = 8.0  # s from one station to the next
+REPEATS = 1e-5  # rad, per joint
+TRUTH = 400  # random postures at which the error is taken
+
+
+@dataclass
+class Bench:
+    """One cell. kind: of the readings. noise: times that of bench/undeclared. repeats: [rad] per joint."""
+
+    robot: str
+    scenario: str
+    seed: int
+    kind: str = "point"
+    noise: float = 1.0
+    repeats: float = REPEATS
+    now: float = 0.0
+    last: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        rng = np.random.default_rng([self.seed, 26])
+        self.cell = Cell(self.robot, rng)
+        self.faults: tuple[Fault, ...] = plant(self.cell, SCENARIOS[self.scenario], rng, 600.0)
+        self.chain: Chain = read_chain(self.cell.arm.urdf, None, self.cell.arm.tip)
+        self.inertias: Inertias | None = read_inertias(self.cell.arm.urdf, self.chain)
+        ranges = zip(self.cell.arm.names, *self.cell.arm.range, strict=True)
+        self.site = Site(limits={n: (float(a), float(b)) for n, a, b in ranges}, noise=Noise(position=2e-5))
+        self.pool: Pool = of_robot(self.chain, self.site, self.kind, np.random.default_rng(self.seed))
+        self.begin(0)
+
+    def begin(self, seed: int) -> None:
+        """Another measurement in the same cell, with noise of its own."""
+        self._rng = np.random.default_rng([self.seed, 27, seed])
+        self.now, self.last = 0.0, np.zeros(self.chain.n)
+
+    def measure(self, station: Station) -> Station:
+        """Go to a station, from the side that is asked for, and read."""
+        self.now += EACH
+        way = np.sign(station.asked - self.last)
+        if station.approach is not None:
+            way = np.where(station.approach != 0.0, station.approach, way)
+        self.last = station.asked
+        told = Stations(station.asked[None], np.array([self.now]), way[None])
+        reached = replace(told, q=told.q + self._rng.normal(0.0, self.repeats, told.q.shape))
+        poses = self.cell.poses(reached, self.faults)
+        reading = poses.p[0] + self._rng.normal(0.0, self.noise * 1e-3 * NOISE_MM, 3)
+        if self.kind == "pose":
+            turned = poses.R[0] * Rotation.from_rotvec(self._rng.normal(0.0, self.noise * 1e-3 * NOISE_MRAD, 3))
+            reading = np.r_[reading, turned.as_quat()]
+        return station.measured(reading, stamp=BEGIN + self.now, approach=way)
+
+    def error(self, calibration: Calibration, repeats: bool = True) -> float:
+        """RMS [m] of the distance between where the model has the tool and where it is, at random allowed postures.
+
+        repeats: what the arm does not repeat is part of it; the instrument's noise never is.
+        """
+        rng = np.random.default_rng([self.seed, 28])
+        q = self.pool.q[self.pool.order[-TRUTH:]]
+        way = rng.choice([-1.0, 1.0], q.shape)
+        off = rng.normal(0.0, self.repeats, q.shape) if repeats else np.zeros_like(q)
+        now = np.full(len(q), self.now)
+        exact = self.cell.poses(Stations(q + off, now, way), self.faults)
+        samples = as_samples(self.chain.names, q, exact.p, way, BEGIN + now)
+        e = errors(calibration.calibrated, samples).position_norm
+        return float(np.sqrt(np.mean(e**2)))
+
+
+def as_samples(names: tuple[str, ...], q: Array, p: Array, way: Array, stamps: Array) -> Samples:
+    """Points p (N, 3) read at postures q (N, n)."""
+    N = len(q)
+    return Samples(
+        names=names, frames=(FRAME,), q=q, stamps=stamps, station=np.arange(N), frame=np.zeros(N, int),
+        kind=np.full(N, "point", dtype=KIND_NAMES), reading=p, R=np.tile(np.eye(3), (N, 1, 1)),
+        sigma_position=np.full(N, np.nan), sigma_rotation=np.full(N, np.nan), velocity=np.zeros_like(q),
+        moving=np.zeros(N, bool), approach=way,
+    )  # fmt: skip
+
+
+def run(bench: Bench, goal: Goal, planned: bool, seed: int = 0) -> Advice:
+    """A measurement from beginning to end."""
+    bench.begin(seed)
+    advisor = Advisor(bench.chain, bench.pool, goal, seed, None, bench.inertias, planned)
+    session = Session(bench.chain.names, bench.kind)
+    while True:
+        advice = advisor.advise(session, bench.now)
+        session = advice.session
+        if advice.outcome is not None:
+            return advice
+        for number in session.pending:
+            session = session.with_station(number, bench.measure(session.stations[number]))

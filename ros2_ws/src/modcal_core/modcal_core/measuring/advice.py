@@ -1,0 +1,365 @@
+"""What comes next: more stations for the fit, for the floor or for the proof, or an end, with its reason.
+
+After each batch the model is fitted again. From its noise and its covariance follows what error it should have, and
+from that how many random stations a proof would take now, or after one, two, … further batches; what costs fewest
+stations in all is done. So proof stations are measured only when they promise to prove something, and none is wasted:
+a later model is proven on all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.stats import chi2
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER
+from modcal_core.calibration.model import place_model
+from modcal_core.calibration.parameters import View
+from modcal_core.calibration.score import errors
+from modcal_core.calibration.structure import choose_parameters
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
+from modcal_core.measurements.returns import LEAST_RETURNS
+from modcal_core.measuring.choose import (
+    deciding_stations,
+    first_stations,
+    fit_stations,
+    in_order,
+    proof_stations,
+    return_stations,
+)
+from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.outlook import Outlook, outlook
+from modcal_core.measuring.pool import Pool
+from modcal_core.measuring.proof import Proof, axes_of, share
+from modcal_core.measuring.refit import Refit, refit
+from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Look, Session, Station
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.verdict.floor import Floor, floors
+
+Ending = Literal["proven", "budget", "no_station_helps"]
+
+BATCH = 4  # stations between two fits: fewer cost time, more are chosen by an older model
+_GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
+_AHEAD = 6  # batches that are looked ahead
+_CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
+_SETTLED = 1.08  # error now over the error that all stations of the budget would leave: no more is worth having
+_UNEXPLAINED = 1.5  # mean square left over that of the floor, from which something is to be found still
+_SEARCHED = 4.0  # times the first stations, after which what has not been found is not looked for any more
+_DECIDING = 4, 12  # stations to separate explanations: at once, and altogether
+_RETURNS_FROM = 2.0  # times the first stations; a model of fewer may lack what makes the goal seem out of reach
+_MOST_RETURNS = 12  # beyond, the floor is known to a tenth
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How it ended, and why, in a sentence."""
+
+    ending: Ending
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a measurement stands. expected: RMS error of a reading that the fit expects [m], None before the first fit.
+    bound: RMS [m] that is proven. seen: RMS at the proof's stations [m]. floor: RMS [m] that repeats and instrument
+    leave, None while it is not known. needed: further stations that it should take, None where nobody knows.
+    """
+
+    measured: int
+    fitted: int
+    proving: int
+    expected: float | None = None
+    bound: float | None = None
+    seen: float | None = None
+    floor: float | None = None
+    needed: int | None = None
+    effects: tuple[str, ...] = ()
+    ties: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Advice:
+    """session: with the stations to measure now, its pending ones. why: what they are for. outcome: None while it goes
+    on. refitted: the model so far, None before the first.
+    """
+
+    session: Session
+    why: str
+    status: Status
+    outcome: Outcome | None = None
+    refitted: Refit | None = None
+
+
+class Advisor:
+    """Advises on one robot at one place. Nothing of what it remembers matters but for time: the same session gets the
+    same advice from another advisor.
+    """
+
+    def __init__(
+        self,
+        chain: Mechanism,
+        pool: Pool,
+        goal: Goal,
+        seed: int = 0,
+        cell: Cell | None = None,
+        inertias: Inertias | None = None,
+        planned: bool = True,
+        batch: int = BATCH,
+        effects: bool = True,
+    ) -> None:
+        """planned: False draws every station at random, to compare with. batch: stations between two fits. effects:
+        whether to look for more than geometry.
+        """
+        self.chain, self.pool, self.goal = chain, pool, goal
+        self._seed, self._cell, self._inertias = seed, cell or Cell(), inertias
+        self._planned, self._batch, self._effects = planned, batch, effects
+        self._last: tuple[tuple[int, ...], Refit] | None = None
+        self._least: dict[str, int] = {}
+
+    def least(self, kind: str) -> int:
+        """The fewest stations from which the geometry can be fitted."""
+        if kind not in self._least:
+            # a tool that lies on no axis, as structure.parameter_count takes it
+            tool = np.eye(4)
+            tool[:3, 3] = 0.11, 0.07, 0.13
+            model = replace(place_model(self.chain, ("tracker",)), T_tip_tool=tool)
+            P = len(choose_parameters(model, [View(kind, 0)], self._cell.kept).parameters)
+            self._least[kind] = int(np.ceil(EQUATIONS_PER_PARAMETER * P / (6.0 if kind == POSE else 3.0))) + 1
+        return self._least[kind]
+
+    def advise(self, session: Session, elapsed: float = 0.0) -> Advice:
+        """What to do after what has been measured. elapsed: seconds since the session began."""
+        rows = session.fitted
+        measured, proving = len(session.rows()), len(session.rows(PROOF))
+        status = Status(measured, len(rows), proving)
+        refitted = self._refit(session, rows) if len(rows) >= self.least(session.kind) else None
+        if session.pending:
+            return Advice(session, "stations asked for before", status, refitted=refitted)
+        if refitted is None:
+            stations = first_stations(self.pool, session, self.least(session.kind), self._planned)
+            why = f"first stations: {self.least(session.kind)} are needed for the geometry"
+            return self._asked(session, stations, why, status, None)
+        view = outlook(refitted, self.pool.where, self._suspected(refitted), np.random.default_rng(self._seed))
+        left = self._left(session, refitted)
+        status = self._status(status, session, refitted, view, left)
+        if self.goal.rms is not None and (proof := self._look(session, refitted, left)) is not None:
+            status = replace(status, bound=proof.bound)
+            if proof.holds(self.goal.rms):
+                return self._settle_ties(session, status, refitted, self._proven(proof, status))
+        if self._gone(session, elapsed):
+            return Advice(session, "", status, self._spent(status), refitted)
+        return self._next(session, status, refitted, view, left)
+
+    # the model so far
+
+    def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
+        if self._last is None or self._last[0] != tuple(rows):
+            try:
+                found = refit(
+                    session.samples(list(rows)), self.chain, self._seed, self._cell, self._inertias, self._effects
+                )
+            except NotEnoughData:
+                return None
+            self._last = tuple(rows), found
+        return self._last[1]
+
+    def _suspected(self, refitted: Refit) -> float:
+        """How large a suspect may be [m]: what would matter, and what could hide in what is left."""
+        return max(self.goal.rms or 0.0, refitted.spread)
+
+    def _left(self, session: Session, refitted: Refit) -> Array:
+        """Errors (n,) [m] of the model at the stations of the proof."""
+        rows = session.rows(PROOF)
+        if not rows:
+            return np.zeros(0)
+        return errors(refitted.calibration.calibrated, session.samples(rows)).position_norm
+
+    def _expected(self, refitted: Refit, model: float) -> float:
+        """RMS error of a reading [m] at a new station, with caution; model: what the fit's own values leave [m]."""
+        careful = refitted.freedom / float(chi2.ppf(_CAUTION, refitted.freedom))
+        return float(np.sqrt(careful * refitted.spread**2 + model**2))
+
+    def _look(self, session: Session, refitted: Refit, left: Array) -> Proof | None:
+        """The proof of this very model that has been begun, if one has."""
+        if not session.looks or session.looks[-1].fitted != len(session.fitted):
+            return None
+        version = len(session.looks) - 1
+        look = session.looks[-1]
+        return Proof(left, look.expected, share(1.0 - self.goal.confidence, version), look.axes)
+
+    def _axes(self, refitted: Refit) -> float:
+        """As in how many directions the errors vary, by the fit's own residuals."""
+        right = refitted.samples.select(~refitted.wrong)
+        return axes_of(errors(refitted.calibration.calibrated, right).position_norm ** 2)
+
+    def _status(self, status: Status, session: Session, refitted: Refit, view: Outlook, left: Array) -> Status:
+        floor = self._floor(refitted)
+        calibration = refitted.calibration
+        ties = tuple(
+            f"{effect.label} or {rival.label}"
+            for effect, rivals in zip(calibration.calibrated.effects, calibration.rivals, strict=False)
+            for rival in rivals
+        )
+        return replace(
+            status,
+            expected=float(np.hypot(refitted.spread, view.error())),
+            seen=float(np.sqrt(np.mean(left**2))) if len(left) else None,
+            floor=None if floor is None else 1e-3 * floor.rms,
+            effects=tuple(effect.label for effect in calibration.calibrated.effects),
+            ties=ties,
+        )
+
+    def _floor(self, refitted: Refit) -> Floor | None:
+        residual = errors(refitted.calibration.calibrated, refitted.samples)
+        return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
+
+    # what next
+
+    def _next(self, session: Session, status: Status, refitted: Refit, view: Outlook, left: Array) -> Advice:
+        size = max(self._batch, len(session.fitted) // _GROWING)
+        size = max(1, min(size, self.goal.stations - status.measured))
+        rng = np.random.default_rng((self._seed, len(session.stations)))
+        goal = self.goal.rms
+        if goal is None:
+            return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng)
+        worse = self._worse_than_expected(refitted, view, left)
+        now = self._expected(refitted, view.error())
+        begun, axes = self._look(session, refitted, left), self._axes(refitted)
+        alpha = share(1.0 - self.goal.confidence, len(session.looks))
+        proof = begun or Proof(left, now, alpha, axes)
+        prove = proof.more(goal, now * worse)
+        after = []
+        for k in range(size, len(batch.stations) + 1, size):
+            then = self._expected(refitted, view.error(batch.after[k - 1]))
+            after.append(k + Proof(left * then / now, then, alpha, axes).more(goal, then * worse))
+        best = min(after, default=np.inf)
+        if prove <= best and np.isfinite(prove):
+            if begun is None:
+                session = replace(session, looks=(*session.looks, Look(len(session.fitted), now, axes)))
+                if proof.holds(goal):
+                    return self.advise(session)
+            count = int(np.clip(np.ceil(prove), 1, size))
+            status = replace(status, needed=int(np.ceil(prove)))
+            stations = proof_stations(self.pool, session, count)
+            return self._asked(session, stations, "random stations for the proof", status, refitted)
+        if np.isfinite(best):
+            status = replace(status, needed=int(np.ceil(best)))
+            return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
+        return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+
+    def _worse_than_expected(self, refitted: Refit, view: Outlook, left: Array) -> float:
+        """Ratio of the error to that which the fit expects, the stations of the proof counted as well."""
+        if len(left) < 2:
+            return 1.0
+        expected = refitted.spread**2 + view.error() ** 2
+        freedom, seen = refitted.freedom, 2.0 * len(left)  # of three directions one is often small
+        both = (freedom * expected + seen * float(np.mean(left**2))) / (freedom + seen)
+        return float(np.sqrt(max(both / expected, 0.25)))
+
+    def _as_good_as_can_be(
+        self, session: Session, status: Status, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
+    ) -> Advice:
+        """No proof is in reach: know the floor, then measure until more stations would change nothing."""
+        floor = self._floor(refitted)
+        returned = len(session.rows(RETURN))
+        goal = self.goal.rms
+        unclear = floor is None or (goal is not None and floor.interval[0] < (1e3 * goal) ** 2 < floor.interval[1])
+        early = len(session.fitted) < _RETURNS_FROM * self.least(session.kind)
+        if not self.pool.recorded and unclear and not early and returned < _MOST_RETURNS:
+            count = LEAST_RETURNS if returned < LEAST_RETURNS else min(LEAST_RETURNS, _MOST_RETURNS - returned)
+            if stations := return_stations(session, count):
+                return self._asked(session, stations, "postures again: what the arm does not repeat", status, refitted)
+        fitted, model = len(session.fitted), view.error()
+        gain = self._improvement(refitted, model, fitted)
+        spread, repeat = refitted.spread**2, None if floor is None else 1e-6 * floor.interval[1]
+        hidden = repeat is None or spread > _UNEXPLAINED * repeat
+        searching = early or (hidden and self._effects and fitted < _SEARCHED * self.least(session.kind))
+        if gain > _SETTLED or searching:
+            batch = fit_stations(self.pool, session, view, refitted, size, self._planned, rng)
+            if batch.stations:
+                why = "stations for what the model lacks still" if searching else "stations that lower the error most"
+                return self._asked(session, batch.stations, why, status, refitted)
+        ended = self._no_station_helps(status, floor, refitted)
+        return self._settle_ties(session, status, refitted, ended)
+
+    def _improvement(self, refitted: Refit, model: float, fitted: int) -> float:
+        """Error now over that which the whole budget of stations would leave: the model's part shrinks."""
+        best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
+        return float(np.sqrt((refitted.spread**2 + model**2) / best))
+
+    def _settle_ties(self, session: Session, status: Status, refitted: Refit, ended: Outcome) -> Advice:
+        """The end, after stations that separate explanations where that is asked for."""
+        asked = sum(s.role == DECIDE for s in session.stations)
+        if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(session, 0.0):
+            rng = np.random.default_rng((self._seed, asked))
+            stations, between = deciding_stations(refitted, self.pool, _DECIDING[0], rng)
+            if stations:
+                return self._asked(session, stations, f"stations that decide: {between}", status, refitted)
+        return Advice(session, "", status, ended, refitted)
+
+    def _asked(
+        self, session: Session, stations: list[Station], why: str, status: Status, refitted: Refit | None
+    ) -> Advice:
+        room = self.goal.stations - status.measured
+        stations = stations[: max(room, 0)]
+        if not stations:
+            return Advice(session, "", status, self._spent(status), refitted)
+        if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
+            last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
+            q = np.array([s.asked for s in stations])
+            stations = [stations[j] for j in in_order(q, range(len(q)), last)]
+        return Advice(session.asking(stations), why, status, None, refitted)
+
+    def _gone(self, session: Session, elapsed: float) -> bool:
+        late = self.goal.seconds is not None and elapsed >= self.goal.seconds
+        return late or len(session.rows()) >= self.goal.stations
+
+    # how it ended
+
+    def _said(self, rms: float) -> str:
+        """An RMS error of readings [m] as the statistic of the tool's that was asked for."""
+        name = "95th percentile" if self.goal.statistic == "p95" else "RMS error"
+        return f"{name} {1e3 * self.goal.of_tool(rms):.3f} mm"
+
+    def _proven(self, proof: Proof, status: Status) -> Outcome:
+        assert self.goal.accuracy is not None
+        assert proof.rms is not None
+        bound = proof.bound or 0.0
+        return Outcome(
+            "proven",
+            f"{1e3 * self.goal.accuracy:g} mm is proven: at {len(proof.errors)} random stations that no fit has seen "
+            f"the {self._said(proof.rms)}, at most {1e3 * self.goal.of_tool(bound):.3f} mm with "
+            f"{100 * self.goal.confidence:g} % confidence, from {status.measured} stations in all.",
+        )
+
+    def _spent(self, status: Status) -> Outcome:
+        said = f"The budget is gone after {status.measured} stations"
+        if status.expected is None:
+            return Outcome("budget", f"{said}: too few for a fit.")
+        return Outcome("budget", f"{said}: {self._said(status.expected)} is expected, and not proven.")
+
+    def _no_station_helps(self, status: Status, floor: Floor | None, refitted: Refit) -> Outcome:
+        assert status.expected is not None
+        reached = self._said(status.expected)
+        if floor is None:
+            cause = "what is left does not get smaller with more stations; no posture was visited twice to tell why"
+        elif refitted.spread**2 > _UNEXPLAINED * 1e-6 * floor.square:
+            left = f"{1e3 * refitted.spread:.3f} mm is left, {floor.rms:.3f} mm of it does not repeat"
+            cause = f"{left}; the rest has no known cause"
+        else:
+            many = f"{floor.returns} returns" if floor.returns else "what was stated"
+            cause = f"{floor.rms:.3f} mm is what this arm repeats and this instrument reads, by {many}"
+        if self.goal.accuracy is None:
+            return Outcome("no_station_helps", f"No further station helps: {reached}; {cause}.")
+        goal = f"{1e3 * self.goal.accuracy:g} mm"
+        below = floor is not None and self.goal.rms is not None and 1e3 * self.goal.rms < floor.rms
+        said = f"{goal} is below what can be reached" if below else f"{goal} is not in reach"
+        return Outcome("no_station_helps", f"{said}: {cause}; reached: {reached}.")

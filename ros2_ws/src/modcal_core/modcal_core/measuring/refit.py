@@ -1,0 +1,119 @@
+"""The model from the stations measured so far: the flow of ``modcal calibrate``, with nothing held out.
+
+What scores it are the stations of the proof, which it never sees; so all others fit and choose effects. With too few of
+them to choose effects the geometry alone is fitted, held by its priors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.change_points import sharpened
+from modcal_core.calibration.finalise import finalise
+from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER, Fit
+from modcal_core.calibration.score import outlying
+from modcal_core.calibration.starts import fit_geometry
+from modcal_core.calibration.store import Calibration
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
+from modcal_core.measurements.kinds.rows import dimensions
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.conventions import proved
+from modcal_core.regimes.find import find_regimes, moves_of
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots.urdf_inertias import Inertias, weightless
+from modcal_core.verdict.sanity import sane_inertias
+
+_TRAIN = 0.7  # of the stations fit while effects are chosen; train to explain as in calibration/split.py, 50 to 20
+
+
+@dataclass(frozen=True)
+class Refit:
+    """calibration: fitted to all stations. scored: the fit that chose its effects. samples: those it was fitted to, in
+    one convention. wrong: True for those left out of it, (N,). freedom: equations less parameters. searched: whether
+    effects were looked for. left: what is significant still and was not turned into an effect, None where nothing is.
+    """
+
+    calibration: Calibration
+    scored: Fit
+    samples: Samples
+    wrong: np.ndarray
+    freedom: float
+    searched: bool
+    left: str | None
+
+    @property
+    def spread(self) -> float:
+        """RMS over space [m] of what the model leaves of readings: what the arm does not repeat, the instrument's error
+        and what the model lacks.
+        """
+        known = np.nan_to_num(self.samples.sigma_position)
+        return float(np.sqrt(3.0 * (self.calibration.noise.position**2 + np.mean(known**2))))
+
+
+def refit(
+    samples: Samples,
+    chain: Mechanism,
+    seed: int,
+    cell: Cell | None = None,
+    inertias: Inertias | None = None,
+    effects: bool = True,
+) -> Refit:
+    """The model of this arm from these samples. seed: of what takes part in choosing effects, by station, so that a
+    station keeps its part when others are added. Raises NotEnoughData for too few.
+    """
+    cell = (cell or Cell()).met(samples)
+    samples, _ = proved(samples, chain)
+    inertias, _ = sane_inertias(inertias, chain)
+    if cell.gravity is not None:
+        inertias = (inertias or weightless(chain.n)).pulled(cell.gravity)
+    nominal = fit_cell(chain, samples, cell, inertias)
+    choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
+    choice = replace(choice, parameters=free_cell(choice.parameters, cell))
+    P = len(choice.parameters)
+    part = np.random.default_rng(seed).random(int(samples.station.max()) + 1) < _TRAIN
+    trained = part[samples.station]
+    searched = effects and _equations(samples.select(trained)) >= EQUATIONS_PER_PARAMETER * P and not trained.all()
+    regimes = None
+    left = None
+    if not searched:
+        final = geometric = fit_geometry(nominal.model, samples, choice.parameters, cell)
+        choice = replace(choice, parameters=geometric.parameters)
+    else:
+        regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
+        if regimes:
+            nominal = fit_cell(chain, samples, cell, inertias, regimes)
+        train, explain = samples.select(trained), samples.select(~trained)
+        geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
+        choice = replace(choice, parameters=geometric.parameters)
+        found: Diagnosis = diagnose(
+            geometric,
+            train,
+            explain,
+            np.random.default_rng(seed),
+            cell.distances,
+            known=causes_of_moves(geometric, samples),
+        )
+        final = replace(found.fit, model=sharpened(found.fit.model, samples))
+        left = None if found.left is None else found.left.effect.label
+    wrong = outlying(final.model, final.noise, samples)
+    if wrong.sum() > 0.1 * len(samples):  # that is no longer a few wrong readings: the model is wrong, and keeps all
+        wrong = np.zeros(len(samples), bool)
+    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
+    if searched:
+        shipped = replace(shipped, rivals=tuple(cause.rivals for cause in found.causes))
+    values = P + sum(len(e.values) for e in shipped.calibrated.effects)
+    freedom = max(_equations(samples.select(~wrong)) - values, 1.0)
+    return Refit(shipped, final, samples, wrong, freedom, searched, left)
+
+
+def _equations(samples: Samples) -> float:
+    return float(dimensions(samples).sum())
+
+
+def moved(refitted: Refit) -> bool:
+    """Whether base or tool moved while these stations were measured."""
+    return bool(moves_of(refitted.calibration.calibrated))

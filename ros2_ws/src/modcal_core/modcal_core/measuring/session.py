@@ -1,0 +1,148 @@
+"""What has been measured so far: a list of stations that only grows, from which everything else follows.
+
+A station is planned, then measured or not: the tracker may not see it, the arm may not reach it. Whoever measures adds
+to the session and asks for advice; a session that is read from its file again goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import TRAVEL
+from modcal_core.measurements.arrays import APART
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.recording import POINT, POSE
+from modcal_core.measurements.samples import Samples
+
+FIT, RETURN, DECIDE, PROOF = "fit", "return", "decide", "proof"  # what a station is for
+PLANNED, MEASURED, UNSEEN, SKIPPED = "planned", "measured", "unseen", "skipped"  # what became of it
+FRAME = "tracker"
+
+
+@dataclass(frozen=True)
+class Station:
+    """asked: the posture that was asked for (n,) [rad, m]. role: FIT, RETURN, DECIDE or PROOF. state: PLANNED,
+    MEASURED, UNSEEN (the instrument saw nothing) or SKIPPED (the arm did not go there). q: where the joints stood
+    (n,). reading: x y z [m], of a pose qx qy qz qw behind them. stamp: [s]; NaN where nobody knows. approach: the way in
+    which each
+    joint came, or is to come, −1, 0 (unknown) or 1, (n,). effort: (n,), NaN where unknown. sigma: scatter of the
+    position per axis [m]; NaN where unknown. row: number of the recorded station, of a replay, or of what a return
+    comes back to.
+    """
+
+    asked: Array
+    role: str = FIT
+    state: str = PLANNED
+    q: Array | None = None
+    reading: Array | None = None
+    stamp: float = float("nan")
+    approach: Array | None = None
+    effort: Array | None = None
+    sigma: float = float("nan")
+    row: int = -1
+
+    def measured(self, reading: Array, q: Array | None = None, **known: object) -> Station:
+        """The station with what was read there."""
+        stood = self.asked if q is None else q
+        return replace(self, state=MEASURED, q=stood, reading=np.asarray(reading, dtype=float), **known)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Look:
+    """A proof was begun. fitted: stations in the fit. expected: RMS error [m]. axes: directions it varies like."""
+
+    fitted: int
+    expected: float
+    axes: float = 1.0
+
+
+@dataclass(frozen=True)
+class Session:
+    """names: of the joints, in the order of all postures. stations: in the order in which they were asked for.
+    looks: one for each model that a proof was begun of.
+    """
+
+    names: tuple[str, ...]
+    kind: str = POINT
+    stations: tuple[Station, ...] = ()
+    looks: tuple[Look, ...] = field(default=())
+
+    @property
+    def pending(self) -> tuple[int, ...]:
+        """Numbers of the stations that are planned and not yet done."""
+        return tuple(i for i, s in enumerate(self.stations) if s.state == PLANNED)
+
+    def rows(self, *roles: str) -> list[int]:
+        """Numbers of the measured stations of these roles; of all where none is named."""
+        return [i for i, s in enumerate(self.stations) if s.state == MEASURED and (not roles or s.role in roles)]
+
+    @property
+    def fitted(self) -> list[int]:
+        """Numbers of the measured stations that fits may see."""
+        return self.rows(FIT, RETURN, DECIDE)
+
+    def asking(self, stations: list[Station]) -> Session:
+        """The session with further stations planned."""
+        return replace(self, stations=(*self.stations, *stations))
+
+    def with_station(self, number: int, station: Station) -> Session:
+        """The session with what became of a station."""
+        every = list(self.stations)
+        every[number] = station
+        return replace(self, stations=tuple(every))
+
+    def samples(self, rows: list[int]) -> Samples:
+        """The measured stations with these numbers, as samples, in the order in which they were measured."""
+        return samples_of([self.stations[i] for i in rows], self.names, self.kind, rows, self._approach(rows))
+
+    def _approach(self, rows: list[int]) -> Array:
+        """The way each joint came to these stations: as known, else as it comes from the one measured before."""
+        way = np.zeros((len(rows), len(self.names)))
+        before: Array | None = None
+        last = np.zeros(len(self.names))
+        wanted = {i: k for k, i in enumerate(rows)}
+        for i, s in enumerate(self.stations):
+            if s.state != MEASURED or s.q is None:
+                continue
+            if before is not None:
+                step = s.q - before
+                last = np.where(np.abs(step) > TRAVEL, np.sign(step), last)
+            before = s.q
+            if i in wanted:
+                way[wanted[i]] = last if s.approach is None else s.approach
+        return way
+
+
+def samples_of(
+    stations: list[Station], names: tuple[str, ...], kind: str, numbers: list[int], approach: Array
+) -> Samples:
+    """Measured stations as samples, one each."""
+    N, n = len(stations), len(names)
+    reading = np.array([s.reading for s in stations], dtype=float).reshape(N, -1)
+    stamps = np.array([s.stamp for s in stations])
+    clock = bool(np.isfinite(stamps).all()) and N > 0
+    if not clock:
+        stamps = APART * np.array(numbers, dtype=float)
+    posed = kind == POSE
+    return Samples(
+        names=names,
+        frames=(FRAME,),
+        q=np.array([s.q for s in stations], dtype=float).reshape(N, n),
+        stamps=stamps,
+        station=np.array(numbers, dtype=int),
+        frame=np.zeros(N, dtype=int),
+        kind=np.full(N, kind, dtype=KIND_NAMES),
+        reading=reading[:, :3],
+        R=so3.from_quaternion(reading[:, 3:]) if posed else np.tile(np.eye(3), (N, 1, 1)),
+        sigma_position=np.array([s.sigma for s in stations]),
+        sigma_rotation=np.full(N, np.nan),
+        velocity=np.zeros((N, n)),
+        moving=np.zeros(N, dtype=bool),
+        approach=approach,
+        effort=np.array([np.full(n, np.nan) if s.effort is None else s.effort for s in stations]).reshape(N, n),
+        clock=clock,
+    )

@@ -1,0 +1,281 @@
+"""``modcal measure``: stations until a wanted accuracy is proven, by hand, in simulation, or from a recording."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+
+from modcal_core.errors import BadTable, about
+from modcal_core.files import read_yaml
+from modcal_core.measurements.recording import POINT, POSE
+from modcal_core.measuring.advice import BATCH, Advice, Advisor
+from modcal_core.measuring.goal import MAX_STATIONS, Goal
+from modcal_core.measuring.pool import of_recording, of_robot
+from modcal_core.measuring.record import with_table
+from modcal_core.measuring.session import Session
+from modcal_core.planning.site import Site, site_from_data
+from modcal_core.robot import Robot
+from modcal_nodes.cli.calibrate import EXISTING, SEED, UNMET
+from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.robot import BASE, TIP, arm_line
+from modcal_nodes.cli.simulate import parameter
+from modcal_nodes.io.inputs import read_cell
+from modcal_nodes.io.progress import Watch
+from modcal_nodes.io.recorded import opened
+from modcal_nodes.measuring.folder import NEXT, Folder, Kept, outcome_data
+from modcal_nodes.measuring.measurers import Measurer, Replay, SimulatedCell, one_a_station
+from modcal_nodes.ros.parameters import SIMULATED_CELL
+
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+
+
+@click.command("measure")
+@click.argument("robot", type=EXISTING)
+@BASE
+@TIP
+@click.option(
+    "--goal-mm",
+    type=_POSITIVE,
+    default=None,
+    metavar="MM",
+    help="Error at the tool to be proven. Default: as good as can be.",
+)
+@click.option(
+    "--of",
+    "statistic",
+    type=click.Choice(["rms", "p95"]),
+    default="rms",
+    show_default=True,
+    help="Statistic of --goal-mm.",
+)
+@click.option(
+    "--confidence", type=click.FloatRange(0.5, 0.999), default=0.95, show_default=True, help="With which it is proven."
+)
+@click.option(
+    "--stations", type=click.IntRange(min=1), default=MAX_STATIONS, show_default=True,
+    help="Most stations.",
+)  # fmt: skip
+@click.option("--minutes", type=_POSITIVE, default=None, help="Most time, from the first call on.")
+@click.option(
+    "--by-hand",
+    "folder",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="DIR",
+    help="Ask for stations in DIR/next.csv, and read there what was measured.",
+)
+@click.option("--simulated", is_flag=True, help="Measure in the simulated cell (MuJoCo).")
+@click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
+@click.option(
+    "--replay", type=EXISTING, default=None, metavar="BAG",
+    help="Choose among the stations of a recording.",
+)  # fmt: skip
+@click.option(
+    "--site",
+    "site_file",
+    type=EXISTING,
+    default=None,
+    metavar="FILE",
+    help="YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
+)
+@click.option(
+    "--reading", type=click.Choice([POINT, POSE]), default=POINT, show_default=True, help="What is read by hand."
+)
+@click.option(
+    "--instrument-mm",
+    type=_POSITIVE,
+    default=None,
+    metavar="MM",
+    help="Error of the instrument, RMS over space: it is no error of the tool.",
+)
+@click.option(
+    "--cell",
+    "cell_file",
+    type=EXISTING,
+    default=None,
+    help="YAML of fixed parameters, and what is stated of arm and instrument.",
+)
+@click.option(
+    "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
+)
+@click.option("--ties", is_flag=True, help="Separate explanations that stay open, by up to 12 more stations.")
+@click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
+@click.option(
+    "--batch", type=click.IntRange(1, 100), default=BATCH, show_default=True, help="Stations between two fits."
+)
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of what is drawn at random.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of session and results; of --by-hand it is DIR.",
+)
+@speaking
+def measure_command(
+    robot: Path,
+    base: str | None,
+    tip: str | None,
+    goal_mm: float | None,
+    statistic: str,
+    confidence: float,
+    stations: int,
+    minutes: float | None,
+    folder: Path | None,
+    simulated: bool,
+    given: tuple[str, ...],
+    replay: Path | None,
+    site_file: Path | None,
+    reading: str,
+    instrument_mm: float | None,
+    cell_file: Path | None,
+    fixed: tuple[str, ...],
+    ties: bool,
+    geometry_only: bool,
+    batch: int,
+    seed: int,
+    out: Path | None,
+    output: Output,
+) -> int:
+    """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
+
+    After every few stations the model is fitted again and the next ones are chosen for what they are worth. Stations
+    drawn at random and kept out of the fit prove the result. A session is kept in its folder and goes on where it
+    stopped. Exit code 3: ended, and the goal is not proven.
+    """
+    if sum((folder is not None, simulated, replay is not None)) != 1:
+        raise BadTable("modcal measure", "needs one of --by-hand, --simulated and --replay", "say who measures")
+    goal = Goal(
+        None if goal_mm is None else 1e-3 * goal_mm, statistic, confidence, stations,  # type: ignore[arg-type]
+        None if minutes is None else 60.0 * minutes, 1e-3 * (instrument_mm or 0.0), ties,
+    )  # fmt: skip
+    arm = _read(robot, base, tip)
+    site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
+    cell = read_cell(cell_file, fixed)
+    with output.working() as watch:
+        measurer: Measurer | None = None
+        if simulated:
+            chosen = _cell(robot, base, tip, given)
+            measurer, reading = SimulatedCell(chosen), chosen["measurement"]
+        elif replay is not None:
+            samples = one_a_station(opened(replay, watch).samples(arm, 0.5))
+            measurer = Replay(samples)
+            reading = measurer.kind
+        watch("looking at what the arm can reach")
+        rng = np.random.default_rng(seed)
+        if isinstance(measurer, Replay):
+            pool = of_recording(measurer.samples.q, rng)
+        else:
+            pool = of_robot(arm.mechanism, site, reading, rng)
+        place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
+        began = time.time() if measurer is None else None
+        kept = place.begin(Kept(Session(arm.names, reading), goal, seed, began))
+        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=batch, effects=not geometry_only)
+        if measurer is None:
+            advice = _by_hand(place, kept, advisor, watch)
+        else:
+            advice = _whole(place, kept, advisor, measurer, watch)
+        files = {} if advice.outcome is None else place.finish(advice, goal)
+    data = outcome_data(advice, goal)
+    if advice.outcome is None:
+        output.result(data, partial(_asking, place, advice, robot))
+        return 0
+    where = written(place.path, files, "Result", "measure.json")
+    output.result(data, partial(tell, [arm_line(arm), *_ended(advice)]), where)
+    return 0 if advice.outcome.ending == "proven" or goal.accuracy is None else UNMET
+
+
+def _read(robot: Path, base: str | None, tip: str | None) -> Robot:
+    if robot.suffix in (".yaml", ".yml"):
+        data = read_yaml(robot)
+        with about(str(robot)):
+            return Robot.from_delta(robot) if "modcal_delta" in data else Robot.from_table(robot)
+    with about(str(robot)):
+        return Robot.from_urdf(robot, base, tip)
+
+
+def _cell(robot: Path, base: str | None, tip: str | None, given: tuple[str, ...]) -> dict[str, Any]:
+    chosen = {name: p.default for name, p in SIMULATED_CELL.items()}
+    chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
+    chosen["base"], chosen["tip"] = base or "", tip or ""
+    for text in given:
+        name, value = parameter(text)
+        chosen[name] = value
+    return chosen
+
+
+def _whole(place: Folder, kept: Kept, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
+    """Measure to the end, the session being kept after every station."""
+    session = kept.session
+    while True:
+        watch("fitting and choosing")
+        advice = advisor.advise(session, measurer.elapsed)
+        session = advice.session
+        place.save(replace(kept, session=session))
+        if advice.outcome is not None:
+            place.write_tables(session)
+            return advice
+        for number in session.pending:
+            watch(f"station {number + 1}")
+            session = session.with_station(number, measurer.measure(session.stations[number]))
+            place.save(replace(kept, session=session))
+
+
+def _by_hand(place: Folder, kept: Kept, advisor: Advisor, watch: Watch) -> Advice:
+    """Take in what was filled in, and ask for the next stations once those asked for are done."""
+    session, table = kept.session, place.path / NEXT
+    if table.exists():
+        with about(str(table)):
+            text = table.read_text(encoding="utf-8", errors="replace")
+            session = with_table(session, text, np.asarray(place.robot.mechanism.revolute), str(table))
+    watch("fitting and choosing")
+    elapsed = 0.0 if kept.began is None else time.time() - kept.began
+    advice = advisor.advise(session, elapsed)
+    place.save(replace(kept, session=advice.session))
+    place.write_tables(advice.session)
+    return advice
+
+
+def _asking(place: Folder, advice: Advice, robot: Path, page: Console) -> None:
+    """Say what to measure next."""
+    session = advice.session
+    lines = [f"{len(session.rows())} stations measured; {_standing(advice)}".rstrip("; ")]
+    lines.append(f"Next: {len(session.pending)} stations ({advice.why}), in {place.path / NEXT}")
+    for number in session.pending:
+        q = session.stations[number].asked
+        turns = place.robot.mechanism.revolute
+        shown = (f"{np.degrees(v):9.3f}°" if t else f"{1e3 * v:9.3f} mm" for v, t in zip(q, turns, strict=True))
+        lines.append(f"  {number + 1:3d} {session.stations[number].role:7s}" + " ".join(shown))
+    lines.append(
+        "Write each reading into its row (leave a row empty for later; note 'unseen' or 'skipped' where there is"
+    )
+    lines.append("none), and give the same command again.")
+    tell(lines, page)
+
+
+def _standing(advice: Advice) -> str:
+    status = advice.status
+    if status.expected is None:
+        return ""
+    parts = [f"{1e3 * status.expected:.3f} mm RMS expected"]
+    if status.seen is not None:
+        parts.append(f"{1e3 * status.seen:.3f} mm seen at {status.proving} random stations")
+    if status.needed is not None:
+        parts.append(f"about {status.needed} more stations")
+    return ", ".join(parts)
+
+
+def _ended(advice: Advice) -> list[str]:
+    assert advice.outcome is not None
+    out = [advice.outcome.sentence]
+    if advice.status.effects:
+        out.append(f"Effects beyond geometry: {'; '.join(advice.status.effects)}")
+    if advice.status.ties:
+        out.append(f"Not decided: {'; '.join(advice.status.ties)} (--ties measures on)")
+    return out

@@ -1,0 +1,135 @@
+"""The folder of a measurement: its session, kept after every station, and in the end what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modcal_core import public
+from modcal_core.calibration.store import fingerprint
+from modcal_core.errors import BadTable
+from modcal_core.files import read_yaml, to_json, to_yaml, write_file, write_folder
+from modcal_core.measurements.origin import Origin
+from modcal_core.measuring.advice import Advice
+from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.record import from_data, to_data, to_table
+from modcal_core.measuring.session import PROOF, Session
+from modcal_core.report.files import calibration_files, delta_files
+from modcal_core.robot import Robot
+
+SESSION, NEXT, STATIONS, RESULT = "session.yaml", "next.csv", "stations.csv", "measure.json"
+_FEWEST_SCORED = 2  # proof stations, from which a report is theirs
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A session and what it was begun with. began: [s]; None where nobody's clock counts."""
+
+    session: Session
+    goal: Goal
+    seed: int
+    began: float | None = None
+
+
+class Folder:
+    """A folder that one robot's measurement is kept in."""
+
+    def __init__(self, path: Path, robot: Robot) -> None:
+        self.path, self.robot = path, robot
+        self._print = fingerprint(robot.mechanism)
+        self._turns = np.asarray(robot.mechanism.revolute)
+
+    @property
+    def begun(self) -> bool:
+        """Whether a session is there."""
+        return (self.path / SESSION).exists()
+
+    def load(self) -> Kept:
+        """The session. Raises BadTable where it cannot be read, or is another robot's."""
+        file = self.path / SESSION
+        session, goal, seed, robot, began = from_data(read_yaml(file), str(file))
+        if robot != self._print or session.names != self.robot.names:
+            said = f"is of robot {robot}, this is {self._print}"
+            raise BadTable(str(file), said, "give the description that it was begun with, or another folder")
+        return Kept(session, goal, seed, began)
+
+    def save(self, kept: Kept) -> None:
+        """Write the session, whole or not at all."""
+        data = to_data(kept.session, kept.goal, kept.seed, self._print, kept.began)
+        write_file(self.path / SESSION, to_yaml(data))
+
+    def begin(self, wanted: Kept) -> Kept:
+        """The session that is there, else this one. Raises BadTable where the one there was begun otherwise."""
+        if not self.begun:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self.save(wanted)
+            return wanted
+        there = self.load()
+        asked, kept = asdict(wanted.goal), asdict(there.goal)
+        other = [name for name in asked if asked[name] != kept[name]]
+        if wanted.session.kind != there.session.kind:
+            other.append("reading")
+        if wanted.seed != there.seed:
+            other.append("seed")
+        if other:
+            said = f"was begun with another {other[0]}"
+            raise BadTable(str(self.path / SESSION), said, "repeat its options, or give another folder")
+        return there
+
+    def write_tables(self, session: Session) -> None:
+        """Write the stations that were done, and those to measure next, as tables."""
+        done = [i for i in range(len(session.stations)) if i not in session.pending]
+        write_file(self.path / STATIONS, to_table(session, done, self._turns))
+        write_file(self.path / NEXT, to_table(session, session.pending, self._turns))
+
+    def finish(self, advice: Advice, goal: Goal) -> dict[str, str]:
+        """Write what came of it: the model, its report, and how it ended; returns names and texts."""
+        files = {RESULT: to_json(outcome_data(advice, goal))}
+        if advice.refitted is not None:
+            files |= self._model(advice)
+        write_folder(self.path, files)
+        (self.path / NEXT).unlink(missing_ok=True)
+        return files
+
+    def _model(self, advice: Advice) -> dict[str, str]:
+        """The files of the calibration, its report that of the stations of the proof; without any, of all stations."""
+        refitted, session = advice.refitted, advice.session
+        assert refitted is not None
+        rows = session.rows(PROOF)
+        samples = session.samples(rows if len(rows) >= _FEWEST_SCORED else session.fitted)
+        samples = replace(samples, origin=Origin(title=self.path.name))
+        report = public.evaluate(refitted.calibration, samples, block=1)
+        if self.robot.description is None:
+            return delta_files(refitted.calibration, report)
+        return calibration_files(refitted.calibration, report, self.robot.chain, self.robot.description)
+
+
+def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
+    """How a measurement ended or stands, for programs: numbers in mm, null where not known."""
+    status, ended = advice.status, advice.outcome
+
+    def mm(value: float | None) -> float | None:
+        return None if value is None else 1e3 * value
+
+    return {
+        "modcal_measure": 1,
+        "goal_mm": mm(goal.accuracy),
+        "statistic": goal.statistic,
+        "confidence": goal.confidence,
+        "ending": None if ended is None else ended.ending,
+        "sentence": None if ended is None else ended.sentence,
+        "stations": {"measured": status.measured, "fit": status.fitted, "proof": status.proving},
+        "expected_rms_mm": mm(status.expected),
+        "proof": {
+            "rms_mm": mm(status.seen),
+            "at_most_mm": None if status.bound is None else 1e3 * goal.of_tool(status.bound),
+            "models_tried": len(advice.session.looks),
+        },
+        "floor_mm": mm(status.floor),
+        "effects": list(status.effects),
+        "undecided": list(status.ties),
+        "next": {"stations": len(advice.session.pending), "why": advice.why} if ended is None else None,
+    }
