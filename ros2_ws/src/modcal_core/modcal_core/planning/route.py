@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.returns import with_returns
@@ -98,10 +95,18 @@ def _shortened(q: Array, order: np.ndarray) -> np.ndarray:
 
 
 class _Roadmap:
-    """Allowed postures (N, n), and the ways between near ones, each free until it has been looked at."""
+    """Allowed postures (N, n), and the ways between near ones, each free until it has been looked at.
+
+    It is drawn when the first straight way is not free; of most plans all are.
+    """
 
     def __init__(self, q: Array, free: Free) -> None:
-        self.q, self.free = q, free
+        self.q, self.free, self.drawn = q, free, False
+
+    def _draw(self) -> None:
+        from scipy.spatial import cKDTree
+
+        q, self.drawn = self.q, True
         near = cKDTree(q).query(q, k=min(_NEIGHBOURS + 1, len(q)), p=np.inf)[1].reshape(len(q), -1)
         ends = np.stack([np.repeat(np.arange(len(q)), near.shape[1]), near.ravel()], axis=1)
         self.edges = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
@@ -114,6 +119,8 @@ class _Roadmap:
         """Postures between two of the map, (m, n): none where the straight way is free; None where no way is."""
         if self.free(_line(self.q[a], self.q[b])).all():
             return np.empty((0, self.q.shape[1]))
+        if not self.drawn:
+            self._draw()
         for _ in range(_TRIED):
             path = self._shortest(a, b)
             if path is None:
@@ -134,6 +141,9 @@ class _Roadmap:
         return True
 
     def _shortest(self, a: int, b: int) -> list[int] | None:
+        from scipy.sparse import csr_matrix
+        from scipy.sparse.csgraph import dijkstra
+
         there = self.edges[self.open]
         graph = csr_matrix((self.length[self.open], there.T), shape=(len(self.q),) * 2)
         length, before = dijkstra(graph, directed=False, indices=np.array(a), return_predecessors=True)

@@ -18,11 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain
-from modcal_core.planning.designs import sobol_points
+from modcal_core.planning.sobol import sobol_points
 
 OUTPUTS = ("vector", "distance")
 
@@ -75,7 +75,7 @@ def sobol_indices(
 def _once(f: object, sizes: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
     assert callable(f)
     P = len(sizes)
-    A, B = np.split(norm.ppf(sobol_points(arms, 2 * P, rng)) * np.tile(sizes, 2), 2, axis=1)
+    A, B = np.split(ndtri(sobol_points(arms, 2 * P, rng)) * np.tile(sizes, 2), 2, axis=1)
     fA, fB = f(A), f(B)
     centre = 0.5 * (fA.mean(axis=0) + fB.mean(axis=0))  # the estimators do not change with it, their scatter does
     fA, fB = fA - centre, fB - centre

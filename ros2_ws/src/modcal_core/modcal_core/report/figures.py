@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.report.contents import ReportContents
 from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.ticker import Locator
+
+    from modcal_core.report.contents import ReportContents
 
 MOST_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", "o", "soft"), ("explain", "s", "good"), ("held_out", "^", "after"))

@@ -26,9 +26,9 @@ from modcal_core.modules.urdf import urdf_of
 from modcal_core.preprocess import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.io.assemblies import read_assembly
 

@@ -24,6 +24,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
@@ -31,7 +32,6 @@ from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
 from modcal_nodes.io.recorded import calibrate_bag, opened
 
-EXISTING = click.Path(exists=True, path_type=Path)
 SEED = click.IntRange(min=0)  # what NumPy takes
 _SPLITS = click.option(
     "--block",

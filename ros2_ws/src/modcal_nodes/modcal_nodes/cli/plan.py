@@ -17,10 +17,8 @@ from modcal_core.planning.posture_pool import CANDIDATES
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
-from modcal_nodes.cli.calibrate import EXISTING
-from modcal_nodes.cli.camera import plan_next_images
 from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.deciding import decide
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
@@ -124,6 +122,8 @@ def plan_command(
         return
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if report is not None:
+        from modcal_nodes.cli.deciding import decide
+
         if robot is not None or accuracy_mm is not None:
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
@@ -165,6 +165,8 @@ def _by_camera(
     output: Output,
 ) -> None:
     """The images to take after those that there are."""
+    from modcal_nodes.cli.camera import plan_next_images
+
     if camera is None or target is None:
         given = "--joints" if target is None and camera is None else "--camera" if camera is not None else "--target"
         raise BadTable(given, "needs --camera and --target", "give the images so far, and the target that they show")

@@ -19,9 +19,9 @@ from modcal_core.planning.study import Measured, Study, study
 from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_html, to_json_data, to_text
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.robots.table_rows import vector
-from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 

@@ -20,9 +20,9 @@ from modcal_core.modules.ranking import described, sentence, to_data, to_markdow
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, synthesize
 from modcal_core.modules.synthesis_data import task_from_data
-from modcal_nodes.cli.calibrate import EXISTING
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.io.assemblies import read_library
 
 _COLUMNS = {
