@@ -14,22 +14,22 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
 
-from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant  # noqa: E402
-from scenarios import SCENARIOS, Fault, Stations  # noqa: E402
-from scipy.spatial.transform import Rotation  # noqa: E402
+from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant
+from scenarios import SCENARIOS, Fault, Stations
+from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.score import errors  # noqa: E402
-from modcal_core.calibration.store import Calibration  # noqa: E402
-from modcal_core.measurements.kinds.kind import KIND_NAMES  # noqa: E402
-from modcal_core.measurements.samples import Samples  # noqa: E402
-from modcal_core.measuring.advice import Advice, Advisor  # noqa: E402
-from modcal_core.measuring.goal import Goal  # noqa: E402
-from modcal_core.measuring.pool import Pool, of_robot  # noqa: E402
-from modcal_core.measuring.session import FRAME, Session, Station  # noqa: E402
-from modcal_core.planning.site import Noise, Site  # noqa: E402
-from modcal_core.robots.chain import Chain  # noqa: E402
-from modcal_core.robots.urdf import read_chain  # noqa: E402
-from modcal_core.robots.urdf_inertias import Inertias, read_inertias  # noqa: E402
+from modcal_core.calibration.score import errors
+from modcal_core.calibration.store import Calibration
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.samples import Samples
+from modcal_core.measuring.advice import Advice, Advisor
+from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.pool import Pool, of_robot
+from modcal_core.measuring.session import FRAME, Session, Station
+from modcal_core.planning.site import Noise, Site
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 Array = np.ndarray
 EACH = 8.0  # s from one station to the next

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, Distance, distance_rows
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.scale import Scale, scale_without_distances
+from modcal_core.calibration.scale import ScaleEstimate, scale_without_distances
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.measurements.samples import Samples
 
@@ -55,7 +55,7 @@ def distances_of(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -
     return known if scale is None else (_by_scale(known[0], scale, fit),)
 
 
-def _by_scale(only: KnownDistance, scale: Scale, fit: Fit) -> KnownDistance:
+def _by_scale(only: KnownDistance, scale: ScaleEstimate, fit: Fit) -> KnownDistance:
     """The only known distance, beside what fixed points and the drawing say of the scale without it."""
     std = float(np.hypot(scale.std * only.stated, np.sqrt(2.0) * fit.noise.position))
     return replace(only, found=(1.0 + scale.longer) * only.stated, std=std)

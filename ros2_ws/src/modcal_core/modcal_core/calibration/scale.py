@@ -32,14 +32,14 @@ _SETTLED = 0.5  # standard deviations of the scale
 
 
 @dataclass(frozen=True)
-class Scale:
+class ScaleEstimate:
     """By which share of itself every known distance would be longer for all the readings say, and its deviation."""
 
     longer: float
     std: float
 
 
-def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -> Scale | None:
+def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -> ScaleEstimate | None:
     """What the readings and the arm's drawing say of the scale; None where not all readings are of fixed points.
 
     fit: of these samples with the known distances. Another kind of reading tells the scale by itself.
@@ -62,7 +62,7 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
         if abs(step) < _SETTLED * std:
             break
         middle = _held(fit, samples, distances, about)
-    return Scale(about - 1.0, about * std)
+    return ScaleEstimate(about - 1.0, about * std)
 
 
 def _held(fit: Fit, samples: Samples, distances: Sequence[AnyDistance], factor: float) -> Fit:

@@ -58,7 +58,7 @@ _MOST_RETURNS = 12  # beyond, the floor is known to a tenth
 
 
 @dataclass(frozen=True)
-class Outcome:
+class End:
     """How it ended, and why, in a sentence."""
 
     ending: Ending
@@ -66,7 +66,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Status:
+class Advance:
     """Where a measurement stands. expected: RMS error of a reading that the fit expects [m], None before the first fit.
     bound: RMS [m] that is proven. seen: RMS at the proof's stations [m]. floor: RMS [m] that repeats and instrument
     leave, None while it is not known. needed: further stations that it should take, None where nobody knows.
@@ -92,8 +92,8 @@ class Advice:
 
     session: Session
     why: str
-    status: Status
-    outcome: Outcome | None = None
+    status: Advance
+    outcome: End | None = None
     refitted: Refit | None = None
 
 
@@ -138,7 +138,7 @@ class Advisor:
         """What to do after what has been measured. elapsed: seconds since the session began."""
         rows = session.fitted
         measured, proving = len(session.rows()), len(session.rows(PROOF))
-        status = Status(measured, len(rows), proving)
+        status = Advance(measured, len(rows), proving)
         refitted = self._refit(session, rows) if len(rows) >= self.least(session.kind) else None
         if session.pending:
             return Advice(session, "stations asked for before", status, refitted=refitted)
@@ -199,7 +199,7 @@ class Advisor:
         right = refitted.samples.select(~refitted.wrong)
         return axes_of(errors(refitted.calibration.calibrated, right).position_norm ** 2)
 
-    def _status(self, status: Status, session: Session, refitted: Refit, view: Outlook, left: Array) -> Status:
+    def _status(self, status: Advance, session: Session, refitted: Refit, view: Outlook, left: Array) -> Advance:
         floor = self._floor(refitted)
         calibration = refitted.calibration
         ties = tuple(
@@ -222,7 +222,7 @@ class Advisor:
 
     # what next
 
-    def _next(self, session: Session, status: Status, refitted: Refit, view: Outlook, left: Array) -> Advice:
+    def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook, left: Array) -> Advice:
         size = max(self._batch, len(session.fitted) // _GROWING)
         size = max(1, min(size, self.goal.stations - status.measured))
         rng = np.random.default_rng((self._seed, len(session.stations)))
@@ -265,7 +265,7 @@ class Advisor:
         return float(np.sqrt(max(both / expected, 0.25)))
 
     def _as_good_as_can_be(
-        self, session: Session, status: Status, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
+        self, session: Session, status: Advance, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
     ) -> Advice:
         """No proof is in reach: know the floor, then measure until more stations would change nothing."""
         floor = self._floor(refitted)
@@ -295,7 +295,7 @@ class Advisor:
         best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
         return float(np.sqrt((refitted.spread**2 + model**2) / best))
 
-    def _settle_ties(self, session: Session, status: Status, refitted: Refit, ended: Outcome) -> Advice:
+    def _settle_ties(self, session: Session, status: Advance, refitted: Refit, ended: End) -> Advice:
         """The end, after stations that separate explanations where that is asked for."""
         asked = sum(s.role == DECIDE for s in session.stations)
         if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(session, 0.0):
@@ -306,7 +306,7 @@ class Advisor:
         return Advice(session, "", status, ended, refitted)
 
     def _asked(
-        self, session: Session, stations: list[Station], why: str, status: Status, refitted: Refit | None
+        self, session: Session, stations: list[Station], why: str, status: Advance, refitted: Refit | None
     ) -> Advice:
         room = self.goal.stations - status.measured
         stations = stations[: max(room, 0)]
@@ -329,24 +329,24 @@ class Advisor:
         name = "95th percentile" if self.goal.statistic == "p95" else "RMS error"
         return f"{name} {1e3 * self.goal.of_tool(rms):.3f} mm"
 
-    def _proven(self, proof: Proof, status: Status) -> Outcome:
+    def _proven(self, proof: Proof, status: Advance) -> End:
         assert self.goal.accuracy is not None
         assert proof.rms is not None
         bound = proof.bound or 0.0
-        return Outcome(
+        return End(
             "proven",
             f"{1e3 * self.goal.accuracy:g} mm is proven: at {len(proof.errors)} random stations that no fit has seen "
             f"the {self._said(proof.rms)}, at most {1e3 * self.goal.of_tool(bound):.3f} mm with "
             f"{100 * self.goal.confidence:g} % confidence, from {status.measured} stations in all.",
         )
 
-    def _spent(self, status: Status) -> Outcome:
+    def _spent(self, status: Advance) -> End:
         said = f"The budget is gone after {status.measured} stations"
         if status.expected is None:
-            return Outcome("budget", f"{said}: too few for a fit.")
-        return Outcome("budget", f"{said}: {self._said(status.expected)} is expected, and not proven.")
+            return End("budget", f"{said}: too few for a fit.")
+        return End("budget", f"{said}: {self._said(status.expected)} is expected, and not proven.")
 
-    def _no_station_helps(self, status: Status, floor: Floor | None, refitted: Refit) -> Outcome:
+    def _no_station_helps(self, status: Advance, floor: Floor | None, refitted: Refit) -> End:
         assert status.expected is not None
         reached = self._said(status.expected)
         if floor is None:
@@ -358,8 +358,8 @@ class Advisor:
             many = f"{floor.returns} returns" if floor.returns else "what was stated"
             cause = f"{floor.rms:.3f} mm is what this arm repeats and this instrument reads, by {many}"
         if self.goal.accuracy is None:
-            return Outcome("no_station_helps", f"No further station helps: {reached}; {cause}.")
+            return End("no_station_helps", f"No further station helps: {reached}; {cause}.")
         goal = f"{1e3 * self.goal.accuracy:g} mm"
         below = floor is not None and self.goal.rms is not None and 1e3 * self.goal.rms < floor.rms
         said = f"{goal} is below what can be reached" if below else f"{goal} is not in reach"
-        return Outcome("no_station_helps", f"{said}: {cause}; reached: {reached}.")
+        return End("no_station_helps", f"{said}: {cause}; reached: {reached}.")

@@ -182,7 +182,7 @@ def _reading_columns(kind: str) -> tuple[str, ...]:
 def _written(reading: Array | None, kind: str) -> list[str]:
     if reading is None:
         return [""] * len(_reading_columns(kind))
-    turned = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))) if kind == POSE else []
+    turned: list[float] = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))).tolist() if kind == POSE else []
     return [f"{v:.5f}" for v in (*(1e3 * reading[:3]), *turned)]
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from modcal_core.calibration.structure import joint_ranges
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.sobol import sobol_points
 from modcal_core.robots.mechanism import Mechanism, takes
 
 DESIGNS = ("l25", "array", "sobol")
@@ -81,6 +80,14 @@ def sobol_postures(chain: Mechanism, count: int, rng: np.random.Generator) -> Ar
     low, high = joint_ranges(chain)
     q = np.asarray(low + (high - low) * sobol_points(count * (_DRAWN if chain.closed else 1), chain.n, rng))
     return q[takes(chain, q)][:count] if chain.closed else q
+
+
+def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array:
+    """The first points of a scrambled Sobol sequence, (count, dimensions), each number in (0, 1)."""
+    whole = 1 << max(count - 1, 0).bit_length()  # the sequence is balanced at powers of two
+    from scipy.stats import qmc  # takes half a second, and every calibration imports this file
+
+    return np.asarray(qmc.Sobol(dimensions, seed=rng).random(whole)[:count])
 
 
 def design(chain: Mechanism, kind: str, rng: np.random.Generator, levels: int = 5, count: int = 64) -> Array:

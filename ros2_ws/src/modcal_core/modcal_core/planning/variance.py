@@ -22,7 +22,7 @@ from scipy.special import ndtri
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain
-from modcal_core.planning.sobol import sobol_points
+from modcal_core.planning.designs import sobol_points
 
 OUTPUTS = ("vector", "distance")
 

@@ -15,8 +15,9 @@ from modcal_core.files import to_json, write_folder
 from modcal_core.measurements.schema import require
 from modcal_core.report.comparison import Side, compare, to_json_data
 from modcal_core.report.comparison_page import summary, to_html
-from modcal_nodes.cli.calibrate import EXISTING, UNMET
+from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
 

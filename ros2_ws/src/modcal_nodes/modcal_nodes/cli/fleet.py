@@ -14,9 +14,10 @@ from rich.text import Text
 from modcal_core.errors import plain
 from modcal_core.files import to_json
 from modcal_core.report.sentence import STATUS_WORDS
-from modcal_nodes.cli.calibrate import EXISTING, calibration_options
+from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row

@@ -22,15 +22,17 @@ from modcal_core.measuring.record import with_table
 from modcal_core.measuring.session import Session
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robot import Robot
-from modcal_nodes.cli.calibrate import EXISTING, SEED, UNMET
+from modcal_nodes.cli.calibrate import SEED
+from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io.inputs import read_cell
 from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
 from modcal_nodes.measuring.folder import NEXT, Folder, Kept, outcome_data
-from modcal_nodes.measuring.measurers import Measurer, Replay, SimulatedCell, one_a_station
+from modcal_nodes.measuring.measurers import CellInProcess, Measurer, Replay, one_a_station
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
@@ -162,7 +164,7 @@ def measure_command(
         measurer: Measurer | None = None
         if simulated:
             chosen = _cell(robot, base, tip, given)
-            measurer, reading = SimulatedCell(chosen), chosen["measurement"]
+            measurer, reading = CellInProcess(chosen), chosen["measurement"]
         elif replay is not None:
             samples = one_a_station(opened(replay, watch).samples(arm, 0.5))
             measurer = Replay(samples)

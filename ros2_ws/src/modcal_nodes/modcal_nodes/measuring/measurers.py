@@ -31,7 +31,7 @@ class Measurer(Protocol):
         """Seconds since the beginning."""
 
 
-class SimulatedCell:
+class CellInProcess:
     """The cell of ``modcal simulate``, asked station by station. chosen: the parameters of ``simulated_cell``."""
 
     def __init__(self, chosen: dict[str, Any]) -> None:
