@@ -29,6 +29,7 @@ from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.stated_places import contradicted_places
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
+from modcal_core.diagnosis.loads import Loads, weighed, with_arm
 from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.effects.families import payload
@@ -108,9 +109,18 @@ def calibrate(
 
     # what is left: where it comes from, an effect for it, and again
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
+    loads: Loads | None = None
     if look_for_effects:
         suspects = (lambda at: ()) if changed is None else partial(payload.since, time=changed)
-        diagnosis = diagnose(geometric, train, explain, rng, cell.distances, progress, suspects, diagnosis.causes)
+        known = diagnosis.causes
+
+        def search(fit: Fit) -> Diagnosis:
+            return diagnose(fit, train, explain, rng, cell.distances, progress, suspects, known)
+
+        upright = cell.gravity is not None
+        diagnosis, loads = weighed(geometric, train, explain, search, cell.between, cell.distances, upright)
+        if loads is not None:
+            geometric = with_arm(geometric, loads.arm)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
     require_plausible(nominal, final, train, samples, cell.distances)
@@ -175,5 +185,6 @@ def calibrate(
         distances=distances,
         grounds=grounds,
         judged=judged,
+        loads=loads,
     )
     return Solution(report, shipped, final)

@@ -34,7 +34,8 @@ class Cell:
     instrument watches a point of the tool of its own. sockets: frames in which the tool's ball rests at one point.
     stated: repeatability and accuracy that were stated. moved: when base or tool are known to have been moved.
     own_in_recordings: what each of several recordings has of its own. tool: where it is, where that is known. gravity:
-    the way in which weight pulls in the base, (3,), of any length; None: as the robot description has it.
+    the way in which weight pulls in the base, (3,), of any length; None: as the robot description has it, or the data
+    show. between: stamps [s] between recordings that were joined to one, in each of which something else was carried.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -47,6 +48,7 @@ class Cell:
     own_in_recordings: What | None = None
     tool: StatedTool | None = None
     gravity: tuple[float, float, float] | None = None
+    between: tuple[float, ...] = ()
 
     @property
     def kept(self) -> tuple[str, ...]:

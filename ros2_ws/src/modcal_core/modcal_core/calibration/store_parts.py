@@ -16,6 +16,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.typical import TypicalDriver
 from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.effects.carried import Carried
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import require_known
@@ -130,7 +131,29 @@ def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
         "com": [floats(c) for c in arm.inertias.com],
         "down": floats(arm.inertias.down),
         **({"branches": [_hanging_to_data(b) for b in arm.inertias.branches]} if arm.inertias.branches else {}),
+        **({} if arm.earlier is None else {"earlier": _carried_to_data(arm.earlier)}),
     }
+
+
+def _carried_to_data(carried: Carried) -> dict[str, Any]:
+    return {
+        "until": floats(np.array(carried.until)),
+        "mass": floats(carried.mass),
+        "moment": [floats(m) for m in carried.moment],
+    }
+
+
+def carried_from_data(data: Any) -> Carried | None:
+    """What the arm carried before what its bodies contain, or None."""
+    kept = (data or {}).get("earlier")
+    if kept is None:
+        return None
+    until = tuple(float(t) for t in kept["until"])
+    mass = np.array(kept["mass"], dtype=float).reshape(len(until))
+    moment = np.array(kept["moment"], dtype=float).reshape(len(until), 3)
+    if list(until) != sorted(until) or not (np.isfinite(mass).all() and np.isfinite(moment).all()):
+        raise ValueError("what was carried earlier is not in order of time, or not finite")
+    return Carried(until, mass, moment)
 
 
 def _hanging_to_data(body: Hanging) -> dict[str, Any]:

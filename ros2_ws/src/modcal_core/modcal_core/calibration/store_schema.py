@@ -42,6 +42,7 @@ SCHEMA: Schema = _keys(
     ),
     arm=_keys(
         "mass", "com", "down",
+        earlier=_keys("until", "mass", "moment"),
         branches=_list_of(
             _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))
         ),

@@ -15,6 +15,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from modcal_core.effects.carried import Carried
 from modcal_core.effects.driver_limits import DriverLimits
 from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
@@ -34,12 +35,14 @@ _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise
 @dataclass(frozen=True)
 class NominalArm:
     """The nominal arm that loads are computed from. inertias: None where the description states no mass. limits: where
-    time, temperatures and signals stop, of a frozen model; None while it is fitted.
+    time, temperatures and signals stop, of a frozen model; None while it is fitted. earlier: what it carried before
+    what its inertias contain; None where that did not change.
     """
 
     chain: Mechanism
     inertias: Inertias | None = None
     limits: DriverLimits | None = None
+    earlier: Carried | None = None
 
     @property
     def weighed(self) -> bool:
@@ -89,7 +92,8 @@ class Drivers:
             return np.zeros((chain.n, 6, len(self)))
         inertias, count = self.arm.inertias, len(self)
         moved = moved_centres(inertias.branches, inertias.mass, self._positions, count) if inertias.branches else None
-        return gravity_wrench(chain, inertias, self.samples.q, moved)
+        own = gravity_wrench(chain, inertias, self.samples.q, moved)
+        return own if self.arm.earlier is None else own + self._differing
 
     @property
     def _positions(self) -> dict[str, Array]:
@@ -103,7 +107,16 @@ class Drivers:
     @cached_property
     def payload(self) -> Array:
         """Weight of 1 kg at the tip, (n, 6, N)."""
-        return payload_wrench(self.arm.chain, self.samples.q, self._down)
+        unit = payload_wrench(self.arm.chain, self.samples.q, self._down)
+        return unit if self.arm.earlier is None or self.arm.weighed else unit + self._differing
+
+    @property
+    def _differing(self) -> Array:
+        """What the load at the tip weighed more than it does in the end, (n, 6, N)."""
+        assert self.arm.earlier is not None
+        mass, moment = self.arm.earlier.at(self.samples.stamps)
+        unit = payload_wrench(self.arm.chain, self.samples.q, self._down)
+        return unit * mass + np.einsum("dN,djcN->jcN", moment, self.offset)
 
     @cached_property
     def offset(self) -> Array:

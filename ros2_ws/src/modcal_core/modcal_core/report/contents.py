@@ -14,6 +14,7 @@ from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.diagnosis.loads import Loads
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.findings import Finding
@@ -56,7 +57,7 @@ class ReportContents:
     far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
     many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
     verdict has to know. judged: the verdict; None until it was made. offsets: of the joints, of the calibration that is
-    shipped or judged; None where they do not apply.
+    shipped or judged; None where they do not apply. loads: what pulls on the arm, where the data showed it.
     """
 
     samples: Samples
@@ -81,6 +82,7 @@ class ReportContents:
     distances: tuple[KnownDistance, ...] = ()
     grounds: Grounds = field(default_factory=Grounds)
     judged: Verdict | None = None
+    loads: Loads | None = None
     searched: bool | None = None
     dropped: tuple[tuple[str, int], ...] = ()
     tolerance: Tolerance | None = None
