@@ -72,14 +72,24 @@ def test_a_standstill_that_is_recorded_by_itself_is_a_dwell(stand: float, rate: 
     assert (dwells[:, 1] - dwells[:, 0] >= 0.3 * stand).all()
 
 
-@pytest.mark.parametrize(("count", "settles_mm", "used"), [(40, 0.0, 10), (40, 0.1, 9), (40, 1.0, 9), (6, 0.0, 9)])
-def test_the_beginning_of_a_standstill_counts_where_it_has_settled(count: int, settles_mm: float, used: int) -> None:
-    """Ten readings of 0.06 mm each; the first of each ten is off where the arm still settles. A few do not tell."""
+@pytest.mark.parametrize(
+    ("count", "off_mm", "used"),
+    [
+        (40, [0.0], 10),
+        (40, [0.1], 9),
+        (40, [1.0], 9),
+        (40, [0.4, 0.2, 0.1], 7),
+        (40, np.linspace(0.5, 0.0, 10).tolist(), 9),  # never at rest
+        (6, [0.0], 9),  # a few do not tell
+    ],
+)
+def test_a_standstill_counts_from_where_it_has_settled(count: int, off_mm: list[float], used: int) -> None:
+    """Ten readings that scatter by 0.06 mm; the first of them are off by so much, towards either side."""
     rng = np.random.default_rng(3)
     t, q = bursts(0.4, count)
-    off = np.where(np.arange(len(t)) % 10 == 0, 1e-3 * settles_mm, 0.0)
+    off = 1e-3 * np.r_[off_mm, np.zeros(10 - len(off_mm))] * rng.choice([-1.0, 1.0], (count, 1))
     values = np.repeat(rng.uniform(-1.0, 1.0, (count, 3)), 10, axis=0) + rng.normal(0.0, 6e-5, (len(t), 3))
-    values[:, 0] += off
+    values[:, 0] += off.ravel()
     track = ReadingTrack("point", "tracker", t + 1.7e-3, values, t + 1.7e-3)
     dwells = dwells_of(t, q, [track], StationRules())
     within = np.diff(np.searchsorted(track.stamps, dwells), axis=1)
