@@ -29,7 +29,7 @@ _MOST_RIVALS = 4  # that are fitted, for time
 @dataclass(frozen=True)
 class EffectChoice:
     """The chosen effect, the chance that noise would look as good, what would explain it as well, the share of the
-    squared residual that it explains, and the first of its rivals as effects.
+    squared residual that it explains, and the first of its rivals as effects. flips: trials that the chance comes from.
     """
 
     effect: Effect
@@ -37,6 +37,7 @@ class EffectChoice:
     same_as: tuple[str, ...]
     share: float
     rivals: tuple[Effect, ...] = ()
+    flips: int = 0
 
 
 def choose(
@@ -50,10 +51,12 @@ def choose(
 
     incumbent: an effect that stands already, which another must beat by more than a tie.
     """
-    allowed = np.array([e.key not in refused for e in evidence.effects])
+    allowed = np.ones(len(evidence.effects), bool)
+    if refused:
+        allowed = np.array([e.key not in refused for e in evidence.effects])
     if not (allowed & (evidence.score > 0.0)).any():
         return None
-    plain = allowed & np.array([complexity(e) < FREE for e in evidence.effects])
+    plain = allowed & (evidence.complexity < FREE)
     if incumbent is not None and complexity(incumbent) < FREE and plain.any():
         allowed = plain  # a plain cause is not given up for a free shape
     score = np.where(allowed, evidence.score, -1.0)
@@ -79,7 +82,7 @@ def choose(
         names = (f"tracker all by {chosen.public_driver}", *names)
     share = float(evidence.explained[best])
     started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MOST_RIVALS])
-    return EffectChoice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started)
+    return EffectChoice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started, evidence.flips)
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:

@@ -55,4 +55,10 @@ def frozen(model: Model, noise: NoiseModel) -> Fit:
 
 def _only(evidence: Evidence, rows: list[int]) -> Evidence:
     effects = tuple(evidence.effects[i] for i in rows)
-    return replace(evidence, effects=effects, explained=evidence.explained[rows], score=evidence.score[rows])
+    return replace(
+        evidence,
+        effects=effects,
+        explained=evidence.explained[rows],
+        score=evidence.score[rows],
+        complexity=evidence.complexity[rows],
+    )

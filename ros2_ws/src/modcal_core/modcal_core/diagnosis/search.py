@@ -168,8 +168,7 @@ def _searched(
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
         final = search.prune(final, train)
     effects = final.model.effects
-    trials = [0] * len(known) + [flips] * len(effects)  # moves of base and tool were found in another way
-    causes = tuple(replace(c, effect=e, sampled=n) for c, e, n in zip(search.causes, effects, trials, strict=False))
+    causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=False))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
 
 
@@ -195,7 +194,8 @@ class _Search:
         before, causes = self.fit, list(self.causes)
         missed = self._mean_square(before)
         self.fit = self._with(self.fit, choice.effect)
-        self.causes.append(Cause(choice.effect, choice.p_value, choice.same_as, choice.rivals, self.fit))
+        of_scan = choice.p_value, choice.same_as, choice.rivals
+        self.causes.append(Cause(choice.effect, *of_scan, self.fit, choice.flips))
         better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
         if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MOST_REVISITED:
             self._exchange()
@@ -235,7 +235,10 @@ class _Search:
             new = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
             if self._mean_square(new) < self._mean_square(self.fit):
                 self.fit = new
-                self.causes[i] = Cause(better.effect, self.causes[i].p_value, better.same_as, better.rivals, new)
+                said = self.causes[i]
+                self.causes[i] = Cause(
+                    better.effect, said.p_value, better.same_as, better.rivals, new, sampled=said.sampled
+                )
                 self._stale = True
 
     def _take_out(self) -> None:

@@ -53,7 +53,9 @@ def whole(joint: str, most: int) -> Iterator[Effect]:
 def cycle_grid(joint_range: float) -> Array:
     """Cycles a turn, close enough that none is missed over this range [rad]."""
     step = float(np.clip(_OF_A_PERIOD * 2.0 * np.pi / joint_range, _FINEST, _COARSEST))
-    return np.arange(WHOLE_CYCLES + 1.0, MOST_CYCLES + step, step)
+    first = WHOLE_CYCLES + 1.0
+    step = first / np.ceil(first / step)  # so that all are multiples of it: a scan sums them by one FFT
+    return np.arange(round(first / step), int(np.ceil(MOST_CYCLES / step)) + 1) * step
 
 
 def complexity(effect: Effect) -> int:

@@ -1,0 +1,92 @@
+"""Sums over samples come out as written down, whichever way a bank takes; and a scan as regressions, one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibration.test_identify import fit_all
+from cells import record, ur10
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.diagnosis.banks import Numbers, Spectra, Times, Waves
+from modcal_core.diagnosis.evidence import FIRST_FLIPS, FLIPS, Scanner
+from modcal_core.diagnosis.spectra import Spectrum
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.registry import candidates
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[Fit, Drivers]:
+    """An arm with nothing to be found, and its samples."""
+    samples = record(3, 60, "pose").samples
+    fit = fit_all(ur10(), samples)
+    return fit, fit.model.drivers(samples)
+
+
+@pytest.mark.parametrize("turns", [0.1, 1.0, 40.0])
+def test_a_spectrum_is_the_sum_over_the_samples(rng: np.random.Generator, turns: float) -> None:
+    """Over a tenth of a turn and over forty."""
+    angle, columns = 2.0 * np.pi * turns * rng.uniform(-0.5, 0.5, 150), rng.normal(size=(150, 70))
+    step, most = 4.0 / 27.0, 900
+    wave = np.exp(1j * step * np.arange(most + 1)[:, None] * angle)
+    apart = np.abs(Spectrum(angle, step, most).sums(columns) - wave @ columns)
+    assert (apart < 1e-8 * np.abs(columns).sum(axis=0)).all()
+
+
+def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.random.Generator) -> None:
+    """Every kind of bank of a real scan, beside the numbers of its candidates one by one."""
+    _, drivers = fitted
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    assert {type(bank) for bank in scanner.banks} == {Numbers, Waves, Times}
+    assert len(scanner.effects) == len(list(candidates(drivers)))
+    for bank in scanner.banks:
+        distinct = dict.fromkeys(bank.keys)
+        unit = {key: rng.normal(size=(6, len(drivers))) for key in distinct}
+        asked = {key: rng.normal(size=(len(drivers), 3)) for key in distinct}
+        sums = bank.sums([asked[key] for key in bank.keys], Spectra())
+        gram = bank.gram([unit[key] for key in bank.keys])
+        for i in {0, len(bank.effects) // 2, len(bank.effects) - 1}:
+            keys, numbers = scanner._factor(bank.effects[i])
+            assert keys == bank.keys
+            columns = np.stack([numbers[a] * unit[key] for a, key in enumerate(keys)])
+            expected = np.stack([numbers[a] @ asked[key] for a, key in enumerate(keys)])
+            size = np.abs(numbers).sum()
+            np.testing.assert_allclose(sums[i], expected, atol=1e-7 * size)
+            np.testing.assert_allclose(gram[i], np.einsum("acN,bcN->ab", columns, columns), atol=1e-6 * size)
+
+
+def test_a_scan_explains_what_regressions_do(fitted: tuple[Fit, Drivers]) -> None:
+    """The share of the residual's squares, the fitted projected out of both, by least squares of one candidate."""
+    fit, drivers = fitted
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    evidence = scanner.evidence(fit)
+    space = scanner.space_of(fit)
+    Q, r = space.Q.reshape(-1, space.Q.shape[2]), space.residual.ravel()
+    total = r @ r - np.sum((Q.T @ r) ** 2)
+    for i in range(0, len(evidence.effects), len(evidence.effects) // 60):
+        keys, numbers = scanner._factor(evidence.effects[i])
+        U = np.stack([(numbers[a] * scanner._column(key, space)).ravel() for a, key in enumerate(keys)], axis=1)
+        gram, seen = U.T @ U - (U.T @ Q) @ (U.T @ Q).T, U.T @ r - (U.T @ Q) @ (Q.T @ r)
+        scale = np.sqrt(np.einsum("ij,ij->j", U, U))
+        value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
+        new = value > 0.0025
+        explained = np.sum((vector[:, new].T @ (seen / scale)) ** 2 / value[new])
+        assert evidence.explained[i] == pytest.approx(explained / total, abs=1e-7)
+
+
+def test_a_clear_answer_ends_the_trials_and_is_the_same(fitted: tuple[Fit, Drivers]) -> None:
+    """Noise is told after the first trials, as by all of them; nothing is drawn that was not drawn before."""
+    fit, drivers = fitted
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    flips, draws = set(), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        evidence = scanner.evidence(fit, rng)
+        flips.add(evidence.flips)
+        draws.append(rng.random())
+        assert evidence.p_value > 0.002
+        again = np.random.default_rng(seed)
+        again.choice([-1.0, 1.0], (FLIPS, scanner.unit.max() + 1))
+        assert draws[-1] == again.random()
+    assert flips <= {FIRST_FLIPS, FLIPS}
+    assert FIRST_FLIPS in flips
