@@ -1,7 +1,8 @@
 """Tracks of things that are no one joint: plain trigonometry, no code of what is tested.
 
 ``DESIGN`` were looked at while thresholds were chosen; ``KEPT`` were not before all was done, but before the rule of
-two motions; ``LATER`` were written after that rule, and run once.
+two motions; ``LATER`` were written after that rule, and run once; ``LAST`` were written after the tracker kept to that
+rule as well, and run once.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ DEGREE = np.pi / 180.0
 DESIGN: dict[str, Callable[[np.random.Generator, int], Path]] = {}
 KEPT: dict[str, Callable[[np.random.Generator, int], Path]] = {}
 LATER: dict[str, Callable[[np.random.Generator, int], Path]] = {}
+LAST: dict[str, Callable[[np.random.Generator, int], Path]] = {}
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ def seen(kind: str, seed: int) -> Seen:
     """What a camera notes of a kind: even seeds see poses, odd ones points."""
     rng = np.random.default_rng([seed, *kind.encode()])
     n = int(rng.integers(120, 300))
-    p, R = {**DESIGN, **KEPT, **LATER}[kind](rng, n)
+    p, R = {**DESIGN, **KEPT, **LATER, **LAST}[kind](rng, n)
     world, hold = Rotation.random(rng=rng), Rotation.random(rng=rng)
     p = world.apply(p) + rng.uniform(-1.0, 1.0, 3) + rng.normal(0.0, np.exp(rng.uniform(-8.1, -6.2)), (n, 3))
     R = world * R * hold * Rotation.from_rotvec(rng.normal(0.0, DEGREE * rng.uniform(0.1, 0.8), (n, 3)))
@@ -267,3 +269,109 @@ def cord_on_a_drum(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(110.0, 170.0) * DEGREE, n)
     radius = 0.3 - rng.uniform(0.03, 0.05) * a
     return radius[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), _about_z(a)
+
+
+def last(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+    LAST[maker.__name__] = maker
+    return maker
+
+
+@last
+def flush_sliding_door(rng: np.random.Generator, n: int) -> Path:
+    """A sliding front that first comes out at a slant by some centimetres, and then runs along the wall."""
+    k = n // 4
+    out = np.outer(np.linspace(0.0, rng.uniform(0.05, 0.08), k), [0.5, -0.866, 0.0])
+    along = np.outer(np.linspace(0.0, rng.uniform(0.3, 0.6), n - k), [1.0, 0.0, 0.0])
+    return _then((out, _still(k)), (along, _still(n - k)))
+
+
+@last
+def knob_then_drawer(rng: np.random.Generator, n: int) -> Path:
+    """A handle is turned by a quarter about its own root, 6 cm away, and then the drawer is drawn."""
+    k = n // 3
+    a = np.linspace(0.0, 90.0 * DEGREE, k)
+    R = Rotation.from_rotvec(np.outer(a, [1.0, 0.0, 0.0]))
+    turn = R.apply([0.0, 0.06, 0.0]) - [0.0, 0.06, 0.0]
+    out = np.outer(np.linspace(0.0, rng.uniform(0.2, 0.4), n - k), [1.0, 0.0, 0.0])
+    return _then((turn, R), (R[-1].inv().apply(out), _still(n - k)))
+
+
+@last
+def rail_that_bends_more_and_more(rng: np.random.Generator, n: int) -> Path:
+    """A carriage on a clothoid: straight at first, and at the end a circle of 20 to 30 cm."""
+    s = np.linspace(0.0, rng.uniform(0.4, 0.7), n)
+    a = 0.5 * s**2 / s[-1] / rng.uniform(0.2, 0.3)
+    step = np.gradient(s)
+    return np.stack([np.cumsum(np.cos(a) * step), np.cumsum(np.sin(a) * step), 0.0 * s], axis=1), _about_z(a)
+
+
+@last
+def lid_on_a_scissor(rng: np.random.Generator, n: int) -> Path:
+    """A table top that two crossed legs lift, and that is pushed sideways while it rises."""
+    a = np.linspace(15.0 * DEGREE, rng.uniform(55.0, 70.0) * DEGREE, n)
+    leg = rng.uniform(0.5, 0.7)
+    p = leg * np.stack([0.6 * np.cos(a) ** 2, np.zeros(n), np.sin(a)], axis=1)
+    return p, Rotation.from_rotvec(np.outer(0.15 * np.sin(3.0 * a), [0.0, 1.0, 0.0]))
+
+
+@last
+def handle_on_a_rope(rng: np.random.Generator, n: int) -> Path:
+    """A pendulum that swings in an ellipse."""
+    t = np.linspace(0.0, 2.0 * np.pi * rng.uniform(0.8, 1.6), n)
+    x, y = rng.uniform(0.2, 0.3) * np.sin(t), rng.uniform(0.08, 0.15) * np.cos(t)
+    p = np.stack([x, y, 0.7 - np.sqrt(0.49 - x**2 - y**2)], axis=1)
+    return p, Rotation.from_rotvec(np.stack([y, -x, np.zeros(n)], axis=1) / 0.7)
+
+
+@last
+def nut_on_a_bent_rod(rng: np.random.Generator, n: int) -> Path:
+    """A crank of 10 cm that turns and climbs along a rod that is bent."""
+    a = np.linspace(0.0, rng.uniform(2.0, 3.0) * np.pi, n)
+    bend = rng.uniform(0.2, 0.3) * (a / a[-1]) ** 2
+    tilt = Rotation.from_rotvec(np.outer(bend, [0.0, 1.0, 0.0]))
+    crank = 0.1 * np.stack([np.cos(a), np.sin(a), np.zeros(n)], axis=1)
+    rod = np.stack([0.3 * bend**2, np.zeros(n), 0.02 * a], axis=1)
+    return rod + tilt.apply(crank), tilt * _about_z(a)
+
+
+@last
+def column_that_tilts_and_telescopes(rng: np.random.Generator, n: int) -> Path:
+    """A monitor's post: tilts while it is drawn out, back and forth."""
+    t = np.linspace(0.0, 1.0, n)
+    a = 0.6 * np.sin(np.pi * rng.uniform(0.8, 1.2) * t)
+    out = 0.4 + rng.uniform(0.1, 0.2) * t
+    return out[:, None] * np.stack([np.sin(a), np.zeros(n), np.cos(a)], axis=1), Rotation.from_rotvec(
+        np.outer(a, [0.0, 1.0, 0.0])
+    )
+
+
+@last
+def chair_on_castors(rng: np.random.Generator, n: int) -> Path:
+    """Pushed on in a wide bend that tightens, and turned meanwhile."""
+    t = np.linspace(0.0, 1.0, n)
+    a = rng.uniform(0.6, 1.2) * t**2
+    x = np.cumsum(np.cos(a)) * 0.8 / n
+    y = np.cumsum(np.sin(a)) * 0.8 / n
+    return np.stack([x, y, np.zeros(n)], axis=1), _about_z(-0.5 * np.sin(4.0 * t))
+
+
+@last
+def drawer_out_of_its_rail(rng: np.random.Generator, n: int) -> Path:
+    """It comes out, leaves its rail, and is lifted and carried aside in the hand."""
+    k = n // 2
+    out = np.outer(np.linspace(0.0, rng.uniform(0.15, 0.25), k), [1.0, 0.0, 0.0])
+    t = np.linspace(0.0, 1.0, n - k)
+    away = np.stack([0.1 * t, rng.uniform(0.1, 0.2) * t**2, rng.uniform(0.15, 0.3) * np.sin(1.5 * t)], axis=1)
+    return _then((out, _still(k)), (away, Rotation.from_rotvec(np.outer(t, [0.3, -0.4, 0.5]))))
+
+
+@last
+def planetary_crank(rng: np.random.Generator, n: int) -> Path:
+    """A handle on a wheel that rolls inside a ring: a hypotrochoid."""
+    a = np.linspace(0.0, rng.uniform(90.0, 150.0) * DEGREE, n)
+    ring, wheel, at = 0.35, rng.uniform(0.1, 0.14), rng.uniform(0.05, 0.09)
+    b = (ring - wheel) / wheel * a
+    p = np.stack([
+        (ring - wheel) * np.cos(a) + at * np.cos(b), (ring - wheel) * np.sin(a) - at * np.sin(b), 0.0 * a
+    ], axis=1)  # fmt: skip
+    return p, _about_z(-b)

@@ -2,6 +2,10 @@
 
     python bench/articulated/run.py                             # real tracks in ten variants, and what is no joint
     python bench/articulated/run.py --only beyond --kinds design
+    python bench/articulated/run.py --only beyond --online      # and how the tracker trusts while they move
+
+Online there are three shares: of poses at which a model was trusted, of poses at which it was although the path leaves
+it by more than twice the tolerance within the distance ahead, and of tracks at whose end it was.
 
 Real tracks are read from ../shared/data/articulation beside the checkout, and left out where that is absent.
 """
@@ -16,6 +20,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse  # noqa: E402
 import sys  # noqa: E402
 import zlib  # noqa: E402
+from dataclasses import dataclass  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,27 +31,55 @@ from articulation.furniture_tracks import recorded  # noqa: E402
 from variants import VARIANTS  # noqa: E402
 
 from modcal_core.articulation.choice import choose  # noqa: E402
-from modcal_core.articulation.online import Tracker  # noqa: E402
+from modcal_core.articulation.online import Tracker, TrackerSettings  # noqa: E402
+from modcal_core.articulation.telling import travelled  # noqa: E402
 from modcal_core.articulation.track import Track  # noqa: E402
 
 DATA = ROOT.parent / "shared" / "data" / "articulation"
 PERIOD = 0.05  # s
+ONLINE = "  trusted  and wrong  at end"
 
 
-def trusted_share(track: Track) -> float:
-    """Share of poses after which the tracker trusted its model."""
-    tracker = Tracker()
-    states = [
-        tracker.update(p, None if track.rotations is None else track.rotations[i], PERIOD * i).trusted
-        for i, p in enumerate(track.positions)
-    ]
-    return float(np.mean(states))
+@dataclass(frozen=True)
+class Trust:
+    """Of one track: share of poses at which a model was trusted, and at which it was and failed; whether at the end."""
+
+    trusted: float
+    wrong: float
+    at_end: bool
+
+    @staticmethod
+    def said(some: list[Trust]) -> str:
+        """Means of some, for a row."""
+        columns = ([t.trusted for t in some], [t.wrong for t in some], [float(t.at_end) for t in some])
+        return "".join(f"  {100.0 * np.mean(column):7.1f} %" for column in columns)
+
+
+def trust(track: Track) -> Trust:
+    """As the tracker follows it."""
+    tracker, settings = Tracker(), TrackerSettings()
+    n = len(track)
+    way = travelled(track)
+    smooth = np.array([np.median(track.positions[max(0, i - 2) : i + 3], axis=0) for i in range(n)])
+    sure, wrong = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    for i, p in enumerate(track.positions):
+        state = tracker.update(p, None if track.rotations is None else track.rotations[i], PERIOD * i)
+        sure[i] = state.trusted
+        if not state.trusted or state.model is None:
+            continue
+        ahead = settings.ahead_m
+        if state.model.turns:
+            ahead = min(ahead, settings.ahead_rad * state.model.length_per_unit)
+        coming = smooth[(way > way[i]) & (way <= way[i] + ahead)]
+        off = [np.linalg.norm(state.model.position(state.model.configuration(q)) - q) for q in coming]
+        wrong[i] = max(off, default=0.0) > 2.0 * settings.tolerance_m
+    return Trust(float(sure.mean()), float(wrong.mean()), bool(sure[-1]))
 
 
 def real(some: int, online: bool, names: list[str], log: bool) -> None:
     """A row for every variant."""
     tracks = list(recorded(DATA).items())[::some]
-    print(f"{'variant':16} tracks  right  certain  certain and wrong" + ("  trusted share" if online else ""))
+    print(f"{'variant':16} tracks  right  certain  certain and wrong" + (ONLINE if online else ""))
     for name, vary in VARIANTS.items():
         if names and name not in names:
             continue
@@ -64,8 +97,8 @@ def real(some: int, online: bool, names: list[str], log: bool) -> None:
             if log:
                 print(f"   {name} {title} {truth}: {choice.enough} {choice.why}", flush=True)
             if online:
-                shares.append(trusted_share(track))
-        share = f"  {np.mean(shares):13.2f}" if online else ""
+                shares.append(trust(track))
+        share = Trust.said(shares) if online else ""
         print(f"{name:16} {len(tracks):6} {right:6} {sure:8} {len(wrong):18}{share}", flush=True)
         for line in wrong:
             print(f"   ✗ {line}", flush=True)
@@ -73,8 +106,8 @@ def real(some: int, online: bool, names: list[str], log: bool) -> None:
 
 def no_joint(kinds: list[str], seeds: int, online: bool, log: bool) -> None:
     """A row for every kind that is no joint."""
-    print(f"{'kind':24} tracks  certain" + ("  trusted share" if online else ""))
-    every, said = 0, 0
+    print(f"{'kind':24} tracks  certain" + (ONLINE if online else ""))
+    every, said, all_shares = 0, 0, []
     for kind in kinds:
         sure, shares = 0, []
         for seed in range(seeds):
@@ -86,17 +119,17 @@ def no_joint(kinds: list[str], seeds: int, online: bool, log: bool) -> None:
             if log or certain:
                 print(f"   {kind} {seed}: {choice.enough} {choice.why}", flush=True)
             if online:
-                shares.append(trusted_share(track))
-        every, said = every + seeds, said + sure
-        share = f"  {np.mean(shares):13.2f}" if online else ""
+                shares.append(trust(track))
+        every, said, all_shares = every + seeds, said + sure, all_shares + shares
+        share = Trust.said(shares) if online else ""
         print(f"{kind:24} {seeds:6} {sure:8}{share}", flush=True)
-    print(f"{'all':24} {every:6} {said:8}")
+    print(f"{'all':24} {every:6} {said:8}{Trust.said(all_shares) if online else ''}")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("real", "beyond"), default=None)
-    parser.add_argument("--kinds", choices=("design", "kept", "later", "all"), default="all")
+    parser.add_argument("--kinds", choices=("design", "kept", "later", "last", "all"), default="all")
     parser.add_argument("--variants", default="", help="comma-separated; default: all")
     parser.add_argument("--every", type=int, default=1, help="Of real tracks, every so many.")
     parser.add_argument("--seeds", type=int, default=5)
@@ -104,8 +137,8 @@ def main() -> int:
     parser.add_argument("--log", action="store_true", help="A line for every track.")
     chosen = parser.parse_args()
     if chosen.only != "real":
-        every = {**beyond.DESIGN, **beyond.KEPT, **beyond.LATER}
-        sets = {"design": beyond.DESIGN, "kept": beyond.KEPT, "later": beyond.LATER, "all": every}
+        every = {**beyond.DESIGN, **beyond.KEPT, **beyond.LATER, **beyond.LAST}
+        sets = {"design": beyond.DESIGN, "kept": beyond.KEPT, "later": beyond.LATER, "last": beyond.LAST, "all": every}
         no_joint(list(sets[chosen.kinds]), chosen.seeds, chosen.online, chosen.log)
     if chosen.only != "beyond" and DATA.is_dir():
         real(chosen.every, chosen.online, [v for v in chosen.variants.split(",") if v], chosen.log)

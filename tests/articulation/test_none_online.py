@@ -56,3 +56,42 @@ def test_a_joint_is_at_no_moment_none(kind: Kind, far: float, noise: float) -> N
     rng = np.random.default_rng(5)
     seen = noisy(ideal(kind, np.linspace(0.0, far, 150), rng, 0.4, 0.08), rng, noise, 0.5 * DEGREE)
     assert "none" not in {s.kind for s in watched(seen.positions, seen.rotations)}
+
+
+def _arc(degrees: float, radius: float, n: int) -> tuple[Array, Array]:
+    """From the origin along y, bending towards −x, and how far it has turned."""
+    a = np.linspace(0.0, np.radians(degrees), n)
+    return radius * np.stack([np.cos(a) - 1.0, np.sin(a), 0.0 * a], axis=1), a
+
+
+def test_a_hinge_of_two_pins_is_not_trusted_once_the_second_is_seen() -> None:
+    """Each pin by itself is a hinge, and predicts; a door of the same path, and of the same noise, is trusted."""
+    rng = np.random.default_rng(4)
+    (first, a), (second, b) = _arc(38.0, 0.7, 110), _arc(40.0, 0.35, 80)
+    turned = Rotation.from_rotvec([0.0, 0.0, a[-1]])
+    p = np.concatenate([first, first[-1] + turned.apply(second)]) + rng.normal(0.0, 5e-4, (190, 3))
+    R = Rotation.from_rotvec(np.outer(np.concatenate([a, a[-1] + b]), [0.0, 0.0, 1.0])).as_matrix()
+    assert watched(p, R)[109].trusted
+    assert not watched(p, R)[-1].trusted
+    assert not watched(p, None)[-1].trusted
+    whole, c = _arc(60.0, 0.6, 190)
+    R = Rotation.from_rotvec(np.outer(c, [0.0, 0.0, 1.0])).as_matrix()
+    assert watched(whole + rng.normal(0.0, 5e-4, (190, 3)), R)[-1].trusted
+
+
+def test_a_drawer_that_bows_is_one_motion() -> None:
+    """A way that bends by two millimetres, one way and back, is furniture."""
+    rng, s = np.random.default_rng(2), np.linspace(0.0, 0.4, 180)
+    bow = np.stack([s, 2e-3 * np.sin(np.pi * s / 0.31), 1e-3 * np.cos(np.pi * s / 0.23)], axis=1)
+    assert watched(bow + rng.normal(0.0, 5e-4, (180, 3)), None)[-1].trusted
+
+
+def test_a_new_grasp_half_way_is_not_trusted_until_the_tracker_is_reset() -> None:
+    rng, (p, a) = np.random.default_rng(3), _arc(80.0, 0.7, 200)
+    p[100:] *= 0.82
+    p[100:] += p[99] - p[100]
+    R = Rotation.from_rotvec(np.outer(a, [0.0, 0.0, 1.0])).as_matrix()
+    p += rng.normal(0.0, 4e-4, p.shape)
+    assert watched(p, R)[99].trusted
+    assert not watched(p, R)[-1].trusted
+    assert watched(p[100:], R[100:])[-1].trusted

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.articulation.fit import JointFit, fit
-from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
-from modcal_core.articulation.misfit import MUCH, Misfit, misfit
+from modcal_core.articulation.furniture import PLAY
+from modcal_core.articulation.misfit import MUCH, Misfit, misfit, usual
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
@@ -33,7 +33,9 @@ class Predicted:
     """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
 
     left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
-    a joint type with fewer parameters that is as good as furniture is, empty where there is none.
+    a joint type with fewer parameters that is as good as furniture is, empty where there is none. loose: whether it is
+    a path in space that leaves more than furniture usually does: a thread has no such play, and most smooth paths are
+    about a screw's.
     """
 
     kind: Kind
@@ -42,6 +44,7 @@ class Predicted:
     path: float
     noise: float
     plainer: Kind = ""
+    loose: bool = False
 
     @property
     def doubt(self) -> str:
@@ -49,6 +52,8 @@ class Predicted:
         much = float(np.hypot(max(_MISSES, _MAY_MISS * self.path), _NOISE * self.noise))
         if self.left > much:
             return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
+        if self.loose:
+            return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
         own = self.errors.get(self.kind, ())
         if not own:
             return ""
@@ -93,12 +98,9 @@ def predicted(
         errors[one] = tuple(off)
     fewer = [one for one in rivals if fits[one].motion.size < motion.size]
     plainer = next((one for one in fewer if _usual(misfit(fits[one], track, left.white))), "")
-    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer)
+    loose = not (motion.flat or _usual(left))
+    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
 
 
 def _usual(left: Misfit) -> bool:
-    """Whether that is no more than the usual play and the usual distortion of what measures together."""
-    shift, turn = (float(np.hypot(np.exp(play[0]), d)) for play, d in zip((PLAY, SWAY), DISTORTION, strict=True))
-    return left.position <= np.hypot(shift, _NOISE * left.white[0]) and not left.rotation > np.hypot(
-        turn, _NOISE * left.white[1]
-    )
+    return usual(left.position, left.rotation, left.white)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.articulation.fit import JointFit
-from modcal_core.articulation.furniture import PLAY, SWAY
+from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
@@ -73,6 +73,15 @@ def too_much(position: float, rotation: float, noise: tuple[float, float]) -> bo
     """Whether a joint type that leaves so much [m, rad; nan where nothing was seen] is none."""
     shift, turn = limits(noise)
     return position > shift or rotation > turn
+
+
+def usual(position: float, rotation: float, noise: tuple[float, float]) -> bool:
+    """Whether what is left [m, rad] is no more than the usual play and the usual distortion of what measures."""
+    shift, turn = (
+        float(np.hypot(np.hypot(np.exp(play[0]), d), _NOISE * n))
+        for play, d, n in zip((PLAY, SWAY), DISTORTION, noise, strict=True)
+    )
+    return position <= shift and not rotation > turn
 
 
 def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.misfit import NONE, rms, too_much
+from modcal_core.articulation.misfit import NONE, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
@@ -26,6 +26,7 @@ from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST, RIGID, Track
 from modcal_core.articulation.travel import Travel
+from modcal_core.articulation.two_motions import TwoMotions
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.single import posed
 from modcal_core.geometry.so3 import Array
@@ -107,6 +108,7 @@ class Tracker:
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
         self._travel = Travel()
+        self._two = TwoMotions()
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -145,12 +147,16 @@ class Tracker:
         for q, S in accepted:
             self._moved = max(self._moved, math.dist(q, self._first))
             self._travel.come(q, self._selector.scale[0])
+            self._two.come(q, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
             for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
+                self._two.think(self._selector.scale[0])
                 if self._selector.think(self._nodes):
                     self._check.begin(*self._reached())
         self._judge()
+        if self._two.found and (motion is None or motion.flat):
+            self._check.lose()
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
@@ -226,8 +232,9 @@ class Tracker:
     def _forget(self) -> None:
         """Begin anew from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
+        two = self._two  # the whole path counts there: two joints, one after the other, are no joint
         self.reset(self._changes + 1)
-        self._samples, self._stamp, self._oriented = samples, stamp, oriented
+        self._samples, self._stamp, self._oriented, self._two = samples, stamp, oriented, two
         self._recent.extend(latest)
         self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
 
@@ -254,8 +261,8 @@ class Tracker:
         e = motion.residuals(seen, motion.configurations(seen, (1e-2, 0.05 if follows else 1e9)))
         turn = rms(np.linalg.norm(e[:, 3:], axis=1)) if e.shape[1] == 6 else math.nan
         self._left = rms(np.linalg.norm(e[:, :3], axis=1)), turn
-        if self._none:
-            self._check.lose()
+        if self._none or not (motion.flat or usual(*self._left, self._selector.scale)):
+            self._check.lose()  # a thread has no play, and most smooth paths are about a screw's
 
     @property
     def _none(self) -> bool:

@@ -15,7 +15,7 @@ from modcal_core.articulation.telling import travelled, white
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
-_LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
+LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 LEAST = 10  # samples of it
 _TRIED = 24  # places for the cut
 _PARAMETERS = 6  # of a circle in space
@@ -27,7 +27,7 @@ _CAP = 0.03  # m: a sample farther off costs no more
 def best_cut(track: Track) -> int | None:
     """The first row of the second motion; None where the track is too short for two."""
     way = travelled(track)
-    inside = np.flatnonzero((way > _LEAST_PATH) & (way < way[-1] - _LEAST_PATH))
+    inside = np.flatnonzero((way > LEAST_PATH) & (way < way[-1] - LEAST_PATH))
     inside = inside[(inside >= LEAST) & (inside <= len(track) - LEAST)]
     if not len(inside):
         return None
@@ -46,13 +46,18 @@ def two_explain(track: Track) -> str:
     noise = white(track.positions) ** 2  # of positions alone: that of a fit has the rotations' in it
     one = _left(track.positions) / (2 * n - _PARAMETERS) - noise
     two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
-    if one <= (_WORTH * np.exp(PLAY[0])) ** 2 / 2.0 or two > _VANISHES * one:
+    if not vanishes(one, two):
         return ""
     at = 1e2 * float(travelled(track)[cut])
     return (
         f"two motions, cut at {at:.0f} cm, leave {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where one "
         f"leaves {1e3 * np.sqrt(2.0 * one):.1f} mm"
     )
+
+
+def vanishes(one: float, two: float) -> bool:
+    """Whether what one motion leaves vanishes by a cut: variances on an axis, beside noise, before and after [m²]."""
+    return one > (_WORTH * float(np.exp(PLAY[0]))) ** 2 / 2.0 and two <= _VANISHES * one
 
 
 def _cost(p: Array, k: int) -> float:

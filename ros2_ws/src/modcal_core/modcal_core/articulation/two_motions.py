@@ -1,0 +1,125 @@
+"""Whether the path so far is two motions, asked while it comes: the rule of ``phases``, with bounded work per pose.
+
+A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
+path since the start: a cut into two lines or circles leaves nothing of what one leaves. The path is kept as the means
+of short stretches; when there are too many, neighbours are pooled and stretches are twice as long.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from modcal_core.articulation.phases import LEAST_PATH, vanishes
+from modcal_core.geometry.so3 import Array
+
+_STRETCH = 4e-3  # m, at first; less would be play
+_NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
+_MOST = 64  # stretches: of a metre some 2 cm each, of which ``LEAST_PATH`` still has two
+_LEAST = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
+_CUTS = 16  # tried along the path
+_FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
+_ANEW = 0.02  # m of path after which the question is asked again
+_PARAMETERS = 6  # of a circle in space
+_CAP = 0.03  # m: a stretch farther off costs no more
+
+
+class TwoMotions:
+    """found: whether the path since the start is two motions, as of the last question that was answered."""
+
+    def __init__(self) -> None:
+        self.found = False
+        self._sums, self._counts, self._k = np.zeros((_MOST, 3)), np.zeros(_MOST), 0
+        self._stretch = _STRETCH
+        self._begin: Array | None = None  # of the stretch that is under way
+        self._path = 0.0
+        self._asked = 0.0
+        self._snapshot: Array | None = None
+        self._noise = 0.0  # variance on an axis of a point of the snapshot [m²]
+        self._left: list[int] = []  # cuts that are still to be tried
+        self._tried: dict[int, float] = {}
+        self._fine = False
+
+    def come(self, p: Array, noise: float) -> None:
+        """Take a position (3,) [m] that was believed. noise: of one position, on an axis [m]."""
+        if self._begin is None:
+            self._begin, self._k = p, 1
+        far = math.dist(p, self._begin)
+        if far >= max(self._stretch, _NOISE * noise):
+            self._begin = p
+            self._path += far
+            if self._k == _MOST:
+                self._pool()
+            self._k += 1
+        self._sums[self._k - 1] += p
+        self._counts[self._k - 1] += 1.0
+
+    def think(self, noise: float) -> None:
+        """Try one cut, or ask anew where the path has grown. noise: of one position, on an axis [m]."""
+        if self._snapshot is not None:
+            self._try(self._snapshot)
+        elif self._path - self._asked >= _ANEW and self._path >= 2.0 * LEAST_PATH and self._k > 2 * _LEAST:
+            self._ask(noise)
+
+    def _pool(self) -> None:
+        """Neighbours together."""
+        half = _MOST // 2
+        self._sums[:half] = self._sums[0::2] + self._sums[1::2]
+        self._counts[:half] = self._counts[0::2] + self._counts[1::2]
+        self._sums[half:], self._counts[half:] = 0.0, 0.0
+        self._k, self._stretch = half, 2.0 * self._stretch
+
+    def _ask(self, noise: float) -> None:
+        """Begin to try cuts of the path as it is now."""
+        counts = self._counts[: self._k]
+        points = self._sums[: self._k] / counts[:, None]
+        self._snapshot, self._asked, self._fine = points, self._path, False
+        self._noise = noise**2 * float(np.mean(1.0 / counts))
+        ends = max(_LEAST, math.ceil(LEAST_PATH * self._k / self._path))
+        first, last = ends, self._k - ends
+        if last <= first:
+            self._snapshot = None
+            return
+        self._tried = {}
+        self._left = np.unique(np.linspace(first, last, _CUTS).round().astype(int)).tolist()
+
+    def _try(self, points: Array) -> None:
+        if self._left:
+            cut = self._left.pop()
+            self._tried[cut] = squares(points[:cut]) + squares(points[cut:])
+            return
+        best = min(self._tried, key=lambda cut: self._tried[cut])
+        if not self._fine:
+            self._fine = True
+            step = (max(self._tried) - min(self._tried)) / max(len(self._tried) - 1, 1)
+            near = {best + round(share * step) for share in _FINER}
+            self._left = [cut for cut in near if cut not in self._tried and _LEAST <= cut <= len(points) - _LEAST]
+            return
+        n, self._snapshot = len(points), None
+        one = squares(points) / (2 * n - _PARAMETERS) - self._noise
+        two = self._tried[best] / (2 * n - 2 * _PARAMETERS) - self._noise
+        self.found = vanishes(one, two)
+
+
+def squares(p: Array) -> float:
+    """Squares [m²] that the better of a line and a circle leaves of points (n, 3), capped point by point.
+
+    The circle is the algebraic one in the plane that fits best, by normal equations about the middle.
+    """
+    x = p - p.mean(axis=0)
+    axes = np.linalg.eigh(x.T @ x)[1]
+    y = x @ axes[:, ::-1]
+    flat = y[:, :2]
+    size = (flat * flat).sum(axis=1)
+    line = y[:, 1] ** 2 + y[:, 2] ** 2
+    M = flat.T @ flat
+    b = flat.T @ size
+    determinant = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
+    if determinant <= 1e-12 * M[0, 0] ** 2:
+        return float(np.minimum(line, _CAP**2).sum())
+    c = 0.5 * np.array([M[1, 1] * b[0] - M[0, 1] * b[1], M[0, 0] * b[1] - M[1, 0] * b[0]]) / determinant
+    radius = math.sqrt(float(size.mean() + c @ c))  # as the mean of flat is zero
+    apart = flat - c
+    circle = (np.sqrt((apart * apart).sum(axis=1)) - radius) ** 2 + y[:, 2] ** 2
+    return min(float(np.minimum(off, _CAP**2).sum()) for off in (line, circle))
