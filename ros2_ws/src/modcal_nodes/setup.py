@@ -39,6 +39,7 @@ setup(
             f"simulated_cell = {PACKAGE}.nodes.simulated_cell:main",
             f"simulated_furniture = {PACKAGE}.nodes.simulated_furniture:main",
             f"door_demo = {PACKAGE}.nodes.door_demo:main",
+            f"station_runner = {PACKAGE}.nodes.station_runner:main",
             f"trajectory_sender = {PACKAGE}.nodes.trajectory_sender:main",
         ],
     },

@@ -236,9 +236,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     require(data, SCHEMA, source, "remove it, or calibrate again")
     try:
         nominal, calibrated = model_from_data(data["nominal"]), model_from_data(data["calibrated"])
-        arm = NominalArm(
-            nominal.chain, inertias_from_data(data.get("arm")), earlier=carried_from_data(data.get("arm"))
-        )
+        arm = NominalArm(nominal.chain, inertias_from_data(data.get("arm")), earlier=carried_from_data(data.get("arm")))
         effects = tuple(effect_from_data(e) for e in data["effects"])
         nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
         geometric = replace(model_from_data(data["geometric"]), arm=arm)

@@ -219,5 +219,3 @@ def _ways() -> list[Array]:
     angle = np.arccos(1.0 - 2.0 * k / _WAYS)
     way = k * np.pi * (3.0 - np.sqrt(5.0))
     return list((angle * np.stack([np.cos(way), np.sin(way)])).T)
-
-

@@ -17,6 +17,7 @@ from modcal_core.measuring.refit import Refit
 from modcal_core.measuring.session import DECIDE, FIT, MEASURED, PROOF, RETURN, UNSEEN, Session, Station
 from modcal_core.planning.deciding import propose, undecided_by_posture
 
+_OFFERED = 1500  # postures that are compared at once, for time
 _SAME = 1e-9  # rad or m; postures of a pool are asked for as they are
 
 
@@ -70,6 +71,7 @@ def fit_stations(
         return Batch([_station(pool, j, FIT) for j in free], after)
     candidates = np.flatnonzero(~taken)
     candidates = np.setdiff1d(candidates, pool.order) if not pool.recorded else candidates
+    candidates = np.sort(rng.permutation(candidates)[: max(_OFFERED, 4 * count)])
     q = pool.q[candidates]
     if not len(q):
         return Batch([], [])

@@ -28,9 +28,9 @@ class Station:
     """asked: the posture that was asked for (n,) [rad, m]. role: FIT, RETURN, DECIDE or PROOF. state: PLANNED,
     MEASURED, UNSEEN (the instrument saw nothing) or SKIPPED (the arm did not go there). q: where the joints stood
     (n,). reading: x y z [m], of a pose qx qy qz qw behind them. stamp: [s]; NaN where nobody knows. approach: the way
-    in which each joint came, or is to come, −1, 0 (unknown) or 1, (n,). effort: (n,), NaN where unknown. sigma: scatter
-    of the position per axis [m]; NaN where unknown. row: number of the recorded station, of a replay, or of what a
-    return comes back to.
+    in which each joint came, or is to come, −1, 0 (unknown) or 1, (n,). effort: (n,), NaN where unknown. sigma:
+    scatter of the position per axis [m]; NaN where unknown. row: number of the recorded station, of a replay, or of
+    what a return comes back to.
     """
 
     asked: Array

@@ -79,10 +79,11 @@ class Ball:
 class Site:
     """Everything that a plan must heed.
 
-    tracker: None where everything can be seen. spheres: of the arm; where there are none, they are put along its links
-    with link_radius [m], or 4 % of its reach. margin: [m] that is kept free. floor: height [m] below which no sphere of
-    a moving link may be; None where there is none. obstacles: of the surroundings. limits: narrower ones than the
-    robot's, by joint [rad, m]. box: (2, 3) corners [m] between which the target's accuracy counts; None: everywhere.
+    tracker: None where everything can be seen. spheres: of the arm; where there are none, they are put along its
+    links with link_radius [m], or 4 % of its reach. margin: [m] that is kept free. floor: height [m] below which no
+    sphere of a moving link may be; None where there is none. obstacles, boxes: of the surroundings, boxes as
+    corners (2, 3). limits: narrower ones than the robot's, by joint [rad, m]. box: (2, 3) corners [m] between which
+    the target's accuracy counts; None: everywhere.
     """
 
     tracker: SiteTracker | None = None
@@ -93,6 +94,7 @@ class Site:
     margin: float = 0.0
     floor: float | None = None
     obstacles: tuple[Ball, ...] = ()
+    boxes: tuple[Array, ...] = ()
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     box: Array | None = None
 
@@ -103,7 +105,7 @@ _KEYS = {
     "target": {"position_m", "axis", "half_angle_deg"},
     "noise": {"position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m"},
     "arm": {"spheres", "link_radius_m", "margin_m"},
-    "surroundings": {"floor_m", "spheres"},
+    "surroundings": {"floor_m", "spheres", "boxes"},
     "workspace": {"box_m"},
 }
 
@@ -141,6 +143,7 @@ def site_from_data(data: Any, source: str) -> Site:
         margin=_size(arm, "margin_m", f"{source}, arm", 0.0),
         floor=None if around.get("floor_m") is None else _number(around, "floor_m", f"{source}, surroundings"),
         obstacles=_balls(around.get("spheres"), False, f"{source}, surroundings"),
+        boxes=tuple(_box(b, f"{source}, surroundings, box {i + 1}") for i, b in enumerate(around.get("boxes") or ())),
         limits={str(k): _pair(v, f"{source}, limits: {k}") for k, v in (top.get("limits") or {}).items()},
         box=None if box is None else _box(box, f"{source}, workspace: box_m"),
     )

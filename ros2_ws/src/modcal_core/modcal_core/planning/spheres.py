@@ -133,6 +133,11 @@ def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
     for ball in site.obstacles:
         gap = np.linalg.norm(at[moving] - ball.centre[:, None], axis=1) - spheres.radius[moving, None] - ball.radius
         out = np.minimum(out, gap.min(axis=0, initial=np.inf))
+    for box in site.boxes:
+        low, high = box[0][:, None], box[1][:, None]
+        outside = np.linalg.norm(np.maximum(np.maximum(low - at[moving], at[moving] - high), 0.0), axis=1)
+        inside = np.minimum(np.max(np.maximum(low - at[moving], at[moving] - high), axis=1), 0.0)
+        out = np.minimum(out, (outside + inside - spheres.radius[moving, None]).min(axis=0, initial=np.inf))
     if site.floor is not None:
         # what the first joint carries stands on the floor
         high = spheres.link > 1

@@ -11,6 +11,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measurements.samples import Samples
+from modcal_core.measuring.motion import from_side
 from modcal_core.measuring.session import Station
 from modcal_nodes.simulation.plant import Plant
 
@@ -53,7 +54,10 @@ class CellInProcess:
         travel = max(float(np.abs(station.asked - here).max()) / _SPEED, 0.1)
         first = begin + travel + _SETTLING
         times = first + self._period * np.arange(_READINGS)
-        self.plant.go([(travel, station.asked), (float(times[-1]) + 0.1 - begin, station.asked)], begin)
+        legs = [(travel, station.asked), (float(times[-1]) + 0.1 - begin, station.asked)]
+        if station.approach is not None:
+            legs.insert(0, (0.7 * travel, from_side(station.asked, station.approach)))
+        self.plant.go(legs, begin)
         poses = np.array([self.plant.read(self.plant.tool(t)) for t in times])
         self._now = float(times[-1]) + 0.1
         q, _, effort = self.plant.joints(float(times[-1]))
@@ -63,7 +67,7 @@ class CellInProcess:
         reading = mean[:3, 3] if self._points else se3.to_pose(mean)
         scatter = float(np.sqrt(np.mean(np.var(poses[:, :3, 3], axis=0, ddof=1)) / len(poses)))
         stamp = _FIRST + float(times.mean())
-        return station.measured(reading, q, stamp=stamp, effort=effort, sigma=scatter, approach=None)
+        return station.measured(reading, q, stamp=stamp, effort=effort, sigma=scatter)
 
 
 class Replay:

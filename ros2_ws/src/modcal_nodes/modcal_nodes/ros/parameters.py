@@ -303,6 +303,37 @@ TRAJECTORY_SENDER = {
     "patience_s": Parameter(10.0, "Time to wait for inputs, and for the arm to arrive [s].", 0.1, 3600.0),
 }
 
+STATION_RUNNER = {
+    "out": Parameter("", "Folder of the session and its results; a session that is there goes on."),
+    "robot_description": Parameter("", "URDF to use in place of the topic robot_description."),
+    "base": Parameter("", "First link of the arm; empty: the root."),
+    "tip": Parameter("", "Last link of the arm; empty: the one behind most joints."),
+    "meshes": Parameter("", "Folder in which the mesh files of collision shapes are."),
+    "site": Parameter(
+        "", "YAML of tracker, target, floor, obstacles, boxes, limits and workspace, as modcal plan takes."
+    ),
+    "goal_mm": Parameter(0.0, "Error at the tool to be proven [mm]; 0: as good as can be.", 0.0, 1000.0),
+    "statistic": Parameter("rms", "Statistic of goal_mm: rms or p95."),
+    "confidence": Parameter(0.95, "Confidence with which it is proven.", 0.5, 0.999),
+    "stations": Parameter(400, "Most stations.", 1, 100000),
+    "minutes": Parameter(0.0, "Most time [min]; 0: no limit.", 0.0, 100000.0),
+    "measurement": Parameter("pose", "What the instrument sends: pose (tracker/pose) or point (tracker/point)."),
+    "geometry_only": Parameter(False, "Fit only the geometry; look for no effects."),
+    "seed": Parameter(0, "Seed of what is drawn at random.", 0, 2147483647),
+    "yes": Parameter(False, "Accept the dry run: begin to move once it is made, without ~/start."),
+    "no_self_collision": Parameter(False, "Accept a description without collision shapes: only spheres are checked."),
+    "speed_rad_s": Parameter(0.3, "Largest speed of a joint [rad/s; m/s].", 0.001, 3.0),
+    "settle_s": Parameter(0.5, "Standstill before a station is read [s].", 0.05, 60.0),
+    "readings": Parameter(10, "Readings averaged at a station.", 1, 10000),
+    "patience_s": Parameter(
+        5.0, "Time for the arm to arrive, and for readings, until a station is not seen [s].", 0.1, 600.0
+    ),
+    "timeout_s": Parameter(0.2, "Age at which joint states are too old, and the arm is held [s].", 0.01, 10.0),
+    "tracking_rad": Parameter(0.1, "Distance from the commanded motion at which the arm is held [rad; m].", 1e-4, 1.0),
+    "tolerance_rad": Parameter(0.01, "Distance from a station that counts as arrived [rad; m].", 1e-5, 0.5),
+    "rate_hz": Parameter(50.0, "Rate of the checks; a hold is sent within one period [Hz].", 5.0, 500.0),
+}
+
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
@@ -340,6 +371,10 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
     "simulated_furniture": (SIMULATED_FURNITURE, ""),
     "door_demo": (DOOR_DEMO, ""),
     "trajectory_sender": (TRAJECTORY_SENDER, ""),
+    "station_runner": (
+        STATION_RUNNER,
+        "yes speed_rad_s settle_s readings patience_s timeout_s tracking_rad tolerance_rad",
+    ),
 }
 NODES = {
     name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
@@ -350,3 +385,4 @@ ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NO
 ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
 SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
 DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
+STATION_RUNNER = NODES["station_runner"]

@@ -1,0 +1,140 @@
+"""How few stations of a recorded grid give the error of the whole grid: chosen ones, and random ones beside them.
+
+Three tenths of the grid, in blocks, are never offered: the error is taken there. The whole is the rest, all of it
+fitted; a share is of that rest.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.calibration.score import errors
+from modcal_core.measurements.samples import Samples
+from modcal_core.measuring.advice import Advisor
+from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.pool import of_recording
+from modcal_core.measuring.refit import refit
+from modcal_core.measuring.session import POINT, POSE, Session
+from modcal_core.robot import Robot
+from modcal_nodes.measuring.measurers import Replay, one_a_station
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+HELD = 0.3
+WITHIN = 1.1  # of the whole grid's error
+
+
+@dataclass(frozen=True)
+class Grid:
+    """name; robot; samples, one a station; block: stations that are held out together; limit: share that is claimed."""
+
+    name: str
+    robot: Robot
+    samples: Samples
+    block: int
+    limit: float
+
+
+def ur5() -> Grid:
+    """The UR5 of serial_robots: 1 000 points of a laser tracker."""
+    with (DATA / "serial_robots" / "ur5_grid.csv").open() as stream:
+        table = list(csv.DictReader(stream))
+
+    def columns(*names: str) -> np.ndarray:
+        return np.array([[float(row[name]) for name in names] for row in table])
+
+    q = np.radians(columns(*(f"joint_{k}" for k in range(1, 7))))
+    reached = 1e-3 * (columns("x_t", "y_t", "z_t") - columns("x_dif", "y_dif", "z_dif"))
+    robot = Robot.from_table(ROOT / "examples" / "robots" / "ur5.yaml")
+    samples = Samples.from_arrays(q, points=reached).of_joints(robot.names)
+    return Grid("UR5 grid", robot, samples, 5, 0.35)
+
+
+def ipa() -> Grid:
+    """Series A of the IPA's UR10: 11 911 poses of a laser tracker."""
+    from modcal_nodes.cli.main import run
+    from modcal_nodes.cli.robot import described
+    from modcal_nodes.io.recorded import opened
+
+    with tempfile.TemporaryDirectory() as scratch:
+        bag = Path(scratch) / "a"
+        mapping = ROOT / "examples" / "import" / "ipa_ur10_series_a.yaml"
+        if run(["import", str(mapping), "--data", str(DATA), "--out", str(bag)]):
+            sys.exit("series A cannot be imported")
+        opened_bag = opened(bag)
+        robot = described(opened_bag.recording, None, None, None, None)
+        samples = one_a_station(opened_bag.samples(robot, 0.5))
+    return Grid("IPA UR10, series A", robot, samples, 200, 0.15)
+
+
+def rms(model: object, samples: Samples) -> float:
+    """RMS error [m]."""
+    return float(np.sqrt(np.mean(errors(model, samples).position_norm ** 2)))  # type: ignore[arg-type]
+
+
+def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> float:
+    """Print how the error falls with the share of stations; returns the error of the whole grid [m]."""
+    samples, robot = grid.samples, grid.robot
+    block = np.arange(len(samples)) // grid.block
+    rng = np.random.default_rng(seed)
+    held = np.isin(block, rng.permutation(block[-1] + 1)[: round(HELD * (block[-1] + 1))])
+    offered, scored = samples.select(~held), samples.select(held)
+    if whole is None:
+        began = time.process_time()
+        all_of_it = refit(offered, robot.mechanism, seed, None, robot.inertias)
+        whole = rms(all_of_it.calibration.calibrated, scored)
+        labels = [e.label for e in all_of_it.calibration.calibrated.effects]
+        print(
+            f"{grid.name}: {len(offered)} of {len(samples)} stations leave {1e3 * whole:.4f} mm at the other "
+            f"{len(scored)}; {time.process_time() - began:.0f} s; {labels}",
+            flush=True,
+        )
+    measurer = Replay(offered)
+    pool = of_recording(offered.q, np.random.default_rng(seed))
+    goal = Goal(None, stations=max(int(grid.limit * len(offered)), 20))
+    advisor = Advisor(robot.mechanism, pool, goal, seed, None, robot.inertias, planned)
+    session = Session(robot.names, POSE if measurer.kind == POSE else POINT)
+    reached: int | None = None
+    while True:
+        advice = advisor.advise(session)
+        session = advice.session
+        if advice.refitted is not None:
+            n = len(session.rows())
+            error = rms(advice.refitted.calibration.calibrated, scored)
+            reached = (reached or n) if error <= WITHIN * whole else None
+            print(
+                f"  {'chosen' if planned else 'random'} {n:5d} ({n / len(offered):.1%}): {1e3 * error:.4f} mm, "
+                f"{error / whole:.3f} of the whole's; {len(advice.status.effects)} effects",
+                flush=True,
+            )
+        if advice.outcome is not None:
+            print(f"  {advice.outcome.sentence}")
+            break
+        for number in session.pending:
+            session = session.with_station(number, measurer.measure(session.stations[number]))
+    share = "not reached" if reached is None else f"with {reached} stations, {reached / len(offered):.1%}"
+    print(f"{grid.name}, {'chosen' if planned else 'random'}: within {WITHIN - 1:.0%} and staying there {share}")
+    return whole
+
+
+def main() -> None:
+    """Both grids."""
+    if not DATA.is_dir():
+        sys.exit("no real recordings: ../shared/data is not beside this checkout")
+    wanted = sys.argv[1:] or ["ur5", "ipa"]
+    for name, make in (("ur5", ur5), ("ipa", ipa)):
+        if name in wanted:
+            grid = make()
+            whole = replayed(grid, True, None)
+            replayed(grid, False, whole)
+
+
+if __name__ == "__main__":
+    main()
