@@ -379,9 +379,9 @@ def main() -> None:
         ratios = np.array([o.ratio for o in outcomes])
         shares = [100.0 * np.mean([getattr(o, name) for o in outcomes]) for name in ("named", "clean")]
         off = [_median([getattr(o, name) for o in outcomes]) for name in ("gravity_deg", "kg")]
+        inside = np.mean(ratios <= 1.1)
         table.append(
-            f"| {row} | {len(outcomes)} | {np.median(ratios):.2f} | {ratios.max():.2f} | "
-            f"{np.mean(ratios <= 1.1):.0%} | "
+            f"| {row} | {len(outcomes)} | {np.median(ratios):.2f} | {ratios.max():.2f} | {inside:.0%} | "
             f"{shares[0]:.0f} % | {shares[1]:.0f} % | {off[0]} | {off[1]} |"
         )
     print("| row | seeds | median | worst | within 1.1 | cause named | nothing else of its kind | ° | kg |")

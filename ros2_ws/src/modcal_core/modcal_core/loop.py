@@ -41,6 +41,7 @@ from modcal_core.regimes.find import find_regimes, moves_of
 from modcal_core.report.contents import Step
 from modcal_core.report.findings import findings
 from modcal_core.report.joint_offsets import offsets_of
+from modcal_core.report.loads import load_findings, load_notes
 from modcal_core.report.notes import instrument_notes
 from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
@@ -166,15 +167,16 @@ def calibrate(
         scored=scored,
         rejected=int(wrong.sum()),
         errors=left,
-        effects=findings(
-            replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances
+        effects=(
+            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances),
+            *load_findings(loads, final.model, scored),
         ),
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         offsets=offsets_of(shipped),
         left_out=choice.left_out,
-        notes=instrument_notes(final),
+        notes=(*instrument_notes(final), *load_notes(loads)),
         steps=steps,
         evidence=diagnosis.maps,
         model=final.model,

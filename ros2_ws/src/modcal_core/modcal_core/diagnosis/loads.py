@@ -10,7 +10,7 @@ determined. What pulls is fitted to the end together with the arm and all effect
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,8 +60,8 @@ class FoundPayload:
 class Loads:
     """What pulls on the arm, as far as it was found. down: unit vector (3,) in the base, None where it is as known.
     down_std: of either turn across it [rad]. turned: from what was known [rad]. payloads: one a recording; empty where
-    none was found. relative: masses are in units of what was carried in the end, as nothing has a known mass. arm: with
-    all of that. before: as it was known.
+    none was found. relative: masses are in units of what was carried in the end, as nothing has a known mass. unknown:
+    the stations show that weight pulls another way, but not which. arm: with all of that. before: as it was known.
     """
 
     arm: NominalArm
@@ -71,6 +71,7 @@ class Loads:
     turned: float = 0.0
     payloads: tuple[FoundPayload, ...] = ()
     relative: bool = False
+    unknown: bool = False
 
 
 Search = Callable[[Fit], Diagnosis]
@@ -108,9 +109,10 @@ def weighed(
         if (tried := at.tried(asked, suspicion.x, best)) is not None:
             best = tried
             kept = replace(kept, tilts=kept.tilts or tilts, carries=not tilts)
+    nothing = Loads(arm, arm, unknown=True) if at.undetermined else None
     if best is None or not kept.size:
-        return best or search(geometric), None
-    return at.settled(best, kept) or (search(geometric), None)
+        return best or search(geometric), nothing
+    return at.settled(best, kept) or (search(geometric), nothing)
 
 
 def _known_by_effort(samples: Samples) -> bool:
@@ -126,13 +128,17 @@ def _arm_of(found: Diagnosis) -> NominalArm:
 
 @dataclass(frozen=True)
 class _Weighing:
-    """The fit of geometry, the sets, and how effects are looked for."""
+    """The fit of geometry, the sets, and how effects are looked for.
+
+    undetermined: hypotheses on the way of weight that the stations bear out but do not determine; it is added to.
+    """
 
     geometric: Fit
     train: Samples
     explain: Samples
     search: Search
     distances: tuple[AnyDistance, ...]
+    undetermined: list[LoadHypothesis] = field(default_factory=list)
 
     def suspicion(self, asked: LoadHypothesis) -> Suspicion | None:
         """What the residual of geometry says of a hypothesis, None where it says little."""
@@ -150,6 +156,8 @@ class _Weighing:
             return None
         fitted = self.fitted(new.fit, asked, x)
         if not fitted.sure(asked):
+            if asked.tilts and fitted.std[:2].max() > _MOST_STD:
+                self.undetermined.append(asked)
             return None
         new = replace(new, fit=fitted.fit)
         if best is None:

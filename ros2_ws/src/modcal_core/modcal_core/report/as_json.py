@@ -13,6 +13,7 @@ from modcal_core.calibration.score import ErrorSize
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.findings import Finding
+from modcal_core.report.loads import loads_to_json
 from modcal_core.report.sentence import sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Tolerance
@@ -62,6 +63,7 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
             "left_out": list(report.left_out),
             "weak": [{"direction": name, "std_over_prior": share} for name, share in seen.weak],
         },
+        "loads": loads_to_json(report.loads),
         "known_distances": [_known_distance(known) for known in report.distances],
         "evidence": [
             {

@@ -82,8 +82,10 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
             *notes,
             f"{name} overlaps the recordings before it in time: its stamps were shifted {late:.1f} s later.",
         )
+    moment = between(samples, later)
+    cell = replace(cell, between=tuple(sorted((*cell.between, moment))))
     if cell.own_in_recordings:
-        cell = cell.with_move(Move(between(samples, later), cell.own_in_recordings))
+        cell = cell.with_move(Move(moment, cell.own_in_recordings))
     stated = together_stated([_own(one), _own(two)])
     origin = replace(
         one,

@@ -78,6 +78,9 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
 
 def sentence(entry: ReportEntry) -> str:
     """When a load came, or what is carried beyond the description."""
+    if masses := [size for name, size in entry.sizes.items() if name.startswith("mass")]:
+        said = ", ".join(f"{kg:.2f} kg" for kg, _, _ in masses)
+        return f"{entry.place} carries {said} more than the description states"
     if "at" in entry.sizes:
         return f"{entry.place} deflects under a load that was added at one moment (stamp {entry.sizes['at'][0]:.1f} s)"
     carried = entry.sizes.get("payload")
