@@ -1,0 +1,129 @@
+"""What pulls on an arm is found: the way of weight, and a payload of each recording; against MuJoCo's statics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from cells import samples_of
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.store import from_data, to_data
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import Solution, calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.as_json import to_json_data
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+
+URDF = (Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8")
+CHAIN = read_chain(URDF, tip="tool0")
+COMPLIANCE = np.array([0.0, 6e-6, 9e-6, 3e-5, 0.0, 0.0])  # rad/(N m)
+GRAVITY = 9.80665
+BASE, TOOL = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
+WALL = np.array([np.sin(1.2), 0.1, -np.cos(1.2)]) / np.linalg.norm([np.sin(1.2), 0.1, -np.cos(1.2)])
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def torques(q: Array, down: Array, carried: float, centre: Array) -> Array:
+    """What weight does to the joints, (N, 6) [N m], with a mass at a place of the flange."""
+    ball = f'<link name="ball"><inertial><origin xyz="{" ".join(map(str, centre))}"/><mass value="{carried + 1e-9}"/>'
+    ball += '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    held = '<joint name="held" type="fixed"><parent link="tool0"/><child link="ball"/></joint>'
+    model = mujoco.MjModel.from_xml_string(URDF.replace("</robot>", ball + held + "</robot>"))
+    model.opt.gravity[:] = GRAVITY * down
+    data, out = mujoco.MjData(model), np.empty_like(q)
+    for row, posture in zip(out, q, strict=True):
+        data.qpos[:] = posture
+        mujoco.mj_forward(model, data)
+        row[:] = -data.qfrc_bias
+    return out
+
+
+def recorded(
+    rng: np.random.Generator, count: int, down: Array = DOWN, carried: float = 0.0, compliance: Array = COMPLIANCE
+) -> Samples:
+    q = rng.uniform(-1.6, 1.6, (count, 6))
+    bent = q + compliance * torques(q, down, carried, np.array([0.0, 0.02, 0.06]))
+    T = BASE @ forward(CHAIN, bent) @ TOOL
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
+    return samples_of(CHAIN, q, T)
+
+
+def calibrated(samples: Samples, cell: Cell | None = None) -> Solution:
+    return calibrate(samples, CHAIN, np.random.default_rng(0), cell, inertias=read_inertias(URDF, CHAIN))
+
+
+def left(done: Solution) -> float:
+    size = done.report.size_mm("final")
+    assert size is not None
+    return float(size.rms)
+
+
+@pytest.mark.slow
+def test_an_arm_on_a_wall_shows_which_way_weight_pulls(rng: np.random.Generator) -> None:
+    samples = recorded(rng, 110, WALL)
+    done = calibrated(samples)
+    loads = done.report.loads
+    assert loads is not None
+    assert loads.down is not None
+    off = float(np.arccos(np.clip(loads.down @ WALL, -1.0, 1.0)))
+    assert off < 3.0 * loads.down_std < np.radians(3.0)
+    assert loads.turned == pytest.approx(np.arccos(WALL @ DOWN), abs=0.02)
+    assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
+    assert {e.place for e in done.report.effects if e.family == "compliance"} == {
+        "shoulder_lift_joint", "elbow_joint", "wrist_1_joint",
+    }  # fmt: skip
+    assert any("Weight pulls along" in note and "state gravity" in note for note in done.report.notes)
+    assert to_json_data(done.report)["loads"]["gravity"]["turned_deg"] == pytest.approx(np.degrees(loads.turned))
+    kept = from_data(to_data(done.calibration))
+    fresh = recorded(rng, 40, WALL)
+    np.testing.assert_allclose(kept.predict(fresh), done.calibration.predict(fresh), atol=1e-12)
+    miss = kept.predict(fresh)[:, :3, 3] - fresh.reading
+    assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.25 * np.sqrt(3.0) * 0.02
+
+
+@pytest.mark.slow
+def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.random.Generator) -> None:
+    parts = [recorded(rng, 60, carried=kg) for kg in (0.0, 6.0, 3.0)]
+    until = []
+    samples = parts[0]
+    for part in parts[1:]:
+        later = replace(part, stamps=part.stamps - part.stamps.min() + samples.stamps.max() + 60.0)
+        until.append(float(samples.stamps.max()) + 30.0)
+        samples = samples.followed_by(later)
+    done = calibrated(samples, Cell(between=tuple(until)))
+    loads = done.report.loads
+    assert loads is not None
+    assert loads.down is None
+    assert [p.mass for p in loads.payloads] == pytest.approx([0.0, 6.0, 3.0], abs=0.15)
+    for found, kg in zip(loads.payloads, (0.0, 6.0, 3.0), strict=True):
+        assert abs(found.mass - kg) < 4.0 * found.mass_std
+    assert loads.payloads[1].place == pytest.approx([0.0, 0.02, 0.06], abs=0.02)
+    sizes = {e.place: e.parameters for e in done.report.effects if e.family == "compliance"}
+    for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint"):
+        expected = COMPLIANCE[CHAIN.names.index(joint)]
+        assert sizes[joint]["compliance"][0] == pytest.approx(expected, rel=0.05)
+    (carried,) = (e for e in done.report.effects if e.family == "payload")
+    assert carried.place == "tool"
+    assert carried.parameters["mass_2"][0] == pytest.approx(6.0, abs=0.15)
+    assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
+    kept = from_data(to_data(done.calibration))
+    np.testing.assert_allclose(kept.predict(samples), done.calibration.predict(samples), atol=1e-12)
+
+
+def test_a_stiff_arm_on_a_wall_says_nothing_of_it(rng: np.random.Generator) -> None:
+    done = calibrated(recorded(rng, 90, WALL, compliance=0.0 * COMPLIANCE))
+    assert done.report.loads is None
+    assert not done.report.effects
+
+
+def test_a_stated_way_of_weight_is_kept(rng: np.random.Generator) -> None:
+    done = calibrated(recorded(rng, 90, WALL), Cell(gravity=tuple(9.81 * WALL)))
+    assert done.report.loads is None
+    assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
