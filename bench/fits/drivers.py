@@ -138,11 +138,21 @@ def followed_well(rng: np.random.Generator) -> Planted:
 
 def payload_topic(rng: np.random.Generator) -> Planted:
     """Elastic joints, and a payload that changes between stations and that /payload_kg states."""
+    return _carrying(rng, every=1, told=False)
+
+
+def payload_told(rng: np.random.Generator) -> Planted:
+    """The same where the payload is another for some stations at a time, and is told once, when it changes."""
+    return _carrying(rng, every=int(rng.integers(3, 36)), told=True)
+
+
+def _carrying(rng: np.random.Generator, every: int, told: bool) -> Planted:
+    """A payload for so many stations; what it is comes with each of them, or two seconds before the first."""
     works = Works(ROBOTS[rng.integers(2)], rng)
     q, again = works.postures(140)
     elastic = works.elastic(4e-4)
     levels = np.array([0.0, 1.0, 2.5, 4.0] if works.robot == "ur10" else [0.0, 0.5, 1.0, 2.0])
-    carried = levels[rng.integers(len(levels), size=len(q))]
+    carried = np.repeat(levels[rng.integers(len(levels), size=-(-len(q) // every))], every)[: len(q)]
     parts = []
     t = 4.0 * np.arange(len(q))
     for level in levels:
@@ -153,6 +163,10 @@ def payload_topic(rng: np.random.Generator) -> Planted:
             deviation.payload += kg
 
         parts.append(replace(works.observe(q[rows], again[rows], bend), t=t[rows]))
+    when, what = t, carried
+    if told:
+        changed = np.r_[True, np.diff(carried) != 0.0]
+        when, what = t[changed] - 2.0, carried[changed]
     order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
     whole = replace(
         parts[0],
@@ -160,7 +174,7 @@ def payload_topic(rng: np.random.Generator) -> Planted:
         p=np.concatenate([p.p for p in parts])[order], again=np.concatenate([p.again for p in parts])[order],
         R=Rotation.concatenate([p.R for p in parts])[order],
         floor_mm=float(np.sqrt(np.average([p.floor_mm**2 for p in parts], weights=[len(p) for p in parts]))),
-        signals=(SignalTrack("signal:/payload_kg", BEGIN + t, carried[:, None], "/payload_kg"),),
+        signals=(SignalTrack("signal:/payload_kg", BEGIN + when, what[:, None], "/payload_kg"),),
     )  # fmt: skip
     return Planted(works.robot, whole.recording(), whole.floor_mm, ("compliance", whole.names))
 
@@ -286,7 +300,7 @@ def late_tracker_with_commands(rng: np.random.Generator) -> Planted:
 ROWS: dict[str, Maker] = {
     maker.__name__: maker
     for maker in (
-        late_joint, late_in_part, late_among_others, commanded_as_measured, followed_well, payload_topic,
+        late_joint, late_in_part, late_among_others, commanded_as_measured, followed_well, payload_topic, payload_told,
         effort_in_places, short_stands, short_pauses, slow_joint_states, late_at_times,
         late_joint_in_motion, late_tracker_with_commands,
     )

@@ -22,12 +22,14 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import others_by_name
 from modcal_core.measurements.recording import PART
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.told import is_told, staircase, told_at
 from modcal_core.robots.branches import moved_centres
 from modcal_core.robots.gravity import DOWN
 from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
 from modcal_core.robots.urdf_inertias import Inertias
 
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
+_FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
@@ -81,7 +83,11 @@ class Drivers:
     def signal_names(self) -> tuple[str, ...]:
         """Recorded signals that cover the samples and change."""
         return tuple(
-            track.name for track in self.samples.signals if len(track.stamps) > 3 and np.ptp(track.values[:, 0]) > 0.0
+            track.name
+            for track in self.samples.signals
+            if len(track.stamps) > 1
+            and np.ptp(track.values[:, 0]) > 0.0
+            and (len(track.stamps) > _FEW or is_told(track.values[np.argsort(track.stamps), 0]))
         )
 
     @cached_property
@@ -124,13 +130,21 @@ class Drivers:
         return offset_wrench(self.arm.chain, self.samples.q, self._down)
 
     def _signal(self, name: str, lag: float) -> Array:
+        stamps = self.samples.stamps
         for track in self.samples.signals:
             if track.name == name:
                 order = np.argsort(track.stamps, kind="stable")
                 t, x = track.stamps[order], track.values[order, 0]
-                x = x if self.arm.limits is None else self.arm.limits.value(name, x)
                 keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
-                return delayed(t[keep], x[keep], lag, self.samples.stamps) if keep.sum() > 1 else np.zeros(len(self))
+                t, x = t[keep], x[keep]
+                told = not name.startswith("temperature:") and is_told(x)
+                x = x if self.arm.limits is None else self.arm.limits.value(name, x)
+                if told and lag == 0.0:
+                    return told_at(t, x, stamps, self.samples.moving)
+                if told:
+                    step = float(t[-1] - t[0]) / _MOST_POINTS
+                    return delayed(*staircase(t, x, step), lag, stamps, step)
+                return delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
         return np.zeros(len(self))
 
 
@@ -228,12 +242,13 @@ def _brought(kind: str) -> DriverKind | None:
     return next((driver for driver in found if driver is not None), None)
 
 
-def delayed(t: Array, x: Array, lag: float, at: Array) -> Array:
+def delayed(t: Array, x: Array, lag: float, at: Array, step: float = np.inf) -> Array:
     """A signal as seen through a first-order lag, at stamps ``at``, held before its first value and after its last.
 
-    t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes that of a slow sensor.
+    t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes that of a slow sensor. step: [s] between
+    points of the grid, at most; by default the usual one between stamps.
     """
-    step = max(float(np.median(np.diff(t))), float(t[-1] - t[0]) / _MOST_POINTS)
+    step = max(min(float(np.median(np.diff(t))), step), float(t[-1] - t[0]) / _MOST_POINTS)
     grid = np.arange(t[0], t[-1] + step, step)
     even = np.interp(grid, t, x)
     if lag > 0.0:
