@@ -7,7 +7,7 @@ only once: ``(u φ)ᵀ W (v ψ) = φᵀ diag(uᵀWv) ψ``, six times less work w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Term, all_columns
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -22,14 +23,17 @@ from modcal_core.measurements.samples import Samples
 BLOCK = 2000  # samples
 
 
-def normal_equations(
-    start: Model, parameters: Sequence[ModelParameter], values: Array, samples: Samples, row_weight: Array
-) -> tuple[Array, Array]:
-    """(JᵀWJ, JᵀWr) of the parameters, then of the effects' values where there are any, at these values.
+@dataclass(frozen=True)
+class Block:
+    """Some of the samples. rows: of a linearisation of all, (3 n + 3 m,). at: their drivers, None where not kept."""
 
-    row_weight: of the rows of a linearisation, (3 N + 3 M,).
-    """
-    H, g = np.zeros((len(values), len(values))), np.zeros(len(values))
+    part: Samples
+    rows: np.ndarray
+    at: Drivers | None = None
+
+
+def blocks(samples: Samples) -> Iterator[Block]:
+    """All samples, block by block."""
     N, pose = len(samples), samples.is_pose
     M = int(pose.sum())
     turned = np.cumsum(pose) - 1
@@ -37,17 +41,40 @@ def normal_equations(
         rows = np.arange(first, min(first + BLOCK, N))
         part = samples if len(rows) == N else samples.select(rows)
         angles = 3 * N + turned[rows[pose[rows]]]
-        weight = row_weight[np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles])]
-        _add(start, parameters, values, part, weight, H, g)
+        yield Block(part, np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles]))
+
+
+def normal_equations(
+    start: Model,
+    parameters: Sequence[ModelParameter],
+    values: Array,
+    samples: Samples,
+    row_weight: Array,
+    parts: Iterable[Block] | None = None,
+) -> tuple[Array, Array]:
+    """(JᵀWJ, JᵀWr) of the parameters, then of the effects' values where there are any, at these values.
+
+    row_weight: of the rows of a linearisation, (3 N + 3 M,). parts: the samples in blocks, where they are at hand.
+    """
+    H, g = np.zeros((len(values), len(values))), np.zeros(len(values))
+    for block in blocks(samples) if parts is None else parts:
+        at = block.at or start.drivers(block.part)
+        _add(start, parameters, values, block.part, at, row_weight[block.rows], H, g)
     return H, g
 
 
 def _add(
-    start: Model, parameters: Sequence[ModelParameter], values: Array, part: Samples, weight: Array, H: Array, g: Array
+    start: Model,
+    parameters: Sequence[ModelParameter],
+    values: Array,
+    part: Samples,
+    at: Drivers,
+    weight: Array,
+    H: Array,
+    g: Array,
 ) -> None:
     """Add what one block of samples says."""
     P = len(parameters)
-    at = start.drivers(part)
     now = model_at(start, parameters, values)
     view = RowView.of(now, part, at)
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])

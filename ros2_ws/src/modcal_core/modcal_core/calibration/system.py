@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -10,11 +11,13 @@ import numpy as np
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.calibration.normal_equations import BLOCK, Block, blocks, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+
+MOST_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
 
 
 class System(Protocol):
@@ -46,6 +49,7 @@ class PlainSystem:
     def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> None:
         """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
+        self._kept: list[Block] | None = None
 
     def residuals(self, values: Array) -> Linearised:
         """Residuals, without derivatives."""
@@ -53,9 +57,21 @@ class PlainSystem:
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
-        H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight)
+        H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight, self._blocks())
         self._last = H / float(row_weight.sum())
         return H, g
+
+    def _blocks(self) -> Iterable[Block]:
+        """The samples in blocks, with their drivers where that takes little memory."""
+        if len(self._samples) > MOST_KEPT:
+            return blocks(self._samples)
+        if self._kept is None:
+            whole = len(self._samples) <= BLOCK
+            self._kept = [
+                replace(block, at=self._around if whole else self._start.drivers(block.part))
+                for block in blocks(self._samples)
+            ]
+        return self._kept
 
     def gradient(self, values: Array, row_weight: Array) -> Array:
         """JᵀWr alone, (P,)."""

@@ -49,6 +49,10 @@ class Bank(Protocol):
         """Products of each candidate's columns with each other (C, m, m). columns: unit columns (6, N) of each key."""
         ...
 
+    def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
+        """Products with each other, (C, m, m), of the sums with the columns of the matrices (N, k)."""
+        ...
+
 
 class Spectra:
     """Spectra that were computed already: two banks of one joint share them. Of one scan."""
@@ -75,17 +79,29 @@ class Numbers:
     def sums(self, of: Sequence[Array], spectra: Spectra, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
         numbers = self.numbers[rows]
-        if all(matrix is of[0] for matrix in of):
-            flat = numbers.reshape(-1, numbers.shape[-1])
-            return np.asarray((flat @ of[0]).reshape(*numbers.shape[:2], -1))
-        return np.stack([numbers[:, a] @ matrix for a, matrix in enumerate(of)], axis=1)
+        C, m, N = numbers.shape
+        groups = self._groups()
+        if len(groups) == 1:
+            return np.asarray((numbers.reshape(-1, N) @ of[0]).reshape(C, m, -1))
+        out = np.empty((C, m, of[0].shape[1]))
+        for some in groups:
+            out[:, some] = (numbers[:, some].reshape(-1, N) @ of[some[0]]).reshape(C, len(some), -1)
+        return out
+
+    def _groups(self) -> list[list[int]]:
+        """The columns of each key."""
+        return [[a for a, key in enumerate(self.keys) if key == one] for one in dict.fromkeys(self.keys)]
+
+    def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
+        """See :class:`Bank`."""
+        return _squared(self.sums(of, spectra))
 
     def gram(self, columns: Sequence[Array]) -> Array:
         """See :class:`Bank`."""
         C, m, _ = self.numbers.shape
         if m == 1:
             return np.asarray((self.numbers[:, 0] ** 2 @ np.sum(columns[0] ** 2, axis=0))[:, None, None])
-        groups = [[a for a, key in enumerate(self.keys) if key == one] for one in dict.fromkeys(self.keys)]
+        groups = self._groups()
         if len(groups) == 1:
             square = np.sum(columns[0] ** 2, axis=0)
             return np.asarray((self.numbers * square) @ self.numbers.transpose(0, 2, 1))
@@ -134,6 +150,20 @@ class Waves:
                 out[:, 2 * a + 1, 2 * b] = 0.5 * (more.imag - turned)
         return out
 
+    def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
+        """See :class:`Bank`."""
+        waves = spectra.of(self.spectrum, of[0])
+        out = np.empty((len(self.which), len(self.keys), len(self.keys)))
+        for a in range(self.which.shape[1]):
+            for b in range(a, self.which.shape[1]):
+                first, second = waves[_range(self.which[:, a])], waves[_range(self.which[:, b])]
+                for i, one in enumerate((first.imag, first.real)):
+                    for k, other in enumerate((second.imag, second.real)):
+                        if a < b or i <= k:
+                            both = np.einsum("ck,ck->c", one, other)
+                            out[:, 2 * a + i, 2 * b + k] = out[:, 2 * b + k, 2 * a + i] = both
+        return out
+
 
 @dataclass(frozen=True)
 class Times:
@@ -154,6 +184,10 @@ class Times:
         sign = 1.0 if self.after else -1.0
         return np.stack([sign * self._part(matrix)[rows] for matrix in of], axis=1)
 
+    def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
+        """See :class:`Bank`."""
+        return _squared(self.sums(of, spectra))
+
     def gram(self, columns: Sequence[Array]) -> Array:
         """See :class:`Bank`."""
         m = len(columns)
@@ -166,10 +200,25 @@ class Times:
 
     def _part(self, matrix: Array) -> Array:
         """Sums of the rows of a matrix (N, k) on the one side of each time, (C, k)."""
-        running = np.zeros((len(matrix) + 1, matrix.shape[1]))
-        np.cumsum(matrix[self.order], axis=0, out=running[1:])
-        before = running[self.before]
+        edges = np.unique(np.r_[0, self.before[self.before < len(matrix)]])
+        running = np.zeros((len(edges) + 1, matrix.shape[1]))
+        np.cumsum(np.add.reduceat(matrix[self.order], edges, axis=0), axis=0, out=running[1:])
+        before = running[np.searchsorted(edges, self.before)]
         return np.asarray(running[-1] - before if self.after else before)
+
+
+def _squared(sums: Array) -> Array:
+    """``sums sumsᵀ`` of each candidate, (C, m, m): without a product of small matrices for each where m is small."""
+    if sums.shape[1] == 1:
+        return np.asarray(np.einsum("cmk,cmk->c", sums, sums)[:, None, None])
+    return np.asarray(sums @ sums.transpose(0, 2, 1))
+
+
+def _range(rows: np.ndarray) -> slice | np.ndarray:
+    """Rows as a slice, which copies nothing, where they are evenly spaced."""
+    step = int(rows[1] - rows[0]) if len(rows) > 1 else 1
+    even = step > 0 and bool((np.diff(rows) == step).all())
+    return slice(int(rows[0]), int(rows[-1]) + 1, step) if even else rows
 
 
 class SpectraOfDrivers:

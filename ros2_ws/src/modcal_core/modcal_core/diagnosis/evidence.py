@@ -202,7 +202,7 @@ class Scanner:
     ) -> tuple[Array, Array]:
         """The squares of the first trial that each candidate explains (C,), and the best score in each, (trials,)."""
         squares = []
-        most = {m: np.zeros(len(trials.signs)) for m, table in tables.items() if table is not None}
+        most = {m: np.zeros(len(trials.total)) for m, table in tables.items() if table is not None}
         for part in weighed:
             for first in range(0, len(part.inverse), _AT_ONCE):
                 rows = slice(first, first + _AT_ONCE)
@@ -219,7 +219,7 @@ class Scanner:
         """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
         for key in bank.keys:
             if key not in trials.known:
-                trials.known[key] = trials.seen_by(self._column(key, space), self._against(key, space))
+                trials.known[key] = trials.seen_by(self._column(key, space))
         return bank.sums([trials.known[key] for key in bank.keys], trials.spectra, rows)
 
     def _gram(self, bank: Bank, space: Space) -> tuple[Array, Array]:
@@ -228,13 +228,12 @@ class Scanner:
         """
         gram = bank.gram([self._column(key, space) for key in bank.keys])
         own = np.einsum("cii->ci", gram).copy()
-        projected = bank.sums([self._against(key, space) for key in bank.keys], space.spectra)
-        return gram - projected @ projected.transpose(0, 2, 1), own
+        return gram - bank.gram_of_sums([self._against(key, space) for key in bank.keys], space.spectra), own
 
     def _against(self, key: Key, space: Space) -> Array:
         """Contraction, sample by sample, of a column with the projector, (N, P)."""
         if key not in space.against:
-            space.against[key] = np.einsum("cN,cNp->Np", self._column(key, space), space.Q)
+            space.against[key] = np.einsum("cN,cNp->Np", self._column(key, space)[: space.rows], space.Q[: space.rows])
         return space.against[key]
 
 
@@ -302,22 +301,19 @@ def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 @dataclass(frozen=True)
 class _Trials:
-    """The residual with the signs of each trial, (6, N) by signs (trials, N), what is fitted projected out.
+    """The residual with the signs of each trial, what is fitted projected out, (rows, N, trials).
 
-    seen: products of the signed residual with the projector, (trials, P). total: squares left, (trials,).
+    total: squares left, (trials,). known: contractions with columns, (N, trials). spectra: of those.
     """
 
-    residual: Array
-    signs: Array
-    seen: Array
+    left: Array
     total: Array
     known: dict[Key, Array] = field(default_factory=dict)
     spectra: Spectra = field(default_factory=Spectra)
 
-    def seen_by(self, column: Array, against: Array) -> Array:
+    def seen_by(self, column: Array) -> Array:
         """Contraction, sample by sample, of a column (6, N) with the trials, (N, trials)."""
-        own = np.sum(column * self.residual, axis=0)
-        return np.asarray(own[:, None] * self.signs.T - against @ self.seen.T)
+        return np.asarray(np.einsum("cN,cNt->Nt", column[: len(self.left)], self.left))
 
 
 @dataclass(frozen=True)
@@ -326,6 +322,7 @@ class Space:
 
     Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
+    rows: those that may not be zero.
     """
 
     view: RowView
@@ -333,6 +330,7 @@ class Space:
     residual: Array
     Q: Array
     freedom: int
+    rows: int = 6
     columns: dict[Key, Array] = field(default_factory=dict)
     against: dict[Key, Array] = field(default_factory=dict)
     spectra: Spectra = field(default_factory=Spectra)
@@ -345,19 +343,23 @@ class Space:
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
         now = linearise(fit.model, fit.parameters, values, samples, drivers=drivers)
         view = RowView.of(fit.model, samples, drivers)
-        J = np.empty((6, len(samples), len(now.J)))  # of a frozen model without effects nothing is fitted
-        for p, row in enumerate(now.J):
-            J[..., p] = _by_sample(row, view) * weight
-        held = np.zeros(J.shape[-1])
+        held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
-        N, P = len(samples), J.shape[-1]
-        Q = _orthonormal(J.reshape(6 * N, P), held).reshape(6, N, P)
+        N, P = len(samples), len(now.J)
+        rows = 6 if len(view.pose) else 3  # of points alone the other three are zero
+        J = np.zeros((P, rows, N))
+        J[:, :3] = now.J[:, : 3 * N].reshape(P, 3, N)
+        if rows > 3:
+            J[:, 3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, -1)
+        J *= weight[:rows]
+        Q = np.zeros((6, N, P))
+        Q[:rows] = _orthonormal(J.reshape(P, rows * N), held).reshape(P, rows, N).transpose(1, 2, 0)
         residual = _drawn_in(_by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
         residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
-        rows = Groups.of(samples, bool(fit.model.instruments)).rows
-        return cls(view, weight, residual, Q, round(rows) - round(float(np.sum(Q**2))))
+        free = round(Groups.of(samples, bool(fit.model.instruments)).rows) - round(float(np.sum(Q[:rows] ** 2)))
+        return cls(view, weight, residual, Q, free, rows)
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
@@ -365,8 +367,11 @@ class Space:
 
     def trials(self, signs: Array) -> _Trials:
         """The residual under signs (trials, N)."""
-        seen = signs @ np.einsum("cNp,cN->Np", self.Q, self.residual)
-        return _Trials(self.residual, signs, seen, np.sum(self.residual**2) - np.sum(seen**2, axis=1))
+        Q, residual = self.Q[: self.rows], self.residual[: self.rows]
+        seen = signs @ np.einsum("cNp,cN->Np", Q, residual)
+        left = residual[:, :, None] * signs.T
+        left -= Q @ seen.T
+        return _Trials(left, np.sum(residual**2) - np.sum(seen**2, axis=1))
 
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
@@ -377,11 +382,11 @@ def sample_weights(fit: Fit, samples: Samples) -> Array:
 
 
 def _orthonormal(J: Array, held: Array) -> Array:
-    """Orthonormal columns of J (m, P) with the rows diag(held) below it, those rows left out again, (m, P)."""
-    size = np.maximum(np.sqrt(np.einsum("ij,ij->j", J, J) + held**2), 1e-300)
-    J, held = J / size, held / size
-    L = np.linalg.cholesky(J.T @ J + np.diag(held**2 + 1e-12))
-    return np.asarray(solve_triangular(L, J.T, lower=True, check_finite=False).T)
+    """Orthonormal rows of J (P, m) with the columns diag(held) beside it, those columns left out again, (P, m)."""
+    size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
+    J, held = J / size[:, None], held / size
+    L = np.linalg.cholesky(J @ J.T + np.diag(held**2 + 1e-12))
+    return np.asarray(solve_triangular(L, J, lower=True, check_finite=False))
 
 
 def _drawn_in(residual: Array) -> Array:

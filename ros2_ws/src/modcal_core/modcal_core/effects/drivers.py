@@ -9,14 +9,15 @@ beside the tip, and ``moment:J`` the two components across the axis. A family ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
 
 from modcal_core.effects.carried import Carried
 from modcal_core.effects.driver_limits import DriverLimits
+from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sources import brought
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import others_by_name
@@ -31,6 +32,7 @@ from modcal_core.robots.urdf_inertias import Inertias
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
+_MOST_KEPT = 32e6  # bytes of drivers and shapes that are kept for one set of samples
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
@@ -59,18 +61,47 @@ def public_driver(driver: str) -> str:
     return f"load:{rest}" if kind in _LOADS else first.partition(PART)[0]
 
 
+class Kept:
+    """Arrays that were computed already, by what they are of: a fit asks for the same at every step."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[Hashable, Array] = {}
+        self._bytes = 0
+
+    def of(self, key: Hashable, compute: Callable[[], Array]) -> Array:
+        """The array of a key, not to be written to. All are let go when they have become too many."""
+        found = self._arrays.get(key)
+        if found is None:
+            found = compute()
+            self._bytes += found.nbytes
+            if self._bytes > _MOST_KEPT:
+                self._arrays.clear()
+                self._bytes = found.nbytes
+            self._arrays[key] = found
+        return found
+
+
 @dataclass(frozen=True)
 class Drivers:
     """Drivers at N samples. A driver that the samples do not carry is zero: the effect is then not applied."""
 
     samples: Samples
     arm: NominalArm
+    _kept: Kept = field(default_factory=lambda: Kept(), compare=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.samples)
 
     def values(self, name: str, lag: float = 0.0) -> Array:
         """The driver (N,), or its components (c, N). lag: [s] by which a recorded signal's effect follows it."""
+        return self._kept.of(("driver", name, lag), lambda: self._values(name, lag))
+
+    def basis(self, name: str, lag: float, shape: Shape) -> Array:
+        """The functions (b, N) of a shape that follows a driver."""
+        key = "basis", name, lag, shape.kind, *sorted(shape.settings.items())
+        return self._kept.of(key, lambda: shape.basis(self.values(name, lag)))
+
+    def _values(self, name: str, lag: float) -> Array:
         if "," in name:
             return np.stack([self.values(part, lag) for part in name.split(",")])
         kind, _, of = name.partition(":")

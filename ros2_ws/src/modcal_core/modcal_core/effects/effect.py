@@ -121,7 +121,7 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         return [[Term(i, RODS, x), *(Term(i, RODS + 1 + d, size * x) for d, size in enumerate(lengths))] for i in arms]
     if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
-    basis = effect.shape.basis(x)
+    basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     return [
         [Term(k, direction, share * phi) for direction, share in towards]
         for towards in _directions(effect.direction, chain, k)
@@ -175,19 +175,30 @@ def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array
     twists: dict[int, Array] = {}
     scale = np.ones(len(drivers))
     for effect in effects:
-        for amplitude, terms in zip(effect.amplitudes, columns(effect, drivers), strict=True):
-            for term in terms:
-                if term.place == READING:
-                    scale = scale + amplitude * term.size
-                else:
-                    rows = 6 if term.direction < RODS else ROWS
-                    twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
-                    if len(twist) < rows:
-                        twist = twists[term.place] = np.concatenate(
-                            [twist, np.zeros((rows - len(twist), len(drivers)))]
-                        )
-                    twist[term.direction] += amplitude * term.size
+        for term in _moved(effect, drivers):
+            if term.place == READING:
+                scale = scale + term.size
+            else:
+                rows = 6 if term.direction < RODS else ROWS
+                twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
+                if len(twist) < rows:
+                    twist = twists[term.place] = np.concatenate([twist, np.zeros((rows - len(twist), len(drivers)))])
+                twist[term.direction] += term.size
     return twists, scale
+
+
+def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
+    """The terms of an effect with its amplitudes, those of one direction together where the shape says how much."""
+    if effect.direction in (JOINTS, PAIRS) or effect.driver == "velocity" or effect.driver.startswith("moment:"):
+        for amplitude, terms in zip(effect.amplitudes, columns(effect, drivers), strict=True):
+            yield from (Term(term.place, term.direction, amplitude * term.size) for term in terms)
+        return
+    k = place_index(effect.place, drivers.arm.chain)
+    basis = drivers.basis(effect.driver, effect.lag, effect.shape)
+    towards = _directions(effect.direction, drivers.arm.chain, k)
+    sizes = effect.amplitudes.reshape(len(towards), len(basis)) @ basis
+    for several, size in zip(towards, sizes, strict=True):
+        yield from (Term(k, direction, share * size) for direction, share in several)
 
 
 def prior_stds(effect: Effect, drivers: Drivers) -> Array:
