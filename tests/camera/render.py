@@ -47,28 +47,56 @@ def render(
     """
     w, h = lens.size
     sheet = bitmap(board)
-    step = 1.0 / rays
-    x = (np.arange(w * rays) + 0.5) * step - 0.5
-    y = (np.arange(h * rays) + 0.5) * step - 0.5
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2).astype(np.float32)
-    ray = cv2.undistortPoints(grid, lens.K, lens.values[4:]).reshape(-1, 2)
     T = se3.inverse(T_camera_target)
-    direction = np.c_[ray, np.ones(len(ray))] @ T[:3, :3].T
-    distance = -T[2, 3] / direction[:, 2]
-    at = T[:2, 3] + distance[:, None] * direction[:, :2]
-    if bow is not None:
-        points = board.points[:, :2]
-        middle, half = 0.5 * (points.max(0) + points.min(0)), 0.5 * np.linalg.norm(np.ptp(points, axis=0))
-        for _ in range(3):  # to where the ray meets the bent sheet
-            u, v = np.clip((at - middle) / half, -2.0, 2.0).T
-            distance = (bow[0] * u * u + bow[1] * u * v + bow[2] * v * v - T[2, 3]) / direction[:, 2]
-            at = T[:2, 3] + distance[:, None] * direction[:, :2]
-    at = at / np.array(scale) * _PER_M + _BORDER_M * _PER_M - 0.5
-    at[distance <= 0.0] = -1e6
-    coordinates = at.reshape(h * rays, w * rays, 2).astype(np.float32)
-    sampled = cv2.remap(sheet, coordinates[..., 0], coordinates[..., 1], cv2.INTER_LINEAR, borderValue=150)
-    image = cv2.resize(sampled.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)
+    left, top, right, bottom = _around(T_camera_target, lens, board)
+    sampled = np.full((h * rays, w * rays), 150.0, np.float32)
+    part = _rays(lens.values.tobytes(), lens.size, rays)[top * rays : bottom * rays, left * rays : right * rays]
+    if part.size:
+        ray = part.reshape(-1, 2)
+        direction = ray @ T[:3, :2].T + T[:3, 2]
+        distance = -T[2, 3] / direction[:, 2]
+        at = T[:2, 3] + distance[:, None] * direction[:, :2]
+        if bow is not None:
+            points = board.points[:, :2]
+            middle, half = 0.5 * (points.max(0) + points.min(0)), 0.5 * np.linalg.norm(np.ptp(points, axis=0))
+            for _ in range(3):  # to where the ray meets the bent sheet
+                u, v = np.clip((at - middle) / half, -2.0, 2.0).T
+                distance = (bow[0] * u * u + bow[1] * u * v + bow[2] * v * v - T[2, 3]) / direction[:, 2]
+                at = T[:2, 3] + distance[:, None] * direction[:, :2]
+        at = at / np.array(scale) * _PER_M + _BORDER_M * _PER_M - 0.5
+        at[distance <= 0.0] = -1e6
+        coordinates = at.reshape(*part.shape).astype(np.float32)
+        seen = cv2.remap(sheet, coordinates[..., 0], coordinates[..., 1], cv2.INTER_LINEAR, borderValue=150)
+        sampled[top * rays : bottom * rays, left * rays : right * rays] = seen
+    image = cv2.resize(sampled, (w, h), interpolation=cv2.INTER_AREA)
     image = 30.0 + 0.75 * cv2.GaussianBlur(image, (0, 0), blur)
     r2 = ((np.arange(w) / w - 0.5) ** 2)[None] + ((np.arange(h) / h - 0.5) ** 2)[:, None]
     image = image * (1.0 - 0.3 * r2) + noise * rng.standard_normal((h, w))
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@cache
+def _rays(values: bytes, size: tuple[int, int], rays: int) -> Array:
+    """Where each ray of each pixel meets z = 1, (h rays, w rays, 2)."""
+    w, h = size
+    lens = np.frombuffer(values)
+    K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+    step = 1.0 / rays
+    x = (np.arange(w * rays) + 0.5) * step - 0.5
+    y = (np.arange(h * rays) + 0.5) * step - 0.5
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2).astype(np.float32)
+    return np.asarray(cv2.undistortPoints(grid, K, lens[4:])).reshape(h * rays, w * rays, 2)
+
+
+def _around(T: Array, lens: Lens, board: PrintedTarget) -> tuple[int, int, int, int]:
+    """Left, upper, right and lower end of the pixels that may show the sheet; all of them where that is not plain."""
+    w, h = lens.size
+    side = np.linspace(0.0, 1.0, 21)
+    low, high = -_BORDER_M, np.array(board.size) + _BORDER_M
+    edge = np.concatenate([[(s, 0), (s, 1), (0, s), (1, s)] for s in side])
+    X = np.c_[low + 1.05 * edge * (high - low) - 0.025 * (high - low), np.zeros(len(edge))] @ T[:3, :3].T + T[:3, 3]
+    if X[:, 2].min() < 0.05:
+        return 0, 0, w, h
+    at = cv2.projectPoints(X, np.zeros(3), np.zeros(3), lens.K, lens.values[4:])[0].reshape(-1, 2)
+    (left, top), (right, bottom) = np.floor(at.min(0)).astype(int) - 8, np.ceil(at.max(0)).astype(int) + 8
+    return max(left, 0), max(top, 0), max(min(right, w), 0), max(min(bottom, h), 0)

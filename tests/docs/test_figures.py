@@ -117,3 +117,13 @@ def test_words_that_people_search_for_are_in_the_readme() -> None:
         "MoveIt",
     ):
         assert re.search(rf"\b{word}\b", readme), word
+
+
+def test_the_webcam_pictures_are_small() -> None:
+    """What scripts/webcam_pictures.py has drawn: each below 100 kB, and on the page."""
+    page = (ROOT / "docs" / "howto" / "webcam.md").read_text()
+    drawn = sorted((ROOT / "docs" / "howto").glob("webcam_*"))
+    assert len(drawn) == 3
+    for picture in drawn:
+        assert picture.stat().st_size < 100_000
+        assert f"({picture.name})" in page

@@ -37,7 +37,7 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
-_IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
+IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
 
@@ -99,7 +99,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[Doubt], scale: PrintScale) -> tup
     """What the images leave in doubt of what was stated, in sentences."""
     out = []
     for doubt in doubted:
-        if doubt.chance > _IN_DOUBT:
+        if doubt.chance > IN_DOUBT:
             step = doubt.equations.solve(doubt.sizes).step()[fit.poses.count + 1 :]
             common = fit.state.common + step
             what = {

@@ -5,7 +5,7 @@ where the camera is carried, in the camera's where the target is. Errors over M 
 covariance; each draw has one RMS, and the interval is that of the draws. Of the nominal arm, camera and target placed
 by the same images, the same draws say what it is off by, so that the two can be compared draw by draw. What each image
 has of its own, joints that do not repeat and whatever no parameter describes, is part of both. A statement in doubt has
-draws of its own, which count by its chance.
+draws of its own, which count by its chance; one that is not has none, and the interval holds if it is right.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.at_tool import at_flange, flange_in_tool
-from modcal_core.camera.contradicted import Doubt
+from modcal_core.camera.contradicted import IN_DOUBT, Doubt
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
@@ -25,9 +25,10 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
-_DRAWS = 1000  # for the ends of a 95 % interval to within a few per cent of themselves
+_INSIDE_INTERVAL = 0.95
+_PLACES = 51  # at which an interval is tried, a thousandth apart
+_DRAWS = 2000  # for the ends of a 95 % interval to within a few per cent of themselves
 _POSTURES = 150  # which give the RMS over a range of joints to a few per cent
-_NEVER = 1e-5  # chance of a statement that is wrong, below which its draws could change no end of an interval
 _TRIES = 20  # postures drawn for each that shows the target
 _LEAST_SEEN = 20  # postures that show the target, below which those of the images are taken
 _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in view
@@ -35,21 +36,29 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 
 @dataclass(frozen=True)
 class ToolError:
-    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, sum 1, (D,)."""
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, sum 1, (D,).
+
+    in_doubt: whether some of the draws are those of a statement in doubt.
+    """
 
     calibrated: Array
     nominal: Array
     weight: Array
+    in_doubt: bool = False
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m]."""
-        return _interval(self.calibrated, self.weight)
+        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m].
+
+        The interval is the shortest that holds 95 %. Where a statement is in doubt, it leaves out the same on either
+        side, for the shortest might leave out that very doubt.
+        """
+        return _interval(self.calibrated, self.weight, not self.in_doubt)
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
         """The same of the nominal arm."""
-        return _interval(self.nominal, self.weight)
+        return _interval(self.nominal, self.weight, not self.in_doubt)
 
     @property
     def chance_worse(self) -> float:
@@ -57,11 +66,15 @@ class ToolError:
         return float(self.weight @ (self.calibrated >= self.nominal))
 
 
-def _interval(values: Array, weight: Array) -> tuple[float, float, float]:
+def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, float, float]:
     order = np.argsort(values)
-    below = np.cumsum(weight[order]) - 0.5 * weight[order]
-    low, middle, high = np.interp([0.025, 0.5, 0.975], below / weight.sum(), values[order])
-    return float(middle), float(low), float(high)
+    ordered = values[order]
+    below = (np.cumsum(weight[order]) - 0.5 * weight[order]) / weight.sum()
+    outside = 1.0 - _INSIDE_INTERVAL
+    starts = np.linspace(0.0, outside, _PLACES) if shortest else np.array([0.5 * outside])
+    low, high = np.interp(starts, below, ordered), np.interp(starts + _INSIDE_INTERVAL, below, ordered)
+    best = int(np.argmin(high - low))
+    return float(np.interp(0.5, below, ordered)), float(low[best]), float(high[best])
 
 
 def tool_error(
@@ -76,8 +89,9 @@ def tool_error(
     point = flange_in_tool(fit)
     J = at_flange(T, point, motions)
     P = J.shape[2]
+    doubted = [d for d in doubted if d.chance > IN_DOUBT]
     parts = [(1.0 - sum(d.chance for d in doubted), _draws(fit, fit.equations, fit.sizes, P, rng))]
-    parts += [(d.chance, _draws(fit, d.equations, d.sizes, P, rng)) for d in doubted if d.chance > _NEVER]
+    parts += [(d.chance, _draws(fit, d.equations, d.sizes, P, rng)) for d in doubted]
     draws = np.concatenate([drawn for _, drawn in parts])
     weight = np.concatenate([np.full(len(drawn), chance / len(drawn)) for chance, drawn in parts])
     error = np.einsum("mip,dp->dmi", J, draws)
@@ -89,7 +103,7 @@ def tool_error(
     def rms(e: Array) -> Array:
         return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1) + scatter))
 
-    return ToolError(rms(error), rms(apart), weight / weight.sum())
+    return ToolError(rms(error), rms(apart), weight / weight.sum(), bool(doubted))
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:
