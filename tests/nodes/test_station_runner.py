@@ -86,7 +86,8 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
             wait(lambda: len(sent[-1].points) == 1, 5.0)  # where the arm was, and no more
             stood = np.array(joints[-1].position)
             count = len(sent)
-            wait(lambda n=len(joints): len(joints) > n + 50, 10.0)
+            heard = len(joints)
+            wait(lambda: len(joints) > heard + 50, 10.0)
             assert len(sent) == count
             assert np.abs(np.array(joints[-1].position) - stood).max() < 0.2
 
