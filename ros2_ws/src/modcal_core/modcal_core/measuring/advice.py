@@ -51,7 +51,8 @@ _AHEAD = 6  # batches that are looked ahead
 _CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
 _SETTLED = 1.08  # error now over the error that all stations of the budget would leave: no more is worth having
 _UNEXPLAINED = 1.5  # mean square left over that of the floor, from which something is to be found still
-_SEARCHED = 4.0  # times the first stations, after which what has not been found is not looked for any more
+_SEARCHED = 4.0  # times the first stations, from which it may be said that a search has stalled
+_BROUGHT = 0.9  # of what the model from half of the stations leaves; more is left where the other half brought little
 _DECIDING = 4, 12  # stations to separate explanations: at once, and altogether
 _RETURNS_FROM = 2.0  # times the first stations; a model of fewer may lack what makes the goal seem out of reach
 _MOST_RETURNS = 12  # beyond, the floor is known to a tenth
@@ -229,7 +230,7 @@ class Advisor:
         goal = self.goal.rms
         if goal is None:
             return self._as_good_as_can_be(session, status, refitted, view, size, rng)
-        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng)
+        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng, size)
         worse = self._worse_than_expected(refitted, view, left)
         now = self._expected(refitted, view.error())
         begun, axes = self._look(session, refitted, left), self._axes(refitted)
@@ -281,7 +282,7 @@ class Advisor:
         gain = self._improvement(refitted, model, fitted)
         spread, repeat = refitted.spread**2, None if floor is None else 1e-6 * floor.interval[1]
         hidden = repeat is None or spread > _UNEXPLAINED * repeat
-        searching = early or (hidden and self._effects and fitted < _SEARCHED * self.least(session.kind))
+        searching = early or (hidden and self._effects and not self._stalled(session, refitted))
         if gain > _SETTLED or searching:
             batch = fit_stations(self.pool, session, view, refitted, size, self._planned, rng)
             if batch.stations:
@@ -289,6 +290,17 @@ class Advisor:
                 return self._asked(session, batch.stations, why, status, refitted)
         ended = self._no_station_helps(status, floor, refitted)
         return self._settle_ties(session, status, refitted, ended)
+
+    def _stalled(self, session: Session, refitted: Refit) -> bool:
+        """Whether twice the stations have brought nothing: neither an effect, nor a smaller rest."""
+        rows = session.fitted
+        if len(rows) < _SEARCHED * self.least(session.kind):
+            return False
+        samples = session.samples(rows[: len(rows) // 2])
+        half = refit(samples, self.chain, self._seed, self._cell, self._inertias, self._effects)
+        e = errors(half.calibration.calibrated, refitted.samples).position_norm
+        before = float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
+        return refitted.spread > _BROUGHT * before
 
     def _improvement(self, refitted: Refit, model: float, fitted: int) -> float:
         """Error now over that which the whole budget of stations would leave: the model's part shrinks."""

@@ -17,7 +17,7 @@ from modcal_core.measuring.refit import Refit
 from modcal_core.measuring.session import DECIDE, FIT, MEASURED, PROOF, RETURN, UNSEEN, Session, Station
 from modcal_core.planning.deciding import propose, undecided_by_posture
 
-_OFFERED = 1500  # postures that are compared at once, for time
+_OFFERED = 800  # postures that are compared at once, for time
 _SAME = 1e-9  # rad or m; postures of a pool are asked for as they are
 
 
@@ -56,9 +56,19 @@ def first_stations(pool: Pool, session: Session, count: int, planned: bool) -> l
 
 
 def fit_stations(
-    pool: Pool, session: Session, view: Outlook, refitted: Refit, count: int, planned: bool, rng: np.random.Generator
+    pool: Pool,
+    session: Session,
+    view: Outlook,
+    refitted: Refit,
+    count: int,
+    planned: bool,
+    rng: np.random.Generator,
+    first: int | None = None,
 ) -> Batch:
-    """The ``count`` stations from which the fit gains most (planned), or as many at random."""
+    """The ``count`` stations from which the fit gains most (planned), or as many at random.
+
+    first: how many of them are to be measured: each is moved about where it is, while that is better; None: all.
+    """
     taken = _taken(pool, session)
     ways = rng.choice([-1.0, 1.0], pool.q.shape)
     if not planned:
@@ -81,11 +91,15 @@ def fit_stations(
     if pool.recorded:
         return Batch([_station(pool, int(candidates[j]), FIT) for j in chosen], after)
     stations, H, after = [], view.H, []
-    for j in chosen:  # each moved about where it is, while that is better
+    for j in chosen[:first]:
         near = pool.around(q[j], rng)
         J_near = view.rows(near, np.repeat(ways[candidates[j]][None], len(near), axis=0))
         (best,), (H,) = view.best(J_near, _chances(near, session, refitted), 1, H)
         stations.append(Station(asked=near[best], role=FIT))
+        after.append(H)
+    for j in chosen[len(stations) :]:
+        H = H + J[j].T @ J[j]
+        stations.append(Station(asked=q[j], role=FIT))
         after.append(H)
     return Batch(stations, after)
 

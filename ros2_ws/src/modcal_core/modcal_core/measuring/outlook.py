@@ -41,7 +41,7 @@ _PLAIN = (
 )
 _CYCLES = 2.0  # a turn, at most, of a suspected wobble or harmonic
 _WIDEST = 10.0  # m, rad; a prior beyond it holds nothing
-_NEAR, _FACING = 0.15, 0.5  # m, rad: places and directions that a tracker sees alike
+_NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
 _SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried; weighs as much as one station
 
 

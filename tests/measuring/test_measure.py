@@ -1,0 +1,265 @@
+"""Sessions from beginning to end, against arms of MuJoCo; by hand with a table; and resumed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nodes.processes import ROOT
+
+from modcal_core.calibration.score import errors
+from modcal_core.errors import BadTable
+from modcal_core.files import parse_yaml, read_yaml, to_yaml
+from modcal_core.measuring.advice import Advice, Advisor
+from modcal_core.measuring.choose import fit_stations, return_stations
+from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.outlook import chance_seen, outlook
+from modcal_core.measuring.pool import of_robot
+from modcal_core.measuring.record import from_data, to_data, to_table, with_table
+from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station
+from modcal_core.planning.site import Site
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.cli.main import run
+from modcal_nodes.measuring.measurers import SimulatedCell
+from modcal_nodes.ros.parameters import SIMULATED_CELL
+
+URDF = ROOT / "examples" / "robots" / "ur10.urdf"
+CHAIN = read_chain(URDF.read_text())
+LIMITS = {name: (-1.8, 1.8) for name in CHAIN.names}
+
+
+def cell(**chosen: Any) -> SimulatedCell:
+    usual = {name: p.default for name, p in SIMULATED_CELL.items()}
+    given = {"measurement": "point", "noise_m": 2e-5, "seed": 3, **chosen}
+    return SimulatedCell({**usual, "urdf": str(URDF), **given})
+
+
+def advisor(goal: Goal, **options: Any) -> Advisor:
+    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
+    return Advisor(CHAIN, pool, goal, 0, None, read_inertias(URDF.read_text(), CHAIN), **options)
+
+
+def measured(advising: Advisor, by: SimulatedCell, session: Session | None = None, until: int = 1000) -> Advice:
+    session = session or Session(CHAIN.names)
+    while True:
+        advice = advising.advise(session)
+        session = advice.session
+        if advice.outcome is not None or len(session.rows()) >= until:
+            return advice
+        for number in session.pending:
+            session = session.with_station(number, by.measure(session.stations[number]))
+
+
+def true_error(advice: Advice, by: SimulatedCell, rng: np.random.Generator) -> float:
+    """RMS [m] over random postures: where the model has the tool, against MuJoCo."""
+    q = rng.uniform(-1.8, 1.8, (200, CHAIN.n))
+    exact = np.array([(by.plant.world.T_tracker_base @ by.plant.world.tool_in_base(row))[:3, 3] for row in q])
+    assert advice.refitted is not None
+    T = advice.refitted.calibration.calibrated.predict(q)
+    return float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - exact) ** 2, axis=1))))
+
+
+Whole = tuple[Advice, SimulatedCell]
+
+
+@pytest.fixture(scope="module")
+def whole() -> Whole:
+    """A measurement from beginning to end, which tests only look at."""
+    by = cell()
+    return measured(advisor(Goal(1e-4)), by), by
+
+
+def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> None:
+    advice, by = whole
+    assert advice.outcome is not None
+    assert advice.outcome.ending == "proven"
+    assert advice.status.measured < 40
+    assert advice.status.bound is not None
+    assert advice.status.bound <= 1e-4
+    assert true_error(advice, by, rng) <= 1e-4
+    # what proved it was not fitted
+    assert advice.refitted is not None
+    proof = {tuple(s.asked) for s in advice.session.stations if s.role == PROOF}
+    assert not proof & {tuple(q) for q in advice.refitted.samples.q}
+
+
+def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
+    by = cell(repeatability_rad=5e-5)
+    advice = measured(advisor(Goal(3e-5, stations=100), effects=False), by)
+    assert advice.outcome is not None
+    assert advice.outcome.ending == "no_station_helps"
+    assert "0.03 mm is below what can be reached" in advice.outcome.sentence
+    assert "is what this arm repeats and this instrument reads, by" in advice.outcome.sentence
+    assert advice.status.floor is not None
+    assert 4e-5 < advice.status.floor < 1.5e-4
+
+
+def test_a_budget_ends_it() -> None:
+    advice = measured(advisor(Goal(1e-5, stations=15), effects=False), cell())
+    assert advice.outcome is not None
+    assert advice.outcome.ending == "budget"
+    assert advice.status.measured == 15
+    assert advice.outcome.sentence.startswith("The budget is gone after 15 stations: RMS error ")
+    late = advisor(Goal(1e-5, seconds=10.0), effects=False).advise(advice.session, elapsed=11.0)
+    assert late.outcome is not None
+    assert late.outcome.ending == "budget"
+
+
+def test_a_session_goes_on_from_its_file_with_the_same_stations(whole: Whole) -> None:
+    """One in a piece, the other read from its file on the way, by another advisor."""
+    done = whole[0].session
+    early = replace(done, stations=done.stations[:13], looks=())
+    data = parse_yaml(to_yaml(to_data(early, Goal(1e-4), 0, "x", None)), "s")
+    session, goal, *_ = from_data(data, "s")
+    advising = advisor(goal)
+    while (advice := advising.advise(session)).outcome is None:
+        session = advice.session
+        for number in session.pending:
+            assert np.array_equal(session.stations[number].asked, done.stations[number].asked)
+            session = session.with_station(number, done.stations[number])
+    one, two = done.stations, advice.session.stations
+    assert len(one) == len(two)
+    assert all(np.array_equal(a.asked, b.asked) and a.role == b.role for a, b in zip(one, two, strict=True))
+
+
+def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
+    """The tracker does not see the tool in front of the arm's left: stations there are given up, and fewer asked for."""
+    by = cell()
+
+    def see(station: Station) -> Station:
+        T = by.plant.world.tool_in_base(station.asked)
+        return replace(station, state=UNSEEN) if T[1, 3] > 0.2 else by.measure(station)
+
+    advising, session = advisor(Goal(1e-4), effects=False), Session(CHAIN.names)
+    while (advice := advising.advise(session)).outcome is None:
+        session = advice.session
+        for number in session.pending:
+            session = session.with_station(number, see(session.stations[number]))
+    assert advice.outcome.ending == "proven"
+    unseen = [tuple(s.asked) for s in advice.session.stations if s.state == UNSEEN]
+    assert len(unseen) > 4
+    assert len(set(unseen)) == len(unseen)
+
+
+def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
+    """Of a session whose left half was not seen, the next stations lie in the right half."""
+    advice, by = whole
+
+    def left(station: Station) -> bool:
+        return bool(by.plant.world.tool_in_base(station.asked)[1, 3] > 0.1)
+
+    stations = tuple(replace(s, state=UNSEEN) if left(s) else s for s in advice.session.stations)
+    session = replace(advice.session, stations=stations, looks=())
+    assert advice.refitted is not None
+    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
+    view = outlook(advice.refitted, pool.where, 1e-4, np.random.default_rng(0))
+    batches = [
+        fit_stations(pool, seen, view, advice.refitted, 12, True, np.random.default_rng(1))
+        for seen in (session, advice.session)
+    ]
+    unseen, usual = (np.mean([left(s) for s in batch.stations]) for batch in batches)
+    assert unseen < usual
+
+
+def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> None:
+    p, z = np.zeros((3, 3)), np.tile([0.0, 0.0, 1.0], (3, 1))
+    p[:, 0] = 0.0, 0.3, 2.0
+    chance = chance_seen(p, z, p[:1], z[:1], np.array([False]))
+    assert chance[0] < 0.5 < chance[1] < chance[2]
+    assert chance[2] == pytest.approx(0.95, abs=0.01)
+
+
+def test_returns_come_from_another_side(whole: Whole) -> None:
+    advice, by = whole
+    again = return_stations(advice.session, 6)
+    assert len(again) == 6
+    session = advice.session.asking(again)
+    for number in session.pending:
+        session = session.with_station(number, by.measure(session.stations[number]))
+    samples = session.samples(session.rows())
+    for s in again:
+        rows = np.flatnonzero(np.abs(samples.q - s.asked).max(axis=1) < 1e-9)
+        assert len(rows) == 2
+        assert (samples.approach[rows[0]] * samples.approach[rows[1]] < 0.0).any()
+
+
+def test_a_technician_with_a_spreadsheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files only: the next postures are read from a table, the readings written into it, and the command given again."""
+    by, folder = cell(), tmp_path / "hand"
+    (tmp_path / "site.yaml").write_text(to_yaml({"limits": {n: list(v) for n, v in LIMITS.items()}}))
+    arguments = ["measure", str(URDF), "--goal-mm", "0.15", "--by-hand", str(folder), "--geometry-only"]
+    arguments += ["--site", str(tmp_path / "site.yaml")]
+    for _ in range(20):
+        code = run(arguments)
+        table = folder / "next.csv"
+        if not table.exists():
+            break
+        assert code == 0
+        rows = list(csv.reader(io.StringIO(table.read_text())))
+        for row in rows[1:]:
+            q = np.radians([float(v) for v in row[2:8]])
+            station = by.measure(Station(q))
+            assert station.reading is not None
+            row[8:11] = [f"{1e3 * v:.4f}".replace(".", ",") for v in station.reading]  # a decimal comma
+        if len(rows) > 5:
+            rows[1][8:12] = ["", "", "", "unseen"]
+        table.write_text("\n".join(";".join(row) for row in rows))
+    said = capsys.readouterr().out
+    assert "Write each reading into its row" in said
+    assert "0.15 mm is proven" in said
+    assert code == 0
+    result = json.loads((folder / "measure.json").read_text())
+    assert result["ending"] == "proven"
+    assert {"calibration.yaml", "report.html", "stations.csv", "session.yaml"} <= {p.name for p in folder.iterdir()}
+    session = read_yaml(folder / "session.yaml")
+    assert sum(s["state"] == MEASURED for s in session["stations"]) == result["stations"]["measured"]
+
+
+def test_what_a_table_cannot_say_is_refused_with_its_row() -> None:
+    session = Session(("a", "b"), stations=(Station(np.array([0.1, 0.2])), Station(np.array([0.3, 0.4]))))
+    turns = np.array([True, True])
+    text = to_table(session, session.pending, turns)
+    lines = text.splitlines()
+    for line, said in (
+        (lines[1].replace(",,,,", ",1,2,,"), "'' is not a number"),
+        (lines[1].replace(",,,,", ",1,2,x,"), "'x' is not a number"),
+        (lines[1].replace("5.72958", "8.0").replace(",,,,", ",1,2,3,"), "2.27° from where it was asked to be"),
+        (lines[1].replace("1,fit", "9,fit").replace(",,,,", ",1,2,3,"), "station 9 is not asked for"),
+    ):
+        with pytest.raises(BadTable, match="t, row 2") as refused:
+            with_table(session, "\n".join([lines[0], line]), turns, "t")
+        assert said in str(refused.value)
+    with pytest.raises(BadTable, match="keep the head"):
+        with_table(session, "station,x_mm\n1,2", turns, "t")
+    later = with_table(session, text, turns, "t")
+    assert later.pending == (0, 1)
+
+
+def test_a_folder_of_another_goal_or_robot_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "hand")
+    assert run(["measure", str(URDF), "--goal-mm", "0.1", "--by-hand", folder]) == 0
+    assert run(["measure", str(URDF), "--goal-mm", "0.2", "--by-hand", folder]) == 2
+    assert "was begun with another accuracy" in capsys.readouterr().err
+    other = ROOT / "examples" / "robots" / "xarm7.urdf"
+    assert run(["measure", str(other), "--goal-mm", "0.1", "--by-hand", folder]) == 2
+    assert "is of robot" in capsys.readouterr().err
+
+
+def test_one_way_of_measuring_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["measure", str(URDF), "--goal-mm", "0.1"]) == 2
+    assert "needs one of --by-hand, --simulated and --replay" in capsys.readouterr().err
+
+
+def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) -> None:
+    advice, _ = whole
+    rows = advice.session.rows(PROOF)
+    assert advice.refitted is not None
+    e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
+    assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))

@@ -1,0 +1,150 @@
+"""When a measuring arm is held, when a station is read, and when it is not seen."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.measuring.motion import Motion, free_way, from_side, is_free, timed
+from modcal_core.measuring.session import MEASURED, UNSEEN, Station
+from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, Joints, Rules, Runner
+
+GOAL = np.array([0.4, -0.2])
+SPEED = np.full(2, 0.5)
+PERIOD = 0.02
+RULES = Rules(stale=0.2, off=0.05, arrived=0.01, settle=0.2, patience=1.0, readings=4)
+
+
+def moving() -> tuple[Runner, Motion]:
+    runner = Runner(np.full(2, -1.0), np.full(2, 1.0), RULES)
+    motion = timed([np.zeros(2), GOAL], SPEED)
+    runner.begin(7, Station(GOAL), motion, 0.0)
+    return runner, motion
+
+
+def followed(
+    runner: Runner, motion: Motion, until: float, late: float = 0.0, read: bool = True
+) -> tuple[float, object]:
+    """The first answer of a runner whose arm follows so many seconds late, and when it came."""
+    now = 0.0
+    while now < until:
+        now += PERIOD
+        answer = runner.tick(now, Joints(motion.at(max(now - late, 0.0)), now))
+        if answer is not None:
+            return now, answer
+        if read:
+            runner.take_reading(np.array([now, 2.0, 3.0]), 100.0 + now, now)
+    return now, None
+
+
+def test_a_station_is_read_once_the_arm_stands() -> None:
+    runner, motion = moving()
+    now, answer = followed(runner, motion, 10.0)
+    assert isinstance(answer, Done)
+    assert answer.number == 7
+    assert answer.station.state == MEASURED
+    assert answer.station.reading is not None
+    # no reading from before the standstill, and four of them
+    assert answer.station.reading[0] > motion.t[-1] + RULES.settle
+    assert answer.station.stamp == pytest.approx(100.0 + answer.station.reading[0])
+    assert now < motion.t[-1] + RULES.settle + 0.2
+    assert np.allclose(answer.station.q, GOAL)
+    assert answer.station.approach is not None
+    assert answer.station.approach.tolist() == [1.0, -1.0]
+    assert runner.phase == IDLE
+
+
+def test_a_station_without_readings_is_not_seen() -> None:
+    runner, motion = moving()
+    now, answer = followed(runner, motion, 10.0, read=False)
+    assert isinstance(answer, Done)
+    assert answer.station.state == UNSEEN
+    assert now > motion.t[-1] + RULES.settle + RULES.patience
+
+
+def test_stale_joint_states_hold_the_arm_within_one_period_of_the_limit() -> None:
+    runner, motion = moving()
+    last = 0.3
+    assert runner.tick(last, Joints(motion.at(last), last)) is None
+    assert runner.tick(last + RULES.stale, Joints(motion.at(last), last)) is None
+    answer = runner.tick(last + RULES.stale + PERIOD, Joints(motion.at(last), last))
+    assert isinstance(answer, Hold)
+    assert "older than 0.2 s" in answer.why
+    assert runner.phase == HELD
+    assert runner.tick(1.0, Joints(motion.at(1.0), 1.0)) is None  # and nothing more is sent
+
+
+def test_an_arm_that_does_not_follow_is_held() -> None:
+    runner, motion = moving()
+    now, answer = 0.0, None
+    while answer is None:
+        now += PERIOD
+        answer = runner.tick(now, Joints(np.zeros(2), now))
+    assert isinstance(answer, Hold)
+    assert "from its way" in answer.why
+    assert np.allclose(answer.q, 0.0)
+    assert now < motion.t[-1]
+
+
+def test_a_controller_that_lags_is_not_held() -> None:
+    runner, motion = moving()
+    _, answer = followed(runner, motion, 10.0, late=0.2)
+    assert isinstance(answer, Done)
+
+
+def test_an_arm_that_stops_short_is_held() -> None:
+    runner, motion = moving()
+    now, answer = 0.0, None
+    while answer is None:
+        now += PERIOD
+        answer = runner.tick(now, Joints(motion.at(now) - np.array([min(now, 1.0) * 0.03, 0.0]), now))
+    assert isinstance(answer, Hold)
+    assert "did not arrive" in answer.why
+
+
+def test_a_joint_outside_its_limits_holds_the_arm() -> None:
+    runner, _ = moving()
+    answer = runner.tick(PERIOD, Joints(np.array([1.1, 0.0]), PERIOD))
+    assert isinstance(answer, Hold)
+    assert "joint 1 is outside its limits" in answer.why
+
+
+def test_an_arm_that_is_pushed_while_it_is_read_is_held() -> None:
+    runner, motion = moving()
+    now = 0.0
+    while runner.phase != "reading":
+        now += PERIOD
+        assert runner.tick(now, Joints(motion.at(now), now)) is None
+    answer = runner.tick(now + PERIOD, Joints(GOAL + 0.05, now + PERIOD))
+    assert runner.phase == HELD
+    assert answer is None  # nothing moves that could be stopped
+
+
+def test_no_joint_is_faster_than_it_may_be_and_every_leg_ends_at_rest() -> None:
+    motion = timed([np.zeros(2), np.array([0.7, 0.1]), GOAL], np.array([0.5, 0.2]))
+    speed = np.abs(np.diff(motion.q, axis=0)) / np.diff(motion.t)[:, None]
+    assert (np.abs(motion.v) <= np.array([0.5, 0.2]) + 1e-12).all()
+    assert (speed <= np.array([0.5, 0.2]) + 1e-9).all()
+    assert np.allclose(motion.v[-1], 0.0)
+    assert np.allclose(motion.end, GOAL)
+
+
+def test_a_way_that_is_not_free_leads_over_another_posture_or_is_none() -> None:
+    def outside_a_disc(q: Array) -> np.ndarray:
+        return np.asarray(np.linalg.norm(q - np.array([0.5, 0.0]), axis=1) > 0.2)
+
+    start, goal = np.zeros(2), np.array([1.0, 0.0])
+    assert not is_free(start, goal, outside_a_disc)
+    over = np.array([[0.5, 0.05], [0.5, 0.6], [0.5, -5.0]])
+    way = free_way(start, goal, outside_a_disc, over)
+    assert way is not None
+    assert way[1].tolist() == [0.5, 0.6]
+    assert all(is_free(a, b, outside_a_disc) for a, b in pairwise(way))
+    assert free_way(start, goal, outside_a_disc, over[:1]) is None
+
+
+def test_a_side_is_come_from() -> None:
+    assert from_side(GOAL, np.array([1.0, 0.0]), 0.05).tolist() == pytest.approx([0.35, -0.2])

@@ -1,0 +1,118 @@
+"""An arm measures itself: nothing moves before a dry run was accepted, it stops when asked, and goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from measuring.shaped import with_spheres
+from nodes.processes import ROOT, Process, fresh_domain, listener, meet, running
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from modcal_core.robots.urdf import read_chain
+
+URDF = ROOT / "examples" / "robots" / "ur10.urdf"
+MIDDLE, HALF = np.array([0.0, -1.2, 1.2, -0.5, 0.6, 0.3]), 0.35  # rad
+
+
+def call(node: Any, wait: Any, name: str) -> Any:
+    client = node.create_client(Trigger, f"station_runner/{name}")
+    meet(wait, client)
+    future = client.call_async(Trigger.Request())
+    wait(future.done, 20.0)
+    return future.result()
+
+
+def stations(folder: Path) -> list[dict[str, Any]]:
+    file = folder / "session.yaml"
+    return list(yaml.safe_load(file.read_text())["stations"]) if file.exists() else []
+
+
+def measured(folder: Path) -> list[dict[str, Any]]:
+    return [s for s in stations(folder) if s["state"] == "measured"]
+
+
+@pytest.mark.dds
+def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None:
+    """From launch to the end, killed once in between. The arm's own time cannot be hurried: some twenty stations, a
+    second each."""
+    names = read_chain(URDF.read_text()).names
+    limits = {n: [float(m - HALF), float(m + HALF)] for n, m in zip(names, MIDDLE, strict=True)}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump({"limits": limits}))
+    shaped = tmp_path / "shaped.urdf"
+    shaped.write_text(with_spheres(URDF.read_text()))
+    domain, out = fresh_domain(), tmp_path / "out"
+    cell = Process("simulated_cell", domain, tmp_path, urdf=shaped, joint_rate_hz=100.0, tracker_rate_hz=100.0)
+    asked: dict[str, Any] = {
+        "out": out, "site": tmp_path / "site.yaml", "goal_mm": 2.0, "speed_rad_s": 3.0, "settle_s": 0.05,
+        "readings": 5, "geometry_only": True, "timeout_s": 1.0, "tracking_rad": 0.5,
+    }  # fmt: skip
+    remap = ("-r", "~/joint_trajectory:=joint_trajectory")
+    with running(cell), listener(domain) as (node, wait):
+        sent: list[JointTrajectory] = []
+        joints: list[JointState] = []
+        node.create_subscription(JointTrajectory, "joint_trajectory", sent.append, 10)
+        node.create_subscription(JointState, "joint_states", joints.append, 10)
+        # the arm stands outside the site's limits at first: it is brought to the middle by hand
+        mover = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        wait(lambda: mover.get_subscription_count() >= 2 and joints, 60.0)
+        mover.publish(to_middle(names))
+        wait(lambda: np.abs(np.array(joints[-1].position) - MIDDLE).max() < 1e-6, 30.0)
+        sent.clear()
+        runner = Process("station_runner", domain, tmp_path, *remap, **asked)
+        with running(runner):
+            wait(lambda: "dry run:" in runner.output, 60.0)
+            refused = call(node, wait, "start")
+            assert not refused.success
+            assert "nobody has looked at the dry run" in refused.message
+            dry = call(node, wait, "dry_run")
+            assert dry.success
+            assert "the shapes of the description" in dry.message
+            assert "Nothing has moved" in dry.message
+            assert not sent
+            assert np.abs(np.array(joints[-1].position) - MIDDLE).max() < 1e-6
+
+            assert call(node, wait, "start").success
+            wait(lambda: sent, 20.0)
+            stopped = call(node, wait, "stop")
+            assert stopped.message == "held"
+            wait(lambda: len(sent[-1].points) == 1, 5.0)  # where the arm was, and no more
+            stood = np.array(joints[-1].position)
+            count = len(sent)
+            heard = len(joints)
+            wait(lambda: len(joints) > heard + 50, 10.0)
+            assert len(sent) == count
+            assert np.abs(np.array(joints[-1].position) - stood).max() < 0.2
+
+            assert call(node, wait, "start").success
+            wait(lambda: len(measured(out)) >= 3, 60.0)
+            runner.stop(signal.SIGKILL)
+        before = measured(out)
+        again = Process("station_runner", domain, tmp_path, *remap, **asked, yes=True)
+        with running(again):
+            wait(lambda: (out / "measure.json").exists(), 120.0)
+            again.stop()
+        assert f"{len(before)} stations measured before" in again.output
+    after = measured(out)
+    assert after[: len(before)] == before
+    postures = np.array([s["asked"] for s in after])
+    assert len(np.unique(postures.round(9), axis=0)) == len(after)
+    result = json.loads((out / "measure.json").read_text())
+    assert result["ending"] == "proven"
+    assert result["proof"]["at_most_mm"] <= 2.0
+    assert {"calibration.yaml", "calibrated.urdf", "report.json", "stations.csv"} <= {p.name for p in out.iterdir()}
+
+
+def to_middle(names: tuple[str, ...]) -> JointTrajectory:
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    point = JointTrajectoryPoint(positions=MIDDLE.tolist())
+    point.time_from_start.sec = 1
+    return JointTrajectory(joint_names=list(names), points=[point])
