@@ -163,8 +163,9 @@ def planted(place: Workplace, kind: str, q: Array, rng: np.random.Generator, tim
         return Change((("tracker_noise", "tracker"),), noise=times)
     joint = int(rng.integers(arm.n))
     right: tuple[tuple[str, str], ...]
-    if kind in ("base", "tool"):
-        right, make = ((kind, kind),), _twist(kind, rng)
+    if kind in ("base", "tool", "camera"):  # a camera on the hand is the tool
+        where = "tool" if kind == "camera" else kind
+        right, make = ((where, where),), _twist(where, rng)
     elif kind == "joint_zero":
         right, make = (("joint_zero", names[joint]),), _zero(joint)
     elif kind == "gear":
