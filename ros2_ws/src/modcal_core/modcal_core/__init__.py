@@ -22,7 +22,7 @@ from modcal_core.version import __version__ as __version__
 
 # Public name: the module of modcal_core that has it
 _WHERE = {
-    **dict.fromkeys(("calibrate", "evaluate", "articulate", "plan"), "public"),
+    **dict.fromkeys(("calibrate", "check", "evaluate", "articulate", "plan"), "public"),
     "Robot": "robot",
     "Chain": "robots.chain",
     "Delta": "robots.delta",
@@ -30,6 +30,7 @@ _WHERE = {
     "Result": "result",
     "Calibration": "calibration.store",
     "Report": "report.report",
+    "Checked": "checkup",
     "Cell": "calibration.cell",
     "Distance": "calibration.distances",
     "Stated": "calibration.stated",
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.distances import Distance
     from modcal_core.calibration.stated import Stated
     from modcal_core.calibration.store import Calibration
+    from modcal_core.checkup import Checked
     from modcal_core.errors import (
         BadCommand,
         BadRecording,
@@ -74,7 +76,7 @@ if TYPE_CHECKING:
     from modcal_core.modules.library import Library
     from modcal_core.planning.plan import Plan
     from modcal_core.planning.site import Site
-    from modcal_core.public import articulate, calibrate, evaluate, plan
+    from modcal_core.public import articulate, calibrate, check, evaluate, plan
     from modcal_core.report.report import Report
     from modcal_core.result import Result
     from modcal_core.robot import Robot
@@ -90,6 +92,7 @@ __all__ = [
     "Calibration",
     "Cell",
     "Chain",
+    "Checked",
     "Choice",
     "Delta",
     "Distance",
@@ -112,6 +115,7 @@ __all__ = [
     "Track",
     "articulate",
     "calibrate",
+    "check",
     "evaluate",
     "plan",
 ]

@@ -18,6 +18,8 @@ from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, fingerprint
+from modcal_core.checking.known import PATTERN
+from modcal_core.checkup import Checked, checkup
 from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry.read_only import sealed
 from modcal_core.measurements.checks import require_usable
@@ -117,6 +119,35 @@ def evaluate(
         raise _too_little(error, samples) from error
     report = _traced(report, samples, _described(samples)).with_tolerance(asked)
     return sealed(replace(report, notes=(*report.notes, *_other_robot(calibration, samples))))
+
+
+def check(
+    calibration: Calibration,
+    samples: Samples,
+    seed: int = 0,
+    *,
+    cell: Cell | None = None,
+    tolerance_mm: float | None = None,
+    tolerance_of: str = "p95",
+    pattern: float | None = None,
+) -> Checked:
+    """What has changed since a calibration was made, from as few as ten new stations, and what to do about it.
+
+    The answer names base, tool, a joint's zero, a gear, a load, heat, or the tracker's scale or noise, with sizes and
+    intervals and with what explains the stations as well, or says that nothing has changed. ``repaired`` is the
+    calibration with only that corrected. pattern: share of the calibration's noise that neighbouring postures have in
+    common, as ``predictable`` in its report; None: a quarter. The other arguments are those of :func:`calibrate`.
+    Raises NotEnoughData for fewer than five stations, BadRecording for a recording of another robot, in other units or
+    in another convention, BadTable for a frame that the calibration does not know.
+    """
+    asked = tolerance_asked(tolerance_mm, tolerance_of)
+    samples = _met(samples, calibration.nominal.chain)
+    around = _stated(cell or Cell(), samples)
+    share = PATTERN if pattern is None else float(np.clip(pattern, 0.0, 1.0))
+    with remedies_of(samples.origin.notes):
+        found = checkup(calibration, samples, np.random.default_rng(seed), around, share)
+    report = _traced(found.report, samples, _described(samples)).with_tolerance(asked)
+    return sealed(replace(found, report=report, notes=(*found.notes, *_other_robot(calibration, samples))))
 
 
 def articulate(track: Track, seed: int = 0) -> Choice:

@@ -39,19 +39,19 @@ _SPLITS = click.option(
     default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
-_SEED = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
-_CLOCK = click.option(
+SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
+CLOCK = click.option(
     "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
-_CELL = click.option(
+CELL = click.option(
     "--cell",
     "cell_file",
     type=EXISTING,
     default=None,
     help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
-_OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 
 
 _ROBOT = (
@@ -70,7 +70,7 @@ _ROBOT = (
 
 
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
-_STATED = (
+STATED = (
     click.option(
         "--repeatability-mm", type=_POSITIVE, default=None, metavar="MM",
         help="Repeatability of the arm, RMS over space.",
@@ -91,7 +91,7 @@ _STATED = (
         help="Orientation error of the instrument, RMS.",
     ),
 )  # fmt: skip
-_TOLERANCE = (
+TOLERANCE = (
     click.option(
         "--tolerance-mm", type=_POSITIVE, default=None, metavar="MM",
         help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
@@ -103,7 +103,7 @@ _TOLERANCE = (
 )  # fmt: skip
 
 
-def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
+def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
     """A decorator that gives a command these options, in this order."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -116,7 +116,7 @@ def _with(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with the options of a calibration, one for each field of :class:`Options`."""
-    return _with((*_ROBOT, _CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK))(command)
+    return with_options((*_ROBOT, CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK))(command)
 
 
 @click.command("calibrate")
@@ -133,9 +133,9 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )
 @calibration_options
-@_with((*_TOLERANCE, *CERTIFICATE))
+@with_options((*TOLERANCE, *CERTIFICATE))
 @camera_options
-@_OUT
+@OUT
 @speaking
 @click.pass_context
 def calibrate_command(
@@ -167,7 +167,7 @@ def calibrate_command(
             watch("writing the certificate")
             described = asked.delta or asked.urdf or done.result.robot.description
             hashes = certified_hashes(described, done.files["calibration.yaml"])
-            stated = _stated(asked.cell_file, done.result.samples, options)
+            stated = stated_of(asked.cell_file, done.result.samples, options)
             files |= certificate_files(done.result.report, stated, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     write_folder(out, files)
@@ -179,7 +179,7 @@ def calibrate_command(
 @click.argument("bag", type=EXISTING)
 @click.option("--refit-base", is_flag=True, help="Fit the base again: the tracker or the robot was moved.")
 @click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
-@_with((_CELL, *TOPICS, *_STATED, _SPLITS, _SEED, _CLOCK, *_TOLERANCE, *CERTIFICATE, _OUT))
+@with_options((CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT))
 @speaking
 def evaluate_command(
     calibration: Path,
@@ -221,25 +221,25 @@ def evaluate_command(
                 tolerance_mm=tolerance_mm,
                 tolerance_of=tolerance_of,
             )
-        files: dict[str, str | bytes] = {**report_files(report, calibration=_name(calibration))}
+        files: dict[str, str | bytes] = {**report_files(report, calibration=calibration_name(calibration))}
         if said is not None:
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
             own = is_made_from(frozen, samples)
-            files |= certificate_files(report, _stated(cell_file, samples, stated), said, hashes, own)
+            files |= certificate_files(report, stated_of(cell_file, samples, stated), said, hashes, own)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, files)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, written(out, files), output)
 
 
-def _name(calibration: Path) -> str:
+def calibration_name(calibration: Path) -> str:
     """What a calibration is called: its folder, or the file where that has another name than usual."""
     path = calibration.resolve()
     return path.parent.name if path.name == "calibration.yaml" else path.stem if path.is_file() else path.name
 
 
-def _stated(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:
+def stated_of(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:
     """What options, cell file and instruments state of arm and instrument, in this order."""
     own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
     return read_cell(cell_file, stated=stated_from(options)).stated.over(own)

@@ -1,0 +1,1 @@
+"""What has changed since a calibration, told from a few stations."""

@@ -1,0 +1,168 @@
+"""What to do about what changed, and where to measure next so that it can be told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.store import Calibration
+from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
+from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, hypotheses
+from modcal_core.checking.known import FrozenCalibration
+from modcal_core.checking.noise import FrozenKnowledge
+from modcal_core.checking.outcome import Advice, Noticed
+from modcal_core.checking.search import FALSE_ALARM, CheckState, FittedChange, FoundChanges
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+
+STATIONS = 6  # that are proposed at a time
+_SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
+_SURE = 1.645  # standard deviations: 95 of 100
+_SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and some of any other
+
+
+def same_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> bool:
+    """Whether what explains a change as well makes the same motion at all recorded postures."""
+    if not change.same_as or not change.hypothesis.sizes or not len(calibration.postures):
+        return False
+    state = _at(calibration.postures, model, samples, change, calibration)
+    moved = state.columns(change.hypothesis) @ change.sizes
+    weight = _weights(state)
+    total = float(np.sum((weight * moved) ** 2))
+    for rival in change.same_as:
+        h = rival.candidate.hypothesis
+        if not h.sizes:
+            return False
+        A = weight[:, None] * state.columns(h)
+        left = weight * moved - A @ np.linalg.lstsq(A, weight * moved, rcond=1e-9)[0]
+        if float(np.sum(left**2)) > _SAME * max(total, 1e-300):
+            return False
+    return True
+
+
+def telling_stations(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Array:
+    """Recorded postures (k, n) at which a change and what explains it as well differ most, on top of the samples."""
+    pool = calibration.postures
+    if not len(pool):
+        return np.empty((0, samples.q.shape[1]))
+    if change.hypothesis.curve >= 0:
+        return _along(pool, change.hypothesis.curve, samples.q)
+    state = _at(np.concatenate([samples.q, pool]), model, samples, change, calibration)
+    rows = np.arange(len(state.samples))
+    weight = _weights(state)
+    moved = weight * (state.columns(change.hypothesis) @ change.sizes)
+    sample = np.concatenate([np.tile(rows, 3), np.tile(state.view.pose, 3)]).astype(int)
+    rivals = [weight[:, None] * state.columns(j.candidate.hypothesis) for j in change.same_as]
+    rivals = [A for A in rivals if A.shape[1]]
+    chosen = list(range(len(samples)))
+    for _ in range(min(STATIONS, len(pool))):
+        inside = np.isin(sample, chosen)
+        gap = np.full(len(rows), np.inf)
+        for A in rivals:
+            fit = np.linalg.lstsq(A[inside], moved[inside], rcond=1e-9)[0]
+            gap = np.minimum(gap, np.bincount(sample, (moved - A @ fit) ** 2, len(rows)))
+        gap[chosen] = -1.0
+        chosen.append(int(np.argmax(gap)))
+    return np.asarray(state.samples.q[chosen[len(samples) :]])
+
+
+def _along(pool: Array, joint: int, q: Array) -> Array:
+    """Recorded postures that fill the gaps of one joint's positions."""
+    have, out = list(q[:, joint]), []
+    for _ in range(min(_SWEEP, len(pool))):
+        far = np.min(np.abs(pool[:, joint, None] - np.array(have)), axis=1)
+        out.append(int(np.argmax(far)))
+        have.append(float(pool[out[-1], joint]))
+    return np.asarray(pool[out])
+
+
+def _at(q: Array, model: Model, samples: Samples, change: FittedChange, calibration: Calibration) -> CheckState:
+    """The model at other postures, watched as the first of the samples was."""
+    like = samples.select(np.zeros(len(q), int))
+    poses = replace(
+        like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
+        acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=np.full(q.shape, np.nan),
+    )  # fmt: skip
+    T = model.predict_samples(poses)
+    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
+    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise))
+
+
+def _weights(state: CheckState) -> Array:
+    N, M = len(state.samples), len(state.view.pose)
+    noise = state.known.noise
+    position = 1.0 / np.maximum(np.broadcast_to(noise.of(state.samples), N), 1e-9)
+    return np.r_[np.tile(position, 3), np.full(3 * M, 1.0 / max(noise.rotation, 1e-9))]
+
+
+def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
+    """The smallest base, tool, zero and scale that 95 of 100 such checks notice, RMS at the tool [mm]."""
+    asked = hypotheses(state.model, state.samples)
+    prior = log_priors(asked)
+    N, n = len(state.samples), len(state.null.residual)
+    worst: dict[str, float] = {}
+    for h, p in zip(asked, prior, strict=True):
+        if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
+            continue
+        A = state.columns(h)
+        need = _needed(A.shape[1], n, float(p))
+        whitened = np.linalg.norm(judge.whitened(A, judge.null.reference), axis=0)
+        moved = np.sqrt(np.sum(A[: 3 * N] ** 2, axis=0) / N)
+        seen = whitened > 0.0
+        if seen.any():
+            name = {BASE: "base", FRAME: "frame", TOOL: "tool", ZERO: "joint zero"}.get(h.kind, "tracker scale")
+            mm = float(np.max(1e3 * moved[seen] * need / whitened[seen]))
+            worst[name] = max(worst.get(name, 0.0), mm)
+    return tuple(Noticed(name, mm) for name, mm in worst.items())
+
+
+def _needed(k: int, n: int, log_prior: float) -> float:
+    """The length, in standard deviations, of a change of k sizes that is noticed in 95 of 100 cases."""
+    limit = -np.log(FALSE_ALARM) - log_prior
+    for gain in np.geomspace(1.0, 1e4, 400):
+        g = SIZES**2 * n / k
+        low = max(gain - 2.0 * _SURE * np.sqrt(gain), 0.0)
+        logs = -0.5 * k * np.log1p(g) + 0.5 * low * g / (1.0 + g)
+        if float(np.log(np.mean(np.exp(np.minimum(logs, 600.0))))) > limit:
+            return float(np.sqrt(gain))
+    return np.inf
+
+
+def advise(found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool]) -> Advice:
+    """What to do."""
+    changes = found.changes
+    if found.more:
+        return Advice(
+            "calibrate_again",
+            "Calibrate again: what is left after the changes above is no noise. Check first that robot, tool and "
+            "instrument are those of the calibration.",
+        )
+    if not changes:
+        return Advice("nothing", "Nothing needs to be done.")
+    curve = next((c for c in changes if c.hypothesis.curve >= 0), None)
+    if curve is not None:
+        stations = telling_stations(curve, calibration, frozen.model, found.samples)
+        said = (
+            f"Measure these {len(stations)} stations as well, which cover the range of {curve.hypothesis.place}, and "
+            "check again with all of them; if the curve then has no simple form, calibrate again."
+        )
+        return Advice("add_stations", said, stations)
+    for change, same in zip(changes, everywhere, strict=True):
+        if change.same_as and not same and change.hypothesis.kind != NOISE:
+            stations = telling_stations(change, calibration, frozen.model, found.samples)
+            rivals = " and ".join((change.judged.label, *(j.label for j in change.same_as)))
+            said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
+            return Advice("add_stations", said, stations)
+    kinds = {c.hypothesis.kind for c in changes}
+    if kinds == {NOISE}:
+        return Advice(
+            "check_instrument",
+            "Look at the instrument (line of sight, a loose target, its warm-up) and check again; the model may stay.",
+        )
+    if kinds <= {BASE, FRAME}:
+        return Advice(
+            "refit_base", "Use the repaired model: it differs in the base only, nothing else need be measured."
+        )
+    return Advice("use_repaired", "Use the repaired model: it differs in what is named above only.")

@@ -1,0 +1,245 @@
+"""The changes that a check looks for: each is a few columns of the linearised model, all zero while nothing changed.
+
+A change is geometry (a frame, the tool, a joint's zero, a link's length), an effect with a size (a ratio, a curve that
+grew, a load, the tracker's scale), a curve of one joint that may take any course, the noise of the readings, or single
+readings that are wrong. Which of them explain the same stations equally well is decided on the stations, see
+:mod:`modcal_core.checking.search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.linearise import Deviations, RowView, apply_deviations
+from modcal_core.calibration.model import Model
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import AXIS, Effect, columns
+from modcal_core.effects.families import compliance, gear_harmonic, gear_ratio, scale
+from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import error_transform, error_values
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import is_serial_arm
+
+BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
+GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
+KINDS = (BASE, FRAME, TOOL, ZERO, LENGTH, GEAR, LOAD, SCALE, NOISE, READING)
+_PERIOD = 0.7  # of a smooth curve of a joint: it is another one after about so many radians
+_ROUGH = 0.5  # share of such a curve that changes from station to station, as the many waves of a gear do
+_MEAN = 0.1  # share of its square that is one number at all stations: few stations see the mean of a wave as well
+MOST_CYCLES = 2  # a turn: eccentric gears and encoders; more waves than ten stations can tell apart are a curve
+_GROWS = {
+    "position": GEAR,
+    "load": LOAD,
+    "effort": LOAD,
+    "payload": LOAD,
+}  # what an effect of a joint is, by its driver
+
+
+@dataclass(frozen=True)
+class GeometryMotion:
+    """One direction of geometry: a twist (6,) [m, rad] per unit at a place 0 … n, of one frame or of all (-1)."""
+
+    place: int
+    twist: tuple[float, ...]
+    frame: int = -1
+
+
+@dataclass(frozen=True)
+class CellChange:
+    """One change. kind: of :data:`KINDS`. place: "base", "tool", "tracker", a joint, a frame, or a station's number.
+
+    motions: of geometry, one for every size, or all of one size (together). effect: with its sizes zero, or as they are
+    where a known one grew (then replaces is its number). curve: index of the joint whose curve may take any course,
+    else -1. sample: index of the reading that is wrong, else -1.
+    """
+
+    kind: str
+    place: str
+    motions: tuple[GeometryMotion, ...] = ()
+    effect: Effect | None = None
+    replaces: int = -1
+    curve: int = -1
+    sample: int = -1
+    together: bool = False
+
+    @property
+    def label(self) -> str:
+        """What is named, for ``same_as``."""
+        return {
+            BASE: "base",
+            FRAME: f"frame {self.place}",
+            TOOL: "tool",
+            ZERO: f"zero of {self.place}",
+            LENGTH: f"length of the link before {self.place}" if self.place != "arm" else "length of all links",
+            GEAR: f"gear of {self.place}",
+            LOAD: f"load on {self.place}",
+            SCALE: "scale of the tracker",
+            NOISE: "noise of the tracker",
+            READING: f"reading {self.place}",
+        }[self.kind]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes two hypotheses one thing to name: two shapes of one gear are one gear."""
+        return self.kind, self.place
+
+    @property
+    def sizes(self) -> int:
+        """How many sizes are fitted; of a free curve none."""
+        if self.motions:
+            return 1 if self.together else len(self.motions)
+        if self.effect is not None:
+            return 1 if self.replaces >= 0 else len(self.effect.amplitudes)
+        return 0
+
+
+def hypotheses(model: Model, samples: Samples) -> list[CellChange]:
+    """All changes that these samples of this model can be asked about."""
+    n = model.chain.tool_place
+    eye = np.eye(6)
+    out = [CellChange(BASE, "base", tuple(GeometryMotion(0, _row(eye[d])) for d in range(6)))]
+    if len(model.frames) > 1:
+        for f, name in enumerate(model.frames):
+            out.append(CellChange(FRAME, name, tuple(GeometryMotion(0, _row(eye[d]), f) for d in range(6))))
+    turns = 6 if samples.is_pose.any() else 3
+    out.append(CellChange(TOOL, "tool", tuple(GeometryMotion(n, _row(eye[d])) for d in range(turns))))
+    drivers = model.drivers(samples)
+    out += _of_joints(model, samples, drivers)
+    out += [CellChange(SCALE, "tracker", effect=_unsized(effect)) for effect in scale.candidates(drivers)]
+    out.append(CellChange(NOISE, "tracker"))
+    return out + [CellChange(READING, str(i + 1), sample=i) for i in range(len(samples))]
+
+
+def _of_joints(model: Model, samples: Samples, drivers: Drivers) -> Iterator[CellChange]:
+    chain = model.chain
+    lengths = []
+    ratios = {effect.place: effect for effect in gear_ratio.candidates(drivers)}
+    for j, name in enumerate(chain.names):
+        k = chain.first_place + j
+        yield CellChange(ZERO, name, (GeometryMotion(k, _row(np.eye(6)[5 if chain.revolute[j] else 2])),))
+        along = chain.length_direction(k) if k > 0 and is_serial_arm(chain) else np.zeros(3)
+        if along.any():
+            lengths.append(GeometryMotion(k, (*(float(x) for x in along), 0.0, 0.0, 0.0)))
+            yield CellChange(LENGTH, name, (lengths[-1],))
+        if name in ratios:
+            yield CellChange(GEAR, name, effect=_unsized(ratios[name]))
+            if chain.revolute[j]:
+                yield from (CellChange(GEAR, name, effect=_unsized(e)) for e in gear_harmonic.whole(name, MOST_CYCLES))
+            if samples.stations > 3:
+                yield CellChange(GEAR, name, curve=j)
+        if is_serial_arm(chain):
+            sag = compliance.of_joint(name, 0.0)
+            weighed = model.arm is not None and model.arm.weighed
+            yield CellChange(LOAD, name, effect=_unsized(sag if weighed else replace(sag, driver=f"payload:{name}")))
+    if len(lengths) > 1:
+        yield CellChange(LENGTH, "arm", tuple(lengths), together=True)
+    for i, effect in enumerate(model.effects):
+        driver = effect.driver.partition(":")[0]
+        if effect.direction == AXIS and effect.place in chain.names and driver in _GROWS:
+            yield CellChange(_GROWS[driver], effect.place, effect=effect, replaces=i)
+
+
+def _row(twist: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in twist)
+
+
+def _unsized(effect: Effect) -> Effect:
+    """The effect with all sizes zero."""
+    size = effect.shape.size
+    return replace(effect, values=np.zeros(size), std=np.zeros(size))
+
+
+def hypothesis_columns(hypothesis: CellChange, model: Model, view: RowView, drivers: Drivers) -> Array:
+    """What readings move by per unit of each size, (3 N + 3 M, k); of a free curve see :func:`curve_columns`.
+
+    model: with the change put in so far, so that these are the derivatives there.
+    """
+    rows = view.position.size + view.rotation.size
+    if hypothesis.sample >= 0:
+        N, i = len(view.samples), hypothesis.sample
+        index = [i, N + i, 2 * N + i]
+        at = np.flatnonzero(view.pose == i)
+        M = len(view.pose)
+        index += [3 * N + int(a) + d * M for a in at for d in range(3)]
+        out = np.zeros((rows, len(index)))
+        out[index, np.arange(len(index))] = 1.0
+        return out
+    if hypothesis.motions:
+        out = np.empty((len(hypothesis.motions), rows))
+        for row, motion in zip(out, hypothesis.motions, strict=True):
+            view.column(motion.place, np.array(motion.twist), out=row)
+            if motion.frame >= 0:
+                view.only_frame((motion.frame,), row)
+        return out.sum(axis=0)[:, None] if hypothesis.together else out.T
+    assert hypothesis.effect is not None
+    if hypothesis.replaces >= 0:  # the whole effect, by the share that it grew
+        moved = np.zeros(rows)
+        for amplitude, terms in zip(hypothesis.effect.amplitudes, columns(hypothesis.effect, drivers), strict=True):
+            moved += amplitude * view.moved_by(terms)
+        return moved[:, None]
+    return np.stack([view.moved_by(terms) for terms in columns(hypothesis.effect, drivers)], axis=1)
+
+
+def curve_columns(joint: int, model: Model, view: RowView) -> Array:
+    """Columns (3 N + 3 M, r) whose random sums are curves of one joint's position: half smooth, half of any course.
+
+    A curve that hardly varies is a joint's zero, which is plainer.
+    """
+    chain, samples = model.chain, view.samples
+    root = curve_root(joint, model, samples)
+    at = np.unique(samples.station, return_inverse=True)[1]
+    unit = view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+    sample = np.concatenate([np.tile(np.arange(len(samples)), 3), np.tile(view.pose, 3)]).astype(int)
+    return np.asarray(unit[:, None] * root[at[sample]])
+
+
+def curve_root(joint: int, model: Model, samples: Samples) -> Array:
+    """A root (S, r) of the covariance of such a curve at the S stations: random sums of its columns are curves."""
+    first = np.unique(samples.station, return_index=True)[1]
+    q = samples.q[first, joint]
+    apart = 2.0 * np.sin(0.5 * (q[:, None] - q)) if model.chain.revolute[joint] else (q[:, None] - q) / 0.1
+    varying = (1.0 - _ROUGH) * np.exp(-0.5 * (apart / _PERIOD) ** 2) + _ROUGH * np.eye(len(q))
+    values, vectors = np.linalg.eigh((1.0 - _MEAN) * varying + _MEAN)
+    kept = values > 1e-9
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def put_in(hypothesis: CellChange, model: Model, step: Array) -> Model:
+    """The model with these sizes (k,) of a change put in, on top of what it has of it already.
+
+    An effect that a change adds stands last in the model.
+    """
+    if hypothesis.motions:
+        frames, places = np.zeros((len(model.frames), 6)), np.zeros((model.chain.tool_place, 6))
+        sizes = np.broadcast_to(step, len(hypothesis.motions)) if hypothesis.together else step
+        for motion, size in zip(hypothesis.motions, sizes, strict=True):
+            if motion.place:
+                places[motion.place - 1] += size * np.array(motion.twist)
+            else:
+                frames[motion.frame if motion.frame >= 0 else slice(None)] += size * np.array(motion.twist)
+        own = tuple(np.zeros(len(i.constants)) for i in model.instruments)
+        return apply_deviations(model, Deviations(frames, places, np.zeros((len(places), 6)), own))
+    if hypothesis.effect is None:
+        return model
+    effects = list(model.effects)
+    if hypothesis.replaces >= 0:
+        grown = effects[hypothesis.replaces]
+        linear = len(grown.amplitudes)
+        now = grown.amplitudes + step[0] * hypothesis.effect.amplitudes
+        effects[hypothesis.replaces] = grown.with_values(np.r_[now, grown.values[linear:]], grown.std)
+        return model.with_effects(tuple(effects))
+    for i, effect in enumerate(effects):
+        if effect.key == hypothesis.effect.key and effect.shape == hypothesis.effect.shape:
+            effects[i] = effect.with_values(np.r_[effect.amplitudes + step, effect.values[len(step) :]], effect.std)
+            return model.with_effects(tuple(effects))
+    return model.with_effects((*effects, hypothesis.effect.with_values(step, np.zeros(len(step)))))
+
+
+def composed(hypothesis: CellChange, total: Array, step: Array) -> Array:
+    """The sizes of a change after one more step: of a shift and a turn together they do not simply add."""
+    if len(hypothesis.motions) != 6 or hypothesis.together:
+        return total + step
+    return np.asarray(error_values(error_transform(total) @ error_transform(step)))

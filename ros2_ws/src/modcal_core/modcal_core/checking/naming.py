@@ -1,0 +1,149 @@
+"""A change in words and numbers: sizes in the units of people, how far it moves the tool, and its sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modcal_core.checking.hypotheses import (
+    BASE,
+    FRAME,
+    GEAR,
+    LENGTH,
+    LOAD,
+    NOISE,
+    SCALE,
+    TOOL,
+    ZERO,
+    CellChange,
+)
+from modcal_core.checking.outcome import NamedChange, SizeFound
+from modcal_core.checking.search import FittedChange
+from modcal_core.geometry.so3 import Array
+
+_95 = 1.959964  # standard deviations
+_SHIFTS, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+
+
+def named(change: FittedChange, columns: Array, positions: int, everywhere: bool) -> NamedChange:
+    """The change for people. columns: motions of the readings per unit of each size (n, k), whose first ``positions``
+    rows are positions, component by component; of a curve the motion of each station's angle (n, S).
+    """
+    h = change.hypothesis
+    sizes = _sizes(change)
+    moved = (0.0, 0.0, 0.0) if h.kind == NOISE else _moved(change, columns[:positions])
+    repairable = h.kind == NOISE or bool(h.sizes)
+    same_as = tuple(dict.fromkeys(j.label for j in change.same_as))
+    return NamedChange(
+        h.kind,
+        h.place,
+        h.label,
+        _sentence(h, sizes, moved, same_as, everywhere),
+        sizes,
+        moved,
+        change.probability,
+        same_as,
+        everywhere,
+        repairable,
+    )
+
+
+def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
+    h, values = change.hypothesis, change.sizes
+    std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0)) if len(change.covariance) else np.zeros(len(values))
+    if h.kind == NOISE:
+        return tuple(
+            SizeFound(what, factor, factor, factor, "times")
+            for what, factor in zip(("position", "orientation"), change.judged.noise, strict=True)
+            if factor > 1.0
+        )
+    if h.kind in (BASE, FRAME, TOOL):
+        names = [(n, "mm") for n in _SHIFTS] + [(n, "mrad") for n in _TURNS]
+        return tuple(_size(n, v, s, 1e3, u) for (n, u), v, s in zip(names, values, std, strict=False))
+    if h.curve >= 0:
+        rms = float(np.sqrt(np.mean(values**2)))
+        spread = float(np.sqrt(np.mean(std**2) / max(len(values), 1)))
+        return (_size("rms_over_stations", rms, spread, 1e3, "mrad"),)
+    if h.replaces >= 0:
+        return (_size("growth", values[0], std[0], 100.0, "%"),)
+    if h.kind == ZERO:
+        turns = h.motions[0].twist[5] != 0.0
+        return (_size("zero", values[0], std[0], 1e3, "mrad" if turns else "mm"),)
+    if h.kind == LENGTH:
+        return (_size("growth", values[0], std[0], 1e3, "mm"),)
+    if h.kind == SCALE:
+        return (_size("scale", values[0], std[0], 1e6, "ppm"),)
+    if h.kind == LOAD:
+        return (_size("compliance", values[0], std[0], 1e6, "urad/(N m)"),)
+    if len(values) == 2:  # a wave
+        size = float(np.hypot(*values))
+        along = values / max(size, 1e-300)
+        return (_size("amplitude", size, float(np.sqrt(along @ change.covariance @ along)), 1e3, "mrad"),)
+    return (_size("ratio", values[0], std[0], 1e6, "ppm"),)
+
+
+def _size(name: str, value: float, std: float, factor: float, unit: str) -> SizeFound:
+    low, high = (factor * (float(value) + k * _95 * float(std)) for k in (-1.0, 1.0))
+    return SizeFound(name, factor * float(value), low, high, unit)
+
+
+def _moved(change: FittedChange, columns: Array) -> tuple[float, float, float]:
+    """RMS of the tool's motion [mm] and its 95 % interval."""
+    count = max(columns.shape[0] // 3, 1)
+    moved = columns @ change.sizes
+    rms = float(np.sqrt(np.sum(moved**2) / count))
+    if rms == 0.0 or not len(change.covariance):
+        return 1e3 * rms, 1e3 * rms, 1e3 * rms
+    gradient = columns.T @ moved / (count * rms)
+    std = float(np.sqrt(max(float(gradient @ change.covariance @ gradient), 0.0)))
+    return 1e3 * rms, max(1e3 * (rms - _95 * std), 0.0), 1e3 * (rms + _95 * std)
+
+
+def _said(size: SizeFound) -> str:
+    return f"{size.value:+.3g} {size.unit} ({size.low:.3g} … {size.high:.3g})"
+
+
+def _sentence(
+    h: CellChange,
+    sizes: tuple[SizeFound, ...],
+    moved: tuple[float, float, float],
+    same_as: tuple[str, ...],
+    everywhere: bool,
+) -> str:
+    rms = f"{moved[0]:.3f} mm RMS at the tool ({moved[1]:.3f} … {moved[2]:.3f})"
+    if h.kind == NOISE:
+        what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
+        out = f"The readings scatter more than when the calibration was made: {what}."
+    elif h.kind in (BASE, FRAME, TOOL):
+        shift, turn = (float(np.linalg.norm([s.value for s in sizes if s.unit == unit])) for unit in ("mm", "mrad"))
+        who = {BASE: "The base has moved against the instrument", TOOL: "The tool has moved"}.get(
+            h.kind, f"Frame {h.place} has moved"
+        )
+        out = f"{who}: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
+    elif h.kind == ZERO:
+        out = f"The zero of {h.place} has changed by {_said(sizes[0])}, {rms}."
+    elif h.kind == LENGTH:
+        which = "All links have grown" if h.place == "arm" else f"The link before {h.place} has grown"
+        out = f"{which} by {_said(sizes[0])}, as heat does, {rms}."
+    elif h.kind == SCALE:
+        out = f"The tracker's readings are longer by {_said(sizes[0])}, {rms}."
+    elif h.kind == LOAD:
+        by = f"its deflection under load has grown by {_said(sizes[0])}" if h.replaces >= 0 else f"by {_said(sizes[0])}"
+        out = f"{h.place} deflects differently under load: {by}, {rms}."
+    elif h.kind == GEAR and h.replaces >= 0:
+        out = f"The curve of {h.place}'s gear has grown by {_said(sizes[0])}, {rms}."
+    elif h.kind == GEAR and h.curve >= 0:
+        out = f"The gear of {h.place} has changed: its curve differs by {sizes[0].value:.3g} mrad RMS, {rms}."
+    elif h.kind == GEAR and sizes[0].name == "ratio":
+        out = f"The gear ratio of {h.place} has changed by {_said(sizes[0])}, {rms}."
+    else:
+        assert h.effect is not None
+        cycles = h.effect.shape.settings["cycles"]
+        out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.0f} a turn, {rms}."
+    if not same_as:
+        return out
+    others = " or ".join(same_as)
+    if everywhere:
+        return (
+            f"{out} It may as well be {others}: the same motion at every posture, so the repaired poses are the same."
+        )
+    return f"{out} It may as well be {others}: these stations cannot tell."

@@ -1,0 +1,63 @@
+"""What a check says: what changed, by how much, what may as well be the case, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+
+Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
+Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
+
+
+@dataclass(frozen=True)
+class SizeFound:
+    """One size of a change, with its 95 % interval, in the unit that people read."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedChange:
+    """One change. kind, place: as in :mod:`modcal_core.checking.hypotheses`. label: for people. sizes: of it.
+
+    moved_mm: how far it moves the tool over these stations, RMS, with its 95 % interval. probability: of this one
+    among all that were looked for. same_as: others that explain the readings as well. everywhere: whether these make
+    the same motion at every recorded posture, so that no station can tell them apart. repairable: whether the sizes
+    are enough to correct the model.
+    """
+
+    kind: str
+    place: str
+    label: str
+    sentence: str
+    sizes: tuple[SizeFound, ...]
+    moved_mm: tuple[float, float, float]
+    probability: float
+    same_as: tuple[str, ...]
+    everywhere: bool
+    repairable: bool
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm]."""
+
+    label: str
+    mm: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """action, and what it means here. stations: to be measured next (k, n); empty where none are needed."""
+
+    action: Action
+    sentence: str
+    stations: Array = field(default_factory=lambda: np.empty((0, 0)))

@@ -1,0 +1,123 @@
+"""Whether a small recording is one of the calibrated robot at all, in the convention of the calibration.
+
+A base or a tool that was moved by any amount leaves a recording that the calibrated arm still explains, with base and
+tool fitted again. One of another robot, in other units or in another convention does not, and is refused: a change that
+is fitted to it would be calm and wrong. An inverse pose is undone, as calibrate does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.score import errors
+from modcal_core.errors import BadRecording
+from modcal_core.measurements.recording import POINT
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.conventions import match, points_match, rough_scores
+from modcal_core.plausibility.mistakes import (
+    Mistake,
+    inverse_pose,
+    of_axes,
+    of_joints,
+    of_rotations,
+    of_units,
+)
+from modcal_core.robots.mechanism import is_serial_arm
+
+INVERTED = "pose inverted"
+LEAST = 6  # readings of a frame, from which base and tool of an arm that is known leave enough to judge it by
+_OF_THIS_ARM = 0.01  # of the reach: what misses by more with base and tool fitted again is another arm, or not metres
+_CANDIDATES = 6  # the likeliest by closed form, which are then fitted
+_NEAR = 20.0  # standard deviations, within which nothing has to be asked
+_OURS = 0.2  # of the miss as it is, by what is meant once a mistake is undone
+_AT_LEAST = 2e-3  # of the reach: what misses by less as it is may be an arm that bent, and is not refused for its words
+
+
+@dataclass(frozen=True)
+class ArmMiss:
+    """How far the calibrated arm misses readings with base and tool fitted again: medians [m], [rad]."""
+
+    position: float
+    rotation: float
+
+    def size(self, reach: float) -> float:
+        """As one length [m]: a turn counts by what it moves at the reach."""
+        return self.position + reach * self.rotation
+
+
+def recognised(model: Model, samples: Samples, noise: NoiseModel) -> tuple[Samples, str | None]:
+    """The samples with an inverse pose undone, and what was undone. Raises BadRecording for what is not of this arm."""
+    undone: str | None = None
+    if not is_serial_arm(model.chain):
+        return samples, undone
+    plain = model.with_effects(())
+    for f, frame in enumerate(samples.frames):
+        rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == POINT)))
+        if len(rows) < LEAST or samples.is_same_point(f):
+            continue
+        part = samples.select(rows)
+        off = errors(model, part)
+        near = float(np.median(off.position_norm)) < max(_NEAR * noise.position, 1e-4)
+        if near and (not part.is_pose.any() or float(np.median(off.rotation_norm)) < max(_NEAR * noise.rotation, 1e-3)):
+            continue
+        mistake = _mistaken(plain, part, frame)
+        if mistake is not None:
+            samples, undone = _undone(samples, rows, mistake), INVERTED
+    return samples, undone
+
+
+def _undone(samples: Samples, rows: np.ndarray, mistake: Mistake) -> Samples:
+    part = mistake.undone(samples.select(rows))
+    reading, R = samples.reading.copy(), samples.R.copy()
+    reading[rows], R[rows] = part.reading, part.R
+    return replace(samples, reading=reading, R=R)
+
+
+def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | None:
+    """The inverse pose, where it is that; None where the arm explains the readings. Raises BadRecording otherwise."""
+    chain = model.serial
+    reach = chain.reach()
+    poses = bool(part.is_pose.all())
+    # a point alone does not say how far the arm should turn: what is small is then small for itself
+    as_is = _miss(model, part, poses)
+    if as_is.size(reach) < _AT_LEAST * reach:
+        return None
+    mistakes = [*of_units(), *of_axes(), *of_joints(part.names)]
+    if poses:
+        mistakes = [inverse_pose(), *of_rotations(None), *mistakes]
+    if poses:
+        rough = rough_scores(part, chain, mistakes)[1:]
+        mistakes = [mistakes[i] for i in np.argsort(rough)[::-1][:_CANDIDATES]]
+    found = [(_miss(model, mistake.undone(part), poses).size(reach), i) for i, mistake in enumerate(mistakes)]
+    best, i = min(found)
+    if best < _OURS * as_is.size(reach) and best < _OF_THIS_ARM * reach:
+        mistake = mistakes[i]
+        if mistake.offender == inverse_pose().offender:
+            return mistake
+        said = (
+            f"the calibrated arm misses by {1e3 * as_is.position:.3g} mm and {np.degrees(as_is.rotation):.3g}° with "
+            f"base and tool fitted again, with that undone by {1e3 * best:.3g} mm in all"
+        )
+        raise BadRecording(f"readings in frame '{frame}': {mistake.offender}", said, mistake.remedy)
+    if as_is.size(reach) < _OF_THIS_ARM * reach:
+        return None
+    said = (
+        f"the calibrated arm misses them by {1e3 * as_is.position:.3g} mm and {np.degrees(as_is.rotation):.3g}° at the "
+        f"median with base and tool fitted again, {1e3 * _OF_THIS_ARM * reach:.3g} mm in all is allowed"
+    )
+    raise BadRecording(
+        f"readings in frame '{frame}'", said, "check that this is the calibrated robot, and calibrate it again if so"
+    )
+
+
+def _miss(model: Model, part: Samples, poses: bool) -> ArmMiss:
+    chain = model.serial
+    if poses:
+        found = match(part, chain, parts=(1,))
+        return ArmMiss(found.typical, found.typical_angle)
+    found = points_match(chain, part.q, part.reading)
+    return ArmMiss(found.typical, 0.0)

@@ -1,0 +1,222 @@
+"""The check-up: a frozen calibration at a few new stations, what changed since, and the model with that repaired."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.score import Errors, errors
+from modcal_core.calibration.sockets import with_sockets
+from modcal_core.calibration.store import Calibration
+from modcal_core.checking.advice import advise, noticed, same_everywhere
+from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
+from modcal_core.checking.naming import named
+from modcal_core.checking.outcome import Advice, NamedChange, Noticed, Status
+from modcal_core.checking.recognise import recognised
+from modcal_core.checking.repair import repaired
+from modcal_core.checking.search import CheckState, FoundChanges, search
+from modcal_core.errors import BadTable, NotEnoughData
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import Report
+from modcal_core.verdict.not_applied import applicable
+
+LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
+MOST = 48  # stations that are looked at, evenly along a longer recording
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The outcome of a check.
+
+    changes: that were named. chance: that as much is named while nothing has changed (an upper bound). before, after:
+    RMS of position [mm] and orientation [deg] at the stations by the frozen and by the repaired model; expected: what
+    the frozen one should show while nothing has changed. aside: numbers of the stations set aside as wrong. noticed:
+    what would have been noticed. repaired: the frozen model with only what changed put in; None where nothing did or
+    it cannot be. report: of the frozen or, where there is one, the repaired model at these stations, each of them
+    predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
+    and with what changed, of every reading that was used.
+    """
+
+    status: Status
+    changes: tuple[NamedChange, ...]
+    chance: float
+    before: tuple[float | None, float | None]
+    after: tuple[float | None, float | None]
+    expected: tuple[float | None, float | None]
+    stations: int
+    aside: tuple[int, ...]
+    noticed: tuple[Noticed, ...]
+    advice: Advice
+    repaired: Calibration | None
+    report: Report
+    joints: tuple[str, ...]
+    convention: str | None = None
+    notes: tuple[str, ...] = ()
+    station_errors: tuple[Array, Array] | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The answer, for a person."""
+        seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
+        if self.status == "unchanged":
+            return f"Nothing has changed, by {seen}."
+        said = " ".join(change.sentence for change in self.changes)
+        if self.status == "unexplained":
+            return f"Something has changed that no single change or pair of changes explains, by {seen}." + (
+                f" Nearest: {said}" if said else ""
+            )
+        return f"{said} ({seen}.)"
+
+
+def checkup(
+    calibration: Calibration,
+    samples: Samples,
+    rng: np.random.Generator,
+    cell: Cell | None = None,
+    pattern: float = PATTERN,
+) -> Checked:
+    """What has changed since the calibration, by these samples.
+
+    pattern: share of the calibration's noise that neighbouring postures have in common (its predictable share). Raises
+    NotEnoughData for too few stations, BadTable for frames that the calibration does not know, BadRecording for what is
+    not of this robot.
+    """
+    cell = (cell or Cell()).met(samples)
+    samples = with_sockets(samples, cell, calibration.nominal.chain)
+    if samples.stations < LEAST:
+        raise NotEnoughData(
+            f"{samples.stations} stations", f"at least {LEAST} are needed to tell changes apart", "measure ten stations"
+        )
+    known_frames(calibration, samples)
+    applied = applicable(calibration, samples)
+    begin = frozen(calibration, applied.model, samples, pattern)
+    samples, convention = recognised(begin.model, samples, calibration.noise)
+    part = calibration.with_scatter(_thinned(samples))
+    found = search(begin.model, part, begin.known)
+    fixed = None if found.more else repaired(calibration, found, begin.index)
+    everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
+    N = len(found.samples)
+    changes = tuple(
+        named(change, _motions(found, i), 3 * N, same)
+        for i, (change, same) in enumerate(zip(found.changes, everywhere, strict=True))
+    )
+    used = fixed if fixed is not None else calibration
+    report = evaluate(used, found.samples, rng, cell=cell)
+    if fixed is not None:
+        report = _each_by_the_others(report, found, begin)
+    return Checked(
+        status=_status(found, everywhere),
+        changes=changes,
+        chance=float(np.exp(min(0.0, -found.log_e[0]))),
+        before=_size(errors(begin.model, found.samples)),
+        after=_size(errors(found.state.model, found.samples)),
+        expected=_expected(found),
+        stations=samples.stations,
+        aside=tuple(int(part.station[i]) + 1 for i in found.aside),
+        noticed=noticed(found.start, CheckState(begin.model, found.samples, begin.known)),
+        advice=advise(found, calibration, begin, everywhere),
+        repaired=fixed,
+        report=report,
+        joints=samples.names,
+        convention=convention,
+        notes=(*_notes(begin, samples, part, found), *applied.notes),
+        station_errors=(
+            errors(begin.model, found.samples).position_norm,
+            errors(found.state.model, found.samples).position_norm,
+        ),
+    )
+
+
+def known_frames(calibration: Calibration, samples: Samples) -> None:
+    """Raises BadTable for a frame of the samples that the calibration does not know."""
+    for name in samples.frames:
+        if name not in calibration.frames:
+            raise BadTable(
+                f"frame '{name}' of the recording",
+                f"the calibration knows only {', '.join(calibration.frames)}",
+                "give the frame its name of then; for another instrument use modcal evaluate --refit-base",
+            )
+
+
+def _thinned(samples: Samples) -> Samples:
+    stations = np.unique(samples.station)
+    if len(stations) <= MOST:
+        return samples
+    kept = stations[np.linspace(0, len(stations) - 1, MOST).astype(int)]
+    return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
+
+
+def _status(found: FoundChanges, everywhere: list[bool]) -> Status:
+    if found.more:
+        return "unexplained"
+    if not found.changes:
+        return "unchanged"
+    told = [not c.same_as or same for c, same in zip(found.changes, everywhere, strict=True)]
+    return "changed" if all(told) else "ambiguous"
+
+
+def _motions(found: FoundChanges, i: int) -> np.ndarray:
+    """Motions of the readings per unit of each size of a change; of a curve, per unit of each station's angle."""
+    h = found.changes[i].hypothesis
+    if h.curve < 0:
+        return found.state.columns(h) if h.sizes else np.zeros((0, 0))
+    chain, view, samples = found.state.model.chain, found.state.view, found.samples
+    unit = view.unit_column(chain.first_place + h.curve, 5 if chain.revolute[h.curve] else 2)
+    sample = np.concatenate([np.tile(np.arange(len(samples)), 3), np.tile(view.pose, 3)]).astype(int)
+    at = np.unique(samples.station, return_inverse=True)[1]
+    out = np.zeros((len(unit), int(at.max()) + 1))
+    out[np.arange(len(unit)), at[sample]] = unit
+    return out
+
+
+def _size(e: Errors) -> tuple[float | None, float | None]:
+    mm, deg = e.size_mm(), e.size_deg()
+    return None if mm is None else mm.rms, None if deg is None else deg.rms
+
+
+def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
+    """RMS that the frozen model should show while nothing has changed."""
+    null = found.start.null
+    variance = np.diag(null.covariances[null.reference])
+    turned = null.rows.component >= 3
+    position = 1e3 * float(np.sqrt(3.0 * variance[~turned].mean()))
+    return position, float(np.degrees(np.sqrt(3.0 * variance[turned].mean()))) if turned.any() else None
+
+
+def _each_by_the_others(report: Report, found: FoundChanges, begin: FrozenCalibration) -> Report:
+    """The report with each station predicted by a repair that has not seen it: its sizes are those of the others."""
+    state = found.state
+    sized = [c.hypothesis for c in found.changes if c.hypothesis.sizes]
+    if not sized:
+        return report
+    A = np.concatenate([state.columns(h) for h in sized], axis=1)
+    V = found.start.null.covariances[found.start.best]
+    residual, rows = state.residual, found.start.null.rows
+    station = found.samples.station[rows.sample]
+    left = residual.copy()
+    for one in np.unique(station):
+        out = station == one
+        L = np.linalg.cholesky(V[np.ix_(~out, ~out)])
+        step = np.linalg.lstsq(np.linalg.solve(L, A[~out]), np.linalg.solve(L, residual[~out]), rcond=1e-9)[0]
+        left[out] = residual[out] - A[out] @ step
+    N, M = len(found.samples), len(state.view.pose)
+    final = report.errors["final"]
+    if final.lever is not None or len(report.scored) != N:
+        return report
+    position, rotation = left[: 3 * N].reshape(3, N).T, left[3 * N :].reshape(3, M).T
+    return replace(report, errors={**report.errors, "final": Errors(position, rotation)})
+
+
+def _notes(begin: FrozenCalibration, samples: Samples, part: Samples, found: FoundChanges) -> tuple[str, ...]:
+    out = []
+    if not begin.kept:
+        out.append("The calibration keeps no covariance: what it does not know of itself was not counted.")
+    if part.stations < samples.stations:
+        out.append(f"{part.stations} of {samples.stations} stations, evenly along the recording, were looked at.")
+    if found.aside:
+        out.append("A reading that no change explains was set aside as wrong.")
+    return tuple(out)

@@ -1,0 +1,218 @@
+"""A check for programs and for people: the data of check.json, what a terminal shows, and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from modcal_core.checking.outcome import NamedChange, SizeFound
+from modcal_core.checkup import Checked
+from modcal_core.report.page import Chart, PageTable, plain_page
+from modcal_core.report.palette import AFTER, BEFORE
+from modcal_core.report.panel import Panel
+from modcal_core.report.summary import SummaryLine, SummaryTable, Tone
+
+FORMAT = 1  # of check.json
+_HEADINGS = {
+    "unchanged": ("Nothing has changed", "good"),
+    "changed": ("Something has changed", "warn"),
+    "ambiguous": ("Something has changed; these stations cannot tell which", "warn"),
+    "unexplained": ("Something has changed that is not explained", "bad"),
+}
+_TONES: dict[str, Tone] = {
+    "unchanged": "good",
+    "changed": "undecided",
+    "ambiguous": "undecided",
+    "unexplained": "bad",
+}
+_FILES = {
+    "check.json": "all numbers, for programs",
+    "stations.csv": "the stations to measure next",
+    "calibration.yaml": "the repaired calibration, everything needed to predict",
+    "calibrated.urdf": "the repaired robot description",
+    "calibrated_delta.yaml": "the repaired description of the Delta",
+    "kinematics.yaml": "the repaired kinematics",
+    "report.json": "how far the model misses at these stations",
+    "report.html": "the same as a page",
+    "certificate.html": "the certificate",
+    "certificate.pdf": "the same to print",
+}
+
+
+def to_json_data(found: Checked, calibration: str = "") -> dict[str, Any]:
+    """The data of check.json. calibration: the name of what was checked."""
+    return {
+        "modcal_check": FORMAT,
+        "calibration": calibration,
+        "robot": found.report.trace.robot,
+        "date": found.report.trace.date,
+        "status": found.status,
+        "verdict": found.sentence,
+        "stations": found.stations,
+        "set_aside": list(found.aside),
+        "chance_of_false_alarm_below": found.chance,
+        "changes": [_change(c) for c in found.changes],
+        "error_mm": {"frozen": found.before[0], "expected": found.expected[0], "with_changes": found.after[0]},
+        "error_deg": {"frozen": found.before[1], "expected": found.expected[1], "with_changes": found.after[1]},
+        "would_have_been_noticed_mm": {n.label: _finite(n.mm) for n in found.noticed},
+        "action": found.advice.action,
+        "advice": found.advice.sentence,
+        "stations_to_add": [
+            {name: float(x) for name, x in zip(found.joints, q, strict=True)} for q in found.advice.stations
+        ],
+        "repaired": found.repaired is not None,
+        "convention": found.convention,
+        "tolerance": None
+        if found.report.tolerance is None
+        else {
+            "asked_mm": found.report.tolerance.asked.mm,
+            "statistic": found.report.tolerance.asked.statistic,
+            "value_mm": found.report.tolerance.value_mm,
+            "ci95": list(found.report.tolerance.ci95),
+            "result": found.report.tolerance.result,
+            "because": found.report.tolerance.because,
+        },
+        "notes": list(found.notes),
+    }
+
+
+def _change(c: NamedChange) -> dict[str, Any]:
+    return {
+        "kind": c.kind,
+        "place": c.place,
+        "label": c.label,
+        "sentence": c.sentence,
+        "sizes": [{"name": s.name, "value": s.value, "ci95": [s.low, s.high], "unit": s.unit} for s in c.sizes],
+        "moved_mm": {"rms": c.moved_mm[0], "ci95": [c.moved_mm[1], c.moved_mm[2]]},
+        "probability": c.probability,
+        "same_as": list(c.same_as),
+        "same_at_every_posture": c.everywhere,
+        "repairable": c.repairable,
+    }
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
+    """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
+    out: list[SummaryTable | SummaryLine] = []
+    rows = [
+        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
+        for what, pair in (
+            ("frozen model", found.before),
+            ("expected while nothing has changed", found.expected),
+            *((("with what changed", found.after),) if found.changes else ()),
+        )
+    ]
+    out.append(SummaryTable((f"error at {found.stations} stations", "RMS mm", "RMS deg"), tuple(rows)))
+    for change in found.changes:
+        if lines := tuple(_row(change, s) for s in change.sizes):
+            out.append(SummaryTable(("change", "size", "value", "95 % interval", "unit"), lines, words=2))
+    if found.noticed:
+        said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm))
+        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.", "legend"))
+    out += [SummaryLine(note, "doubt") for note in found.notes]
+    out.append(SummaryLine(found.sentence, _TONES[found.status]))
+    out.append(SummaryLine(found.advice.sentence))
+    met = found.report.tolerance
+    if met is not None:
+        tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
+        out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
+    return tuple(out)
+
+
+def _judged(found: Checked) -> str:
+    return "(repaired model, each station predicted by the others)" if found.repaired is not None else "(frozen model)"
+
+
+def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
+    span = "" if s.low == s.high else f"{s.low:.4g} … {s.high:.4g}"
+    return change.label, s.name, f"{s.value:+.4g}", span, s.unit
+
+
+def to_html(found: Checked, title: str, files: Sequence[str]) -> str:
+    """The page. files: names of those beside it."""
+    heading, tone = _HEADINGS[found.status]
+    lines = [
+        f"What to do: {found.advice.sentence}",
+        f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
+        f"{_pair(found.expected)} is expected while nothing has changed.",
+        *([f"With what changed put in it is {_pair(found.after)}."] if found.changes else []),
+        (
+            f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
+            if found.changes
+            else "A change is named when stations show as much by chance in fewer than one of a hundred checks."
+        ),
+        *([f"Readings were undone to be used: {found.convention}."] if found.convention else []),
+        *found.notes,
+    ]
+    met = found.report.tolerance
+    if met is not None:
+        lines.insert(1, f"{met.result} {_judged(found)}: {met.because}")
+    return plain_page(
+        title,
+        found.sentence,
+        lines,
+        _charts(found),
+        [(name, _FILES.get(name, "")) for name in files],
+        _tables(found),
+        heading=heading,
+        tone=tone,
+    )
+
+
+def _rarely(chance: float) -> str:
+    return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
+
+
+def _pair(pair: tuple[float | None, float | None]) -> str:
+    mm, deg = pair
+    said = [f"{mm:.3f} mm"] if mm is not None else []
+    return " and ".join([*said, *([f"{deg:.4f}°"] if deg is not None else [])]) + " RMS"
+
+
+def _tables(found: Checked) -> tuple[PageTable, ...]:
+    out = []
+    if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
+        header = ("change", "size", "value", "95 % interval", "unit")
+        out.append(
+            PageTable(
+                "What changed", header, rows, 2, "Of a base: in the frame of the first joint. Of a tool: in its own."
+            )
+        )
+    rivals = tuple(
+        (c.label, ", ".join(c.same_as) or "none", "yes" if c.everywhere else "", f"{100.0 * c.probability:.1f} %")
+        for c in found.changes
+    )
+    if rivals:
+        header = ("named", "explains these stations as well", "the same at every posture", "probability")
+        out.append(PageTable("What it may as well be", header, rivals, 3))
+    if len(found.advice.stations):
+        turned = [tuple(f"{x:.4f}" for x in q) for q in found.advice.stations]
+        numbered = tuple((str(i + 1), *row) for i, row in enumerate(turned))
+        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered))
+    noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
+    if noticed:
+        below = "RMS at the tool over these stations, of the direction that shows least."
+        out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, 1, below))
+    return tuple(out)
+
+
+def _charts(found: Checked) -> list[Chart]:
+    """The error of each station before and after."""
+    if found.station_errors is None:
+        return []
+    before, after = (1e3 * e for e in found.station_errors)
+    x = np.arange(1.0, len(before) + 1.0)
+    top = 1.1 * max(float(before.max()), float(after.max()), 1e-6)
+    panel = Panel((0.4, len(before) + 0.6), (0.0, top))
+    panel.hollow(x, before, BEFORE, "circle")
+    panel.hollow(x, after, AFTER, "square")
+    alt = f"Error at every station: up to {before.max():.3f} mm by the frozen model"
+    alt += f", up to {after.max():.3f} mm with what changed." if found.changes else "."
+    caption = "circles: the model as calibrated; squares: with what changed put in"
+    return [panel.chart("stations", "station", "error, mm", alt, caption)]

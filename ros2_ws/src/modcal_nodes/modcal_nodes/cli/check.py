@@ -1,0 +1,177 @@
+"""``modcal check``: what has changed since a calibration, from a few new stations."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.checkup import Checked
+from modcal_core.errors import BadTable
+from modcal_core.files import to_json, write_folder
+from modcal_core.public import check
+from modcal_core.report.certificate import is_made_from
+from modcal_core.report.checkup import summary, to_html, to_json_data
+from modcal_core.report.files import calibration_files, delta_files, report_files
+from modcal_core.robot import Robot
+from modcal_core.robots.mechanism import is_serial_arm
+from modcal_msgs_py.choosing import Topics
+from modcal_nodes.cli.calibrate import (
+    CELL,
+    CLOCK,
+    EXISTING,
+    OUT,
+    SEED_OPTION,
+    STATED,
+    TOLERANCE,
+    UNMET,
+    calibration_name,
+    stated_of,
+    with_options,
+)
+from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.show import show_blocks
+from modcal_nodes.cli.topics import TOPICS
+from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
+from modcal_nodes.io.recorded import opened
+
+_LEAST_PATTERN = 0.1  # share of the noise that postures have in common, where the report saw none: it sees only so much
+_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
+
+
+@click.command("check")
+@click.argument("calibration", type=EXISTING)
+@click.argument("bag", type=EXISTING)
+@click.option(
+    "--urdf", type=EXISTING, default=None,
+    help="Robot description to write the repaired one from. Default: that of the calibration's folder, or in BAG.",
+)  # fmt: skip
+@with_options((CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT))
+@speaking
+def check_command(
+    calibration: Path,
+    bag: Path,
+    urdf: Path | None,
+    cell_file: Path | None,
+    topic: tuple[str, ...],
+    ignore: tuple[str, ...],
+    tf: str | None,
+    seed: int,
+    clock_limit: float,
+    tolerance_mm: float | None,
+    tolerance_of: str,
+    certificate: bool,
+    serial: str | None,
+    out: Path | None,
+    output: Output,
+    **stated: float | None,
+) -> int:
+    """Say what has changed since CALIBRATION (a folder or calibration.yaml), from ten or more stations in BAG.
+
+    Names base, tool, a joint's zero, a gear, a load, heat, or the tracker, says by how much and what to do, and writes
+    the model with only that repaired.
+    """
+    said = particulars(certificate, serial, cell_file, tolerance_mm)
+    frozen = Calibration.load(calibration)
+    cell = read_cell(cell_file, stated=stated_from(stated))
+    with output.working() as watch:
+        recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
+        samples = recorded.samples(Robot(frozen.nominal.chain), clock_limit)
+        watch("checking")
+        with of_cell(cell_file):
+            found = check(
+                frozen,
+                samples,
+                seed,
+                cell=cell,
+                tolerance_mm=tolerance_mm,
+                tolerance_of=tolerance_of,
+                pattern=_pattern(calibration),
+            )
+        files = check_files(found, calibration, urdf, samples.origin.description)
+        if said is not None:
+            watch("writing the certificate")
+            model: str | Path = files.get("calibration.yaml", calibration)  # type: ignore[assignment]
+            described = files.get("calibrated.urdf", samples.origin.description)
+            hashes = certified_hashes(described, model)  # type: ignore[arg-type]
+            own = is_made_from(frozen, samples)
+            files |= certificate_files(found.report, stated_of(cell_file, samples, stated), said, hashes, own)
+    name = calibration_name(calibration)
+    files["check.html"] = to_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
+    out = out or Path(f"{bag.resolve().stem}_check")
+    write_folder(out, files)
+    where = written(out, files, "Check", "check.html")
+    output.result(to_json_data(found, name), partial(show_blocks, summary(found)), where)
+    tolerance = found.report.tolerance
+    return 0 if tolerance is None or tolerance.result == "PASS" else UNMET
+
+
+def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str | bytes]:
+    """Names and texts of the files of a check, but for its page: what was found, and the repaired model."""
+    name = calibration_name(calibration)
+    files: dict[str, str | bytes] = {"check.json": to_json(to_json_data(found, name))}
+    if len(found.advice.stations):
+        files["stations.csv"] = _table(found)
+    repaired = found.repaired
+    if repaired is None:
+        return files | report_files(found.report, calibration=name)
+    if not is_serial_arm(repaired.calibrated.chain):
+        return files | delta_files(repaired, found.report)
+    text, chain = _description(calibration, urdf, recorded, repaired)
+    if text is None:
+        from modcal_core.calibration.store import to_data
+        from modcal_core.files import to_yaml
+
+        return files | {"calibration.yaml": to_yaml(to_data(repaired))} | report_files(found.report, calibration=name)
+    return files | calibration_files(repaired, found.report, chain, text)
+
+
+def _description(
+    calibration: Path, urdf: Path | None, recorded: str | None, repaired: Calibration
+) -> tuple[str | None, Any]:
+    """The robot description to write into, and the arm as it stands there; None where there is none of this arm."""
+    from modcal_core.errors import ModcalError
+    from modcal_core.robots.urdf import read_chain
+
+    nominal = repaired.nominal.serial
+    beside = (calibration if calibration.is_dir() else calibration.parent) / "calibrated.urdf"
+    texts = [urdf.read_text(encoding="utf-8")] if urdf is not None else []
+    texts += [] if urdf is not None or not beside.is_file() else [beside.read_text(encoding="utf-8")]
+    texts += [] if urdf is not None or recorded is None else [recorded]
+    for text in texts:
+        try:
+            chain = read_chain(text, nominal.base, nominal.tip)
+        except ModcalError:
+            if urdf is not None:
+                raise
+            continue
+        if chain.names == nominal.names:
+            return text, chain
+    return None, None
+
+
+def _pattern(calibration: Path) -> float | None:
+    """The predictable share in the report beside a calibration, None where there is none."""
+    beside = (calibration if calibration.is_dir() else calibration.parent) / "report.json"
+    if not beside.is_file() or beside.stat().st_size > _MAX_REPORT:
+        return None
+    try:
+        share = json.loads(beside.read_text(encoding="utf-8"))["predictable"]
+        return None if share is None else max(float(share["share"]), _LEAST_PATTERN)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadTable(str(beside), "is not a report of modcal", "remove it, or calibrate again") from error
+
+
+def _table(found: Checked) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(found.joints)
+    writer.writerows([f"{x:.6f}" for x in q] for q in found.advice.stations)
+    return text.getvalue()

@@ -1,0 +1,232 @@
+"""What a check names, by readings that MuJoCo makes of an arm in which one thing has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
+
+from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.checkup import Checked
+from modcal_core.errors import BadRecording, BadTable, NotEnoughData
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.public import calibrate, check
+from modcal_core.robot import Robot
+
+pytestmark = pytest.mark.slow
+FLOOR = np.sqrt(3.0) * NOISE_M
+
+
+@pytest.fixture(scope="module")
+def cell() -> tuple[Recorded, Calibration]:
+    """A world, and what was calibrated from eighty stations of it."""
+    recorded = record(3, 80)
+    return recorded, calibrate(Robot(ur10()), recorded.samples, geometry_only=True).calibration
+
+
+Poses = Callable[[Array], Array]
+
+
+def readings(q: Array, T: Array, rng: np.random.Generator, noise: float = 1.0) -> Samples:
+    """Poses (N, 4, 4) with the instrument's noise."""
+    T = T.copy()
+    T[:, :3, 3] += noise * NOISE_M * rng.standard_normal((len(q), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(noise * NOISE_RAD * rng.standard_normal((len(q), 3)))
+    return Samples.from_arrays(q, poses=T, names=ur10().names, stamps=1e6 + 5.0 * np.arange(len(q)))
+
+
+def checked(
+    cell: tuple[Recorded, Calibration],
+    seen: Callable[[Array, Poses], Array],
+    seed: int = 0,
+    count: int = 10,
+    noise: float = 1.0,
+) -> tuple[Checked, Array, Array]:
+    """A check by stations at random postures, these, and where the tool truly was."""
+    rng = np.random.default_rng([seed, 11])
+    q = rng.uniform(-2.5, 2.5, (count, 6))
+    T = seen(q, cell[0].world.tool_in_tracker)
+    return check(cell[1], readings(q, T, rng, noise)), q, T
+
+
+def twist(size: float, way: tuple[float, ...]) -> Array:
+    """A small motion (4, 4)."""
+    return se3.exp(size * np.array(way))
+
+
+def names(found: Checked) -> set[tuple[str, str]]:
+    """What was named."""
+    return {(c.kind, c.place) for c in found.changes}
+
+
+def test_nothing_is_named_while_nothing_has_changed(cell: tuple[Recorded, Calibration]) -> None:
+    for seed in range(8):
+        found, _, _ = checked(cell, lambda q, world: world(q), seed)
+        assert found.status == "unchanged", found.sentence
+        assert found.advice.action == "nothing"
+        assert found.repaired is None
+        assert all(3.0 * n.mm > 1e3 * FLOOR / 3.0 for n in found.noticed)  # ten stations do not show what is far below
+
+
+@pytest.mark.parametrize(
+    ("name", "seen"),
+    [
+        (("base", "base"), lambda q, world: twist(1.5e-4, (1, -1, 1, 0.5, 1, -0.5)) @ world(q)),
+        (("tool", "tool"), lambda q, world: world(q) @ twist(2e-4, (1, 0.5, -1, 1, -1, 1))),
+        (("joint_zero", "elbow_joint"), lambda q, world: world(q + 5e-4 * np.eye(6)[2])),
+        (("tracker_scale", "tracker"), lambda q, world: scaled(world(q), 1.0 + 4e-4)),
+    ],
+)
+def test_a_change_is_named_and_repaired(
+    cell: tuple[Recorded, Calibration], name: tuple[str, str], seen: Callable[[Array, Poses], Array]
+) -> None:
+    for seed in range(3):
+        found, _, _ = checked(cell, seen, seed)
+        assert names(found) == {name}, found.sentence
+        change = found.changes[0]
+        assert change.moved_mm[1] <= change.moved_mm[0] <= change.moved_mm[2]
+        assert found.repaired is not None
+        # against the world, at postures that the check has not seen
+        q = np.random.default_rng(77).uniform(-2.5, 2.5, (100, 6))
+        truth = seen(q, cell[0].world.tool_in_tracker)
+        before, after = (rms(model.predict(q), truth) for model in (cell[1], found.repaired))
+        if name[0] != "tracker_scale":  # predictions are where the tool is, not what a wrong metre reads
+            assert after < 0.5 * before
+            assert after < 0.8 * FLOOR
+
+
+def scaled(T: Array, factor: float) -> Array:
+    """The poses with their positions times a factor."""
+    out = T.copy()
+    out[:, :3, 3] *= factor
+    return out
+
+
+def rms(a: Array, b: Array) -> float:
+    """Of distances between poses [m]."""
+    return float(np.sqrt(np.mean(np.sum((a[:, :3, 3] - b[:, :3, 3]) ** 2, axis=1))))
+
+
+def test_a_size_lies_in_its_interval(cell: tuple[Recorded, Calibration]) -> None:
+    zero = 6e-4
+    inside = 0
+    for seed in range(10):
+        found, _, _ = checked(cell, lambda q, world: world(q + zero * np.eye(6)[1]), seed)
+        (size,) = found.changes[0].sizes
+        assert size.unit == "mrad"
+        inside += size.low <= 1e3 * zero <= size.high
+    assert inside >= 8  # of ten intervals of 95 %, fewer once in ninety times
+
+
+def test_a_zero_about_the_base_axis_may_as_well_be_the_base(cell: tuple[Recorded, Calibration]) -> None:
+    found, _, _ = checked(cell, lambda q, world: world(q + 5e-4 * np.eye(6)[0]))
+    assert names(found) == {("joint_zero", "shoulder_pan_joint")}
+    assert found.changes[0].same_as == ("base",)
+    assert found.changes[0].everywhere
+    assert found.status == "changed"  # the repaired poses are the same
+
+
+def test_a_gear_is_named_and_stations_along_it_are_asked_for(cell: tuple[Recorded, Calibration]) -> None:
+    found, q, _ = checked(cell, lambda q, world: world(q + np.outer(5e-4 * np.sin(101 * q[:, 3]), np.eye(6)[3])))
+    assert names(found) == {("gear", "wrist_1_joint")}
+    assert found.advice.action == "add_stations"
+    assert found.repaired is None
+    assert np.ptp(found.advice.stations[:, 3]) > np.ptp(q[:, 3])
+
+
+def test_noise_is_not_taken_for_a_move(cell: tuple[Recorded, Calibration]) -> None:
+    for seed in range(4):
+        found, _, _ = checked(cell, lambda q, world: world(q), seed, noise=3.0)
+        assert names(found) == {("tracker_noise", "tracker")}, found.sentence
+        assert found.advice.action == "check_instrument"
+
+
+def test_two_changes_are_both_named(cell: tuple[Recorded, Calibration]) -> None:
+    move = twist(4e-4, (1, -1, 1, 0.5, 1, -0.5))
+    found, _, _ = checked(cell, lambda q, world: move @ world(q + 8e-4 * np.eye(6)[2]), count=14)
+    assert names(found) == {("base", "base"), ("joint_zero", "elbow_joint")}, (found.sentence, found.status)
+
+
+def test_a_large_move_is_named(cell: tuple[Recorded, Calibration]) -> None:
+    move = se3.exp([0.2, -0.1, 0.05, 0.3, 0.2, -0.4])
+    found, _, _ = checked(cell, lambda q, world: move @ world(q))
+    assert names(found) == {("base", "base")}
+    assert found.advice.action == "refit_base"
+    assert found.after[0] is not None
+    assert found.after[0] < 2e3 * FLOOR
+
+
+def test_one_wrong_reading_is_set_aside(cell: tuple[Recorded, Calibration]) -> None:
+    def seen(q: Array, world: Poses) -> Array:
+        T = world(q)
+        T[4, :3, 3] += [2e-3, -1e-3, 1e-3]
+        return T
+
+    found, _, _ = checked(cell, seen)
+    assert found.status == "unchanged"
+    assert len(found.aside) == 1
+
+
+def test_another_arm_is_refused_or_not_explained(cell: tuple[Recorded, Calibration]) -> None:
+    other = record(9, 10, length_std=0.03, angle_std=0.05).samples
+    other = replace(other, frames=cell[1].frames)
+    with pytest.raises(BadRecording, match="misses them by"):
+        check(cell[1], other)
+    alike = replace(record(9, 10).samples, frames=cell[1].frames)  # the same make, and base and tool elsewhere
+    assert check(cell[1], alike).status == "unexplained"
+
+
+@pytest.mark.parametrize("wrong", ["mm", "quaternion", "degrees", "swapped"])
+def test_another_convention_is_refused(cell: tuple[Recorded, Calibration], wrong: str) -> None:
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-2.5, 2.5, (10, 6))
+    T = cell[0].world.tool_in_tracker(q)
+    if wrong == "mm":
+        T[:, :3, 3] *= 1e3
+    if wrong == "quaternion":
+        x = so3.to_quaternion(T[:, :3, :3])
+        T[:, :3, :3] = so3.from_quaternion(np.roll(x, 1, axis=1))
+    if wrong == "degrees":
+        q = np.degrees(q)
+    if wrong == "swapped":
+        q = q[:, [1, 0, 2, 3, 4, 5]]
+    samples = Samples.from_arrays(q, poses=T, names=ur10().names)
+    with pytest.raises(BadRecording):
+        check(cell[1], samples)
+
+
+def test_inverse_poses_are_undone(cell: tuple[Recorded, Calibration]) -> None:
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-2.5, 2.5, (10, 6))
+    seen = readings(q, cell[0].world.tool_in_tracker(q), rng)
+    poses = se3.inverse(se3.transform(seen.R, seen.reading))
+    found = check(cell[1], Samples.from_arrays(q, poses=poses, names=ur10().names))
+    assert found.convention == "pose inverted"
+    assert found.status == "unchanged"
+
+
+def test_too_few_stations_and_unknown_frames_are_refused(cell: tuple[Recorded, Calibration]) -> None:
+    with pytest.raises(NotEnoughData, match="measure ten"):
+        checked(cell, lambda q, world: world(q), count=4)
+    q = np.random.default_rng(0).uniform(-2.5, 2.5, (10, 6))
+    samples = Samples.from_arrays(q, poses=cell[0].world.tool_in_tracker(q), names=ur10().names, frame="another")
+    with pytest.raises(BadTable, match="knows only"):
+        check(cell[1], samples)
+
+
+def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: tuple[Recorded, Calibration]) -> None:
+    tool = twist(3e-4, (1, 0.5, -1, 1, -1, 1))
+    found, _, _ = checked(cell, lambda q, world: world(q) @ tool)
+    assert found.repaired is not None
+    again = from_data(to_data(found.repaired))
+    after, _, _ = checked((cell[0], again), lambda q, world: world(q) @ tool, seed=5)
+    assert after.status == "unchanged", after.sentence
+    # what ten stations say of a tool is less than what eighty did, and the covariance says so
+    assert again.uncertainty is not None
+    assert cell[1].uncertainty is not None
+    assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
