@@ -1,8 +1,9 @@
 #!/bin/sh
 # Stands in .venv/bin/modcal. Runs the command of this checkout, whatever else is sourced in the shell: another ROS on
 # PYTHONPATH or LD_LIBRARY_PATH would otherwise be loaded in place of the one in .venv.
-venv=$(dirname -- "$(dirname -- "$(readlink -f -- "$0")")")
-install=$(dirname -- "$venv")/ros2_ws/install
+venv=$(readlink -f -- "$0")
+venv=${venv%/*/*}
+install=${venv%/*}/ros2_ws/install
 unset PYTHONPATH PYTHONHOME LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 if [ ! -x "$install/modcal_nodes/lib/modcal_nodes/modcal" ]; then
     echo "modcal: $install is not built: run make build" >&2

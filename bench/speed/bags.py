@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from cli.recordings import streams
 from peers import ask
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 from timing import Row, median_ms, pair_ms
 
@@ -27,7 +27,7 @@ def rows(stations: int = 60) -> Iterator[Row]:
         write_recording(recording, bag)
         store = get_typestore(Stores.ROS2_JAZZY)
 
-        def peer() -> Any:
+        def peer(bag: Path = bag) -> Any:
             with Reader(bag) as reader:
                 return [(c.topic, store.deserialize_cdr(raw, c.msgtype)) for c, _, raw in reader.messages()]
 
@@ -39,6 +39,15 @@ def rows(stations: int = 60) -> Iterator[Row]:
         yield Row("bags", f"{len(read)} messages", ours, "rosbags", other, rate)
         answer = ask("mcap-ros2-support", "mcap_decode", str(next(bag.glob("*.mcap"))))
         yield Row("bags", f"{len(read)} messages", ours, "mcap-ros2-support", answer.ms, answer.remark)
+        sqlite = Path(folder) / "sqlite"
+        with Reader(bag) as reader, Writer(sqlite, version=9) as writer:
+            known = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+            for connection, stamp, raw in reader.messages():
+                writer.write(known[connection.id], stamp, raw)
+        assert np.array_equal(read_bag(sqlite).joints[0].position, q), "other joint positions"
+        ours, other = pair_ms(lambda: read_bag(sqlite), lambda: peer(sqlite), 5, 3)
+        rate = f"{len(read) / ours:.0f} k messages/s into arrays"
+        yield Row("bags", f"{len(read)} messages, SQLite", ours, "rosbags", other, rate)
         names = recording.joints[0].names
         ms = median_ms(lambda: cut_stations(recording, names), 3)
         yield Row("bags", f"stations of {len(recording.joints[0].stamps)} joint states", ms)

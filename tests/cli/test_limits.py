@@ -14,6 +14,7 @@ from cli.test_bad_input import refused
 from robots.random_arms import Mujoco
 
 from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_drives import read_drives
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
@@ -85,6 +86,30 @@ def test_what_a_bag_does_not_say_is_counted(tmp_path: Path, capfd: pytest.Captur
     assert "1 of 30" in said
     assert "left out" in said
     assert "no velocity" not in said
+
+
+def test_states_that_are_faster_than_the_arm_can_be_are_left_out(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As of a simulation that jumps from posture to posture; where no others are left, the bag is refused."""
+    recording = stations(30)
+    (track,) = recording.joints
+    chain = read_chain(URDF.read_text())
+    fastest = read_drives(URDF.read_text(), chain).speed
+    for rows, code in ((slice(0, 12), 0), (slice(None), 2)):
+        speed = np.zeros_like(track.position)
+        speed[rows, 2] = -4.0 * fastest[2]
+        bag = tmp_path / f"bag{code}"
+        write_recording(replace(recording, joints=(replace(track, velocity=speed),)), bag)
+        assert run(["limits", str(bag), "--payload", "2", "--json"]) == code
+        told = capfd.readouterr()
+        said = f"{chain.names[2]} reaches {4.0 * fastest[2]:.3g} rad/s, {fastest[2]:.3g} is its limit"
+        if code:
+            assert f"all move faster than the URDF allows: {said}" in told.err
+        else:
+            data = json.loads(told.out)
+            assert data["postures"] == 18
+            assert f"12 of 30 joint states move faster than the URDF allows ({said})" in " ".join(data["notes"])
 
 
 CASES = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nodes.in_process import spun
 from rclpy.exceptions import InvalidParameterValueException
 
@@ -38,3 +39,24 @@ def test_an_old_name_counts_and_is_said(capfd: pytest.CaptureFixture[str]) -> No
 def test_bounds_hold_under_an_old_name() -> None:
     with pytest.raises(InvalidParameterValueException, match="max_stations"), spun(Calibrator, most_stations=1):
         pass
+
+
+@pytest.mark.dds
+def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.CaptureFixture[str]) -> None:
+    """In the log and on /diagnostics; what is known is not."""
+    given = {"max_forse_n": 33.0, "colour": "red", "max_moment_nm": 7.0, "use_sim_time": True, "stale_s": 0.2}
+    said = "parameters without effect: colour is not known; max_forse_n is not known, max_force_n is"
+    with spun(ImpedanceSetpoint, **given) as pair:
+        heard: list[DiagnosticStatus] = []
+        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        pair.wait(lambda: any(one.name.endswith(": parameters") for one in heard), 10.0)
+        status = next(one for one in heard if one.name.endswith(": parameters"))
+        assert status.level == DiagnosticStatus.WARN
+        assert said in status.message
+    assert said in " ".join(capfd.readouterr().err.split())
+
+
+@pytest.mark.dds
+def test_parameters_that_are_known_are_not_spoken_of() -> None:
+    with spun(ImpedanceSetpoint, max_force_n=33.0, most_moment_nm=7.0) as pair:
+        assert not pair.node.parameters_without_effect

@@ -100,6 +100,11 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
         calibrate(samples.select(np.arange(least - 1)), ur10(), np.random.default_rng(0), look_for_effects=False)
 
 
+def test_without_a_number_half_as_many_again_as_the_fewest() -> None:
+    made = plan(ur10(), hall(), PlanRequest(candidates=60, starts=1, returns=0), np.random.default_rng(5))
+    assert made.distinct == np.ceil(1.5 * min_stations(len(made.pool.parameters), "point"))
+
+
 @pytest.mark.slow
 def test_fixed_parameters_are_not_planned_for() -> None:
     request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
@@ -111,7 +116,6 @@ def test_fixed_parameters_are_not_planned_for() -> None:
 @pytest.mark.parametrize(
     ("asked", "kind", "words"),
     [
-        (PlanRequest(), BadTable, "neither a number of stations nor an accuracy"),
         (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 23"),
         (PlanRequest(stations=70), NotPlannable, "only 60 of the postures tried"),
         (PlanRequest(accuracy=3e-5), NotPlannable, "what the joints do not repeat alone makes"),

@@ -82,7 +82,6 @@ def test_the_plan_is_taken_by_sensitivity(site_file: Path, tmp_path: Path, capfd
     ("arguments", "words"),
     [
         ([], "is given neither a ROBOT nor --decide REPORT"),
-        ([str(IRB1410)], "neither a number of stations nor an accuracy is asked for"),
         ([str(IRB1410), "--stations", "30", "--accuracy-mm", "0.1"], "cannot be combined with --accuracy-mm"),
         ([str(IRB1410), "--accuracy-mm", "0.001", "--candidates", "40"], "what the joints do not repeat alone makes"),
         ([str(IRB1410), "--decide", str(IRB1410)], "cannot be combined with ROBOT"),

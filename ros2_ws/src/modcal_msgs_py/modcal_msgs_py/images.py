@@ -18,7 +18,6 @@ from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Listed
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import bag_file, message_unpacked, unpacked
-from modcal_msgs_py.types import store_with
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -94,6 +93,8 @@ def read_messages(path: Path, topic: str) -> Iterator[tuple[float, Any]]:
 
     Raises BadRecording for what is no bag.
     """
+    from modcal_msgs_py.types import store_with  # which takes as long to import as a small bag to read
+
     for received, (type_name, schema), data in _packed(path, topic):
         try:
             yield received, store_with(type_name, schema).deserialize_cdr(data, type_name)

@@ -7,13 +7,14 @@ The parameters are those that ``modcal calibrate`` will fit, its weights and its
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER
 from modcal_core.calibration.split import SHARES
-from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.errors import NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
@@ -29,17 +30,20 @@ from modcal_core.robots.mechanism import Mechanism
 _REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
 _MOVED = 24  # new candidates for every station and round
 _FEWER = 5  # stations fewer that are tried at the end, one by one
+STARTS = 2  # of the exchange
 _QUICK = (1, 2)  # starts and passes while the number of stations is looked for
 _MOST = 400  # stations
+_USUAL = 1.5  # times the fewest stations, where neither a number nor an accuracy is asked for: some may be lost
 
 
 @dataclass(frozen=True)
 class PlanRequest:
     """What is asked of a plan.
 
-    stations: how many; None: as many as the accuracy needs. accuracy: [m], of what measure says: ``rms`` or ``p95``.
-    criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that are not fitted. starts: of the
-    exchange. candidates: postures to choose from. besides: stations (N, n) that are measured already and count too.
+    stations: how many; None: as many as the accuracy needs, or half as many again as the fewest. accuracy: [m], of what
+    measure says: ``rms`` or ``p95``. criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that
+    are not fitted. starts: of the exchange. candidates: postures to choose from. besides: stations (N, n) that are
+    measured already and count too.
     returns: how many stations are visited twice, so that it is known what the arm does not repeat.
     """
 
@@ -49,7 +53,7 @@ class PlanRequest:
     criterion: str = ACCURACY
     reading: str = "point"
     fixed: tuple[str, ...] = ()
-    starts: int = 2
+    starts: int = STARTS
     candidates: int = CANDIDATES
     besides: Array | None = None
     returns: int = RETURNS
@@ -83,20 +87,19 @@ class Plan:
 
 def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
-    if request.stations is None and request.accuracy is None:
-        raise BadTable("plan", "neither a number of stations nor an accuracy is asked for", "give one of them")
     pool = survey(chain, site, rng, request.reading, request.fixed, request.candidates, request.besides)
     good = criterion(request.criterion, pool.workspace.gamma)
     measured = 0 if pool.known is None else len(pool.known)
     least = max(min_stations(len(pool.parameters), request.reading) - measured, 1)
     curve: tuple[tuple[int, Accuracy], ...] = ()
-    if request.stations is None:
+    to_accuracy = request.stations is None and request.accuracy is not None
+    if to_accuracy:
         count, curve = _how_many(pool, request, good, least, rng)
     else:
-        count = request.stations
+        count = request.stations or min(math.ceil(_USUAL * least), max(least, len(pool.q)))
         _require(count, least, len(pool.q))
     best = chosen_stations(pool, count, good, request.starts, rng)
-    if request.stations is None:  # the quick search that said how many does not refine
+    if to_accuracy:  # the quick search that said how many does not refine
         for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
             other = chosen_stations(pool, fewer, good, 1, rng)
             if _measure(other.accuracy, request) > _requested(request):

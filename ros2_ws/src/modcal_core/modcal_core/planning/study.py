@@ -11,7 +11,7 @@ from modcal_core.planning.closed_chain import ClosedChain
 from modcal_core.planning.designs import sobol_postures
 from modcal_core.planning.gain import JointGain, joint_use
 from modcal_core.planning.sensitivity import Sensitivity, sensitivity
-from modcal_core.planning.variance import OUTPUTS, SobolIndices, sobol_indices
+from modcal_core.planning.variance import ARMS, OUTPUTS, SobolIndices, sobol_indices
 
 _GAIN_POSTURES = 512  # where accuracy counts; derivatives are cheap
 _VARIANCE_POSTURES = 32  # each is computed for thousands of arms
@@ -51,8 +51,12 @@ def study(
     measured: Measured,
     rng: np.random.Generator,
     bins: int | None = None,
+    arms: int = ARMS,
 ) -> Study:
-    """Everything there is to say of the sensitivity of a closed chain, with errors of these sizes (P,) [m, rad]."""
+    """Everything there is to say of the sensitivity of a closed chain, with errors of these sizes (P,) [m, rad].
+
+    arms: that are drawn for the shares of the variance, a power of two.
+    """
     indices = sensitivity(closed, q, sizes, base, bins)
     workspace = sobol_postures(closed.chain, _GAIN_POSTURES, rng)
     G = closed.jacobian(workspace)[:, :3]
@@ -60,5 +64,5 @@ def study(
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
     few = workspace[:_VARIANCE_POSTURES]
-    variance = {output: sobol_indices(closed, few, sizes, rng, output) for output in OUTPUTS}
+    variance = {output: sobol_indices(closed, few, sizes, rng, output, arms) for output in OUTPUTS}
     return Study(closed, design, q, indices, variance, measured, joint_use(G, sizes, J, std))

@@ -25,6 +25,7 @@ from modcal_core.planning.closed_chain import ClosedChain
 from modcal_core.planning.designs import sobol_points
 
 OUTPUTS = ("vector", "distance")
+ARMS = 128  # for time
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def sobol_indices(
     sizes: Array,
     rng: np.random.Generator,
     output: str = "vector",
-    arms: int = 128,
+    arms: int = ARMS,
     repeats: int = 6,
 ) -> SobolIndices:
     """Sobol indices of the position error over postures q (N, n), errors Gaussian with standard deviations sizes (P,).

@@ -31,6 +31,7 @@ from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
+_THOROUGH = 20_000  # for time, with --thorough
 _BY_JOINT = {
     "torque": "Largest torque of a drive [N m; N], instead of the URDF's effort.",
     "friction": "Dry friction of a joint [N m; N], instead of the URDF's.",
@@ -79,6 +80,7 @@ def _by_joint(command: click.Command) -> click.Command:
     "--workspace", type=click.IntRange(min=1), default=None, help="Number of random postures within the limits."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of those postures.")
+@click.option("--thorough", is_flag=True, help="Of a bag up to 20 000 postures, not 2 000.")
 @click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
 @click.option(
@@ -101,6 +103,7 @@ def limits_command(
     velocity: tuple[str, ...],
     workspace: int | None,
     seed: int,
+    thorough: bool,
     share: float,
     gravity: tuple[float, float, float],
     topic: tuple[str, ...],
@@ -132,7 +135,7 @@ def limits_command(
         said = file_line(source, arm.chain, tip)
     arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
-    q, v, notes = _motion(arm.chain, recording, at, velocity, workspace, seed)
+    q, v, notes = _motion(arm, recording, at, velocity, workspace, seed, _THOROUGH if thorough else _MOST)
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
@@ -159,16 +162,18 @@ def _show(data: dict[str, object], arm: str, postures: int, notes: tuple[str, ..
 
 
 def _motion(
-    chain: Chain,
+    arm: LoadedArm,
     recording: Recording | None,
     at: tuple[str, ...],
     velocity: tuple[str, ...],
     workspace: int | None,
     seed: int,
+    most: int,
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Positions and velocities (N, n) that are asked for, and what must be known of them."""
+    chain = arm.chain
     if recording is not None:
-        return _recorded(chain, recording)
+        return _recorded(arm, recording, most)
     speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
@@ -185,23 +190,40 @@ def _motion(
     return q[None], speeds[None], ()
 
 
-def _recorded(chain: Chain, recording: Recording) -> tuple[Array, Array, tuple[str, ...]]:
+def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, Array, tuple[str, ...]]:
+    chain = arm.chain
     _, q = joint_stamps_and(recording, chain.names, "position")
     _, v = joint_stamps_and(recording, chain.names, "velocity")
-    good = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if not len(good):
+    whole = np.isfinite(q).all(axis=1)
+    if not whole.any():
         missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()] or ["all at once"]
         raise BadRecording(
             f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
         )
-    rows = good[np.unique(np.linspace(0, len(good) - 1, _MOST).round().astype(int))]
     notes = list(recording.warnings)
-    if len(good) < len(q):
-        notes.append(f"{len(q) - len(good)} of {len(q)} joint states lack the position of a joint: they are left out.")
-    still = ~np.isfinite(v[good]).all(axis=1)
-    if still.any():
-        said = f"{int(still.sum())} of {len(good)} joint states report no velocity of some joint"
+    if not whole.all():
+        count = f"{int((~whole).sum())} of {len(q)}"
+        notes.append(f"{count} joint states lack the position of a joint: they are left out.")
+    q, v = q[whole], v[whole]
+    if (~np.isfinite(v)).any():
+        said = f"{int((~np.isfinite(v)).any(axis=1).sum())} of {len(q)} joint states report no velocity of some joint"
         notes.append(f"{said}: it counts as standing still, so that viscous friction is left out.")
+    speed = np.abs(np.nan_to_num(v))
+    # what an arm cannot do it did not: a simulation, or a description of another arm
+    beyond = np.where(arm.drives.speed > 0.0, speed / arm.drives.speed, 0.0)
+    fast = (beyond > 1.0).any(axis=1)
+    if fast.any():
+        j = int(np.argmax(beyond.max(axis=0)))
+        unit = "rad/s" if chain.revolute[j] else "m/s"
+        said = f"{chain.names[j]} reaches {speed[:, j].max():.3g} {unit}, {arm.drives.speed[j]:.3g} is its limit"
+        if fast.all():
+            remedy = "give the --urdf of this arm, or correct its velocity limits"
+            limit = f"all move faster than the URDF allows: {said}"
+            raise BadRecording(f"{recording.source}, joint_states", limit, remedy)
+        count = f"{int(fast.sum())} of {len(q)}"
+        notes.append(f"{count} joint states move faster than the URDF allows ({said}): they are left out.")
+        q, v = q[~fast], v[~fast]
+    rows = np.unique(np.linspace(0, len(q) - 1, most).round().astype(int))
     return q[rows], np.nan_to_num(v[rows]), tuple(notes)
 
 

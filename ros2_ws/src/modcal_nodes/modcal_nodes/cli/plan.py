@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.planning.criteria import ACCURACY, CRITERIA
-from modcal_core.planning.plan import Plan, PlanRequest, plan
+from modcal_core.planning.plan import STARTS, Plan, PlanRequest, plan
 from modcal_core.planning.posture_pool import CANDIDATES
 from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
@@ -24,6 +24,7 @@ from modcal_nodes.cli.stations import read_stations
 
 _NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
+_THOROUGH = 6000, 8  # candidates and starts
 
 
 @click.command("plan")
@@ -35,8 +36,9 @@ _DECIDING = 16  # stations, where none are asked for
     help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
 @click.option(
-    "--stations", type=click.IntRange(min=2), default=None, help="Number of stations. Default with --decide: 16."
-)
+    "--stations", type=click.IntRange(min=2), default=None,
+    help="Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
+)  # fmt: skip
 @click.option(
     "--accuracy-mm", type=click.FloatRange(min=1e-6), default=None,
     help="Use as many stations as needed for this error of the calibrated arm.",
@@ -55,10 +57,15 @@ _DECIDING = 16  # stations, where none are asked for
     "--besides", "measured", type=EXISTING, default=None, metavar="STATIONS",
     help="plan.yaml or CSV of stations that are already measured and count too.",
 )  # fmt: skip
-@click.option("--candidates", type=click.IntRange(10, 20_000), default=CANDIDATES, show_default=True)
 @click.option(
-    "--starts", type=click.IntRange(1, 100), default=2, show_default=True, help="Random starts of the exchange."
-)
+    "--candidates", type=click.IntRange(10, 20_000), default=None,
+    help=f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.",
+)  # fmt: skip
+@click.option(
+    "--starts", type=click.IntRange(1, 100), default=None,
+    help=f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.",
+)  # fmt: skip
+@click.option("--thorough", is_flag=True, help="Look longer for better stations.")
 @click.option(
     "--speed",
     type=click.FloatRange(1e-3),
@@ -103,8 +110,9 @@ def plan_command(
     reading: str,
     fixed: tuple[str, ...],
     measured: Path | None,
-    candidates: int,
-    starts: int,
+    candidates: int | None,
+    starts: int | None,
+    thorough: bool,
     speed: float,
     dwell: float,
     report: Path | None,
@@ -136,9 +144,10 @@ def plan_command(
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
     chain = read_robot(robot, base, tip)
     known = None if measured is None else read_stations(measured, chain)
+    usual = _THOROUGH if thorough else (CANDIDATES, STARTS)
     request = PlanRequest(
-        stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed, starts,
-        candidates, known, returns,
+        stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed,
+        starts or usual[1], candidates or usual[0], known, returns,
     )  # fmt: skip
     with output.working() as watch:
         watch("choosing stations")

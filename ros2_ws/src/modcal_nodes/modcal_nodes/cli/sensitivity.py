@@ -16,6 +16,7 @@ from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
 from modcal_core.planning.designs import DESIGNS, design
 from modcal_core.planning.study import Measured, Study, study
+from modcal_core.planning.variance import ARMS
 from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_html, to_json_data, to_text
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.robots.table_rows import vector
@@ -56,8 +57,10 @@ _COLUMNS = {
     "--levels", type=click.IntRange(2, 31), default=5, show_default=True, help="Levels of --design array; a prime."
 )
 @click.option(
-    "--postures", type=click.IntRange(4, 4096), default=64, show_default=True, help="Postures of --design sobol."
-)
+    "--postures", type=click.IntRange(4, 4096), default=None,
+    help="Postures of --design sobol. Default: 64, with --thorough 512.",
+)  # fmt: skip
+@click.option("--thorough", is_flag=True, help="Draw four times as many arms for the shares of the variance.")
 @click.option("--length-mm", type=click.FloatRange(0.0), default=0.5, show_default=True, help="Errors of lengths.")
 @click.option("--angle-mrad", type=click.FloatRange(0.0), default=1.0, show_default=True, help="Errors of angles.")
 @click.option("--sizes", "sizes_file", type=EXISTING, default=None, help="YAML of other sizes, {NAME or PATTERN: SI}.")
@@ -92,7 +95,8 @@ def sensitivity_command(
     parameters: str,
     kind: str | None,
     levels: int,
-    postures: int,
+    postures: int | None,
+    thorough: bool,
     length_mm: float,
     angle_mrad: float,
     sizes_file: Path | None,
@@ -112,13 +116,13 @@ def sensitivity_command(
     sizes = sizes_of(closed, 1e-3 * length_mm, 1e-3 * angle_mrad, _tolerances(sizes_file))
     rng = np.random.default_rng(seed)
     kind = kind or ("l25" if chain.n <= 6 else "sobol")
-    q = design(chain, kind, rng, levels, postures)
+    q = design(chain, kind, rng, levels, postures or (512 if thorough else 64))
     measured = Measured(read_stations(stations, chain) if stations else q, reading, 1e-3 * noise_mm, 1e-3 * noise_mrad)
     factor = base_factor or next(f.name for f in closed.factors if f.is_length)
     out = out or Path(f"{robot.stem}_sensitivity")
     with output.working() as watch:
         watch("moving each parameter")
-        result = study(closed, q, kind, sizes, factor, measured, rng, bins)
+        result = study(closed, q, kind, sizes, factor, measured, rng, bins, 4 * ARMS if thorough else ARMS)
         watch("writing the report")
         data = to_json_data(result)
         files = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -44,12 +45,15 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.option(
     "--workers", type=click.IntRange(min=1, max=256), default=None, help="Processes. Default: one per processor."
 )
+@click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 def synthesize_command(
-    task_file: Path, library_file: Path | None, seed: int, workers: int | None, out: Path | None
+    task_file: Path, library_file: Path | None, seed: int, workers: int | None, thorough: bool, out: Path | None
 ) -> None:
     """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
     task = task_from_data(read_yaml(task_file), str(task_file))
+    if thorough:
+        task = replace(task, settings=task.settings.longer())
     library = read_library(library_file)
     page = console()
     with _progress(task) as watch:

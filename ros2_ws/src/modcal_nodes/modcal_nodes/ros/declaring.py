@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 from modcal_core.errors import ModcalError
@@ -49,6 +50,26 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
                 descriptor.floating_point_range = [span]
         old = said_under_old_name(node, name)
         node.declare_parameter(name, parameter.default if old is None else old, descriptor)
+    _warn_of_unknown(node, parameters)
+
+
+def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
+    """Say which of the names that files and command line give are no parameter of this node, and which are meant.
+
+    A file may be shared by several nodes, so that this is no reason to refuse the start.
+    """
+    from modcal_nodes.ros.aliases import OLD_NAMES
+
+    given = getattr(node, "_parameter_overrides", {})
+    strange = [name for name in given if not name.startswith("qos_overrides.") and name not in OLD_NAMES.values()]
+    said = []
+    for name in sorted(name for name in strange if not node.has_parameter(name)):
+        like = get_close_matches(name, parameters, 1)
+        said.append(f"{name} is not known{f', {like[0]} is' if like else ''}")
+    if said:
+        text = f"parameters without effect: {'; '.join(said)}: correct the name, or leave it out"
+        node.get_logger().warning(text)
+        node.parameters_without_effect = text  # type: ignore[attr-defined]
 
 
 def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:

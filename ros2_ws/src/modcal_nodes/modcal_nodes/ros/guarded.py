@@ -131,6 +131,7 @@ class GuardedNode(Node):
     """A node whose callbacks cannot end it. Stands first among the bases: ``class Arm(GuardedNode, LifecycleNode)``."""
 
     _faults: CallbackFaults | None = None
+    parameters_without_effect = ""  # what is said of those that no node knows (see declaring.py)
     most_at_once = 100  # messages of one topic before others have their turn
 
     def __init__(self, *args: Any, **options: Any) -> None:

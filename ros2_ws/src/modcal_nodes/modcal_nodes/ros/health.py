@@ -47,6 +47,8 @@ class Health:
             if not self._node.context.ok():
                 raise
             self._node.faults.note("report", error)
+        if said := self._node.parameters_without_effect:
+            statuses.append(Status("parameters", WARN, said))
         return [*statuses, faults_status(self._node.faults)]
 
     def publish(self) -> None:
