@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from cells import samples_of
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, StatedPayload
 from modcal_core.calibration.store import from_data, to_data
+from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
@@ -88,16 +89,20 @@ def test_an_arm_on_a_wall_shows_which_way_weight_pulls(rng: np.random.Generator)
     assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.25 * np.sqrt(3.0) * 0.02
 
 
-@pytest.mark.slow
-def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.random.Generator) -> None:
-    parts = [recorded(rng, 60, carried=kg) for kg in (0.0, 6.0, 3.0)]
-    until = []
-    samples = parts[0]
+def joined(*parts: Samples) -> tuple[Samples, tuple[float, ...]]:
+    """Recordings one after the other, and the stamps between them."""
+    until, samples = [], parts[0]
     for part in parts[1:]:
         later = replace(part, stamps=part.stamps - part.stamps.min() + samples.stamps.max() + 60.0)
         until.append(float(samples.stamps.max()) + 30.0)
         samples = samples.followed_by(later)
-    done = calibrated(samples, Cell(between=tuple(until)))
+    return samples, tuple(until)
+
+
+@pytest.mark.slow
+def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.random.Generator) -> None:
+    samples, until = joined(*(recorded(rng, 60, carried=kg) for kg in (0.0, 6.0, 3.0)))
+    done = calibrated(samples, Cell(between=until))
     loads = done.report.loads
     assert loads is not None
     assert loads.down is None
@@ -127,3 +132,44 @@ def test_a_stated_way_of_weight_is_kept(rng: np.random.Generator) -> None:
     done = calibrated(recorded(rng, 90, WALL), Cell(gravity=tuple(9.81 * WALL)))
     assert done.report.loads is None
     assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
+
+
+@pytest.mark.slow
+def test_stated_payloads_are_loads(rng: np.random.Generator) -> None:
+    samples, until = joined(*(recorded(rng, 60, carried=kg) for kg in (0.0, 6.0)))
+    place = (0.0, 0.02, 0.06)
+    cell = Cell(between=until, payloads=(StatedPayload(0.0), StatedPayload(6.0, place)))
+    done = calibrated(samples, cell)
+    assert done.report.loads is None
+    assert {e.place for e in done.report.effects} == {"shoulder_lift_joint", "elbow_joint", "wrist_1_joint"}
+    for effect in done.report.effects:
+        expected = COMPLIANCE[CHAIN.names.index(effect.place)]
+        assert effect.parameters["compliance"][0] == pytest.approx(expected, rel=0.03)
+    assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
+    with pytest.raises(BadTable, match="payloads: 3 are stated, and recordings: 2"):
+        calibrated(samples, replace(cell, payloads=(StatedPayload(1.0),) * 3))
+
+
+@pytest.mark.slow
+def test_without_masses_recordings_share_a_compliance_per_kg(rng: np.random.Generator) -> None:
+    """Loads at the tip alone, in the second recording 2.5 times those of the first: nothing tells the kilograms."""
+    samples, until = joined(*(recorded_at_tip(rng, 70, kg) for kg in (2.0, 5.0)))
+    done = calibrate(samples, CHAIN, np.random.default_rng(0), Cell(between=until))
+    loads = done.report.loads
+    assert loads is not None
+    assert loads.relative
+    assert [p.mass for p in loads.payloads] == pytest.approx([0.4, 1.0], abs=0.03)
+    sizes = {e.place: e.parameters for e in done.report.effects}
+    assert sizes["elbow_joint"]["compliance_times_mass"][0] == pytest.approx(5.0 * COMPLIANCE[2], rel=0.05)
+    assert "stiffness" not in sizes["elbow_joint"]
+    assert any("per kg" in note for note in done.report.notes)
+    assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
+
+
+def recorded_at_tip(rng: np.random.Generator, count: int, kg: float) -> Samples:
+    """An arm that weighs nothing itself."""
+    q = rng.uniform(-1.6, 1.6, (count, 6))
+    pulled = torques(q, DOWN, kg, np.zeros(3)) - torques(q, DOWN, 0.0, np.zeros(3))
+    T = BASE @ forward(CHAIN, q + COMPLIANCE * pulled) @ TOOL
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
+    return samples_of(CHAIN, q, T)

@@ -32,6 +32,7 @@ from modcal_core.calibration.structure import choose_parameters, parameter_count
 from modcal_core.diagnosis.loads import Loads, weighed, with_arm
 from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
+from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.computed_part import computed_in_part
@@ -94,6 +95,7 @@ def calibrate(
     inertias, absurd = sane_inertias(inertias, chain)
     if cell.gravity is not None:
         inertias = (inertias or weightless(chain.n)).pulled(cell.gravity)
+    samples = with_stated(samples, cell, inertias is not None and inertias.known)
     regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
@@ -105,6 +107,8 @@ def calibrate(
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
     geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
     choice = replace(choice, parameters=geometric.parameters)
+    if geometric.model.arm is not None:
+        geometric = with_arm(geometric, stated_arm(geometric.model.arm, cell))
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
         require_plausible(nominal, geometric, train, samples, cell.distances)
 
@@ -118,8 +122,7 @@ def calibrate(
         def search(fit: Fit) -> Diagnosis:
             return diagnose(fit, train, explain, rng, cell.distances, progress, suspects, known)
 
-        upright = cell.gravity is not None
-        diagnosis, loads = weighed(geometric, train, explain, search, cell.between, cell.distances, upright)
+        diagnosis, loads = weighed(geometric, train, explain, search, cell)
         if loads is not None:
             geometric = with_arm(geometric, loads.arm)
     # when something moved is read from all stations: one next to it that was held out belongs to either side

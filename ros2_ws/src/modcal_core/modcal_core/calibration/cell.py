@@ -26,6 +26,14 @@ WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from whe
 
 
 @dataclass(frozen=True)
+class StatedPayload:
+    """mass [kg] of what the tip carries, and its place in the tip link (3,) [m]."""
+
+    mass: float
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Cell:
     """What is known of the surroundings.
 
@@ -36,6 +44,7 @@ class Cell:
     own_in_recordings: what each of several recordings has of its own. tool: where it is, where that is known. gravity:
     the way in which weight pulls in the base, (3,), of any length; None: as the robot description has it, or the data
     show. between: stamps [s] between recordings that were joined to one, in each of which something else was carried.
+    payloads: what was carried beyond the robot description, in all or in each of the recordings, if that is known.
     """
 
     distances: tuple[AnyDistance, ...] = ()
@@ -49,6 +58,7 @@ class Cell:
     tool: StatedTool | None = None
     gravity: tuple[float, float, float] | None = None
     between: tuple[float, ...] = ()
+    payloads: tuple[StatedPayload, ...] = ()
 
     @property
     def kept(self) -> tuple[str, ...]:

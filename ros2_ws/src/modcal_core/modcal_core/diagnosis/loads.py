@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify, row_weights
 from modcal_core.calibration.linearise import RowView, linearise
@@ -82,23 +83,22 @@ def weighed(
     train: Samples,
     explain: Samples,
     search: Search,
-    until: Sequence[float] = (),
-    distances: Sequence[AnyDistance] = (),
-    upright: bool = False,
+    cell: Cell,
 ) -> tuple[Diagnosis, Loads | None]:
     """The diagnosis with what pulls on the arm as the data show it, and that; None where it is as it was known.
 
-    geometric: the fit of geometry alone. search: makes a diagnosis from such a fit. until: stamps [s] between
-    recordings, each of which may have a payload of its own. upright: the way of weight is stated.
+    geometric: the fit of geometry alone. search: makes a diagnosis from such a fit. cell: what is stated of it is not
+    asked.
     """
     arm = geometric.model.arm
     if arm is None or not is_serial_arm(arm.chain) or _known_by_effort(train):
         return search(geometric), None
-    at = _Weighing(geometric, train, explain, search, tuple(distances))
+    at = _Weighing(geometric, train, explain, search, cell.distances)
     best: Diagnosis | None = None
-    kept = LoadHypothesis(arm, until=tuple(until))
+    stated = {True: cell.gravity is not None, False: bool(cell.payloads)}
+    kept = LoadHypothesis(arm, until=cell.between)
     for tilts in (True, False):
-        if tilts and upright:
+        if stated[tilts]:
             continue
         asked = replace(kept, arm=arm if best is None else _arm_of(best), tilts=tilts, carries=not tilts)
         suspicion = at.suspicion(asked)

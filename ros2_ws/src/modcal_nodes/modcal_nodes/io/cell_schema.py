@@ -54,6 +54,7 @@ SCHEMA = _mapping(
             **_mapping({**_POSE, "std_m": _NUMBER, "std_deg": _NUMBER}, "position_m", "std_m"),
             "type": ["object", "null"],
         },
+        "payloads": _list(_mapping({"mass_kg": _NUMBER, "centre_m": _THREE}, "mass_kg")),
         "gravity": {**_THREE, "type": ["array", "null"]},
         "moved": _list(_mapping({"stamp": _NUMBER, "what": _WHAT}, "stamp", "what")),
         "own_in_recordings": {**_WHAT, "type": ["string"]},

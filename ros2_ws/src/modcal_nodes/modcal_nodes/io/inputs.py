@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, StatedPayload
 from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
 from modcal_core.calibration.locate_instruments import Known
 from modcal_core.calibration.moves import WHATS, Move, What
@@ -39,12 +39,14 @@ STATEMENTS = {
     "instrument_deg": "instrument_deg",
 }
 _LEAST_STD = 1e-7  # m, deg; what is stated better is stated as fixed
+_MOST_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
 _MOST_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
 _AS_STATED = "a number, e.g. repeatability_mm: 0.02"
 _AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
+_AS_PAYLOAD = "{mass_kg: 2.5, centre_m: [0, 0, 0.05]}, in the tip link"
 _AS_GRAVITY = "[0, 0, -9.81], in the base link"
 _AS_TOOL = "{position_m: [0, 0, 0.055], std_m: 0.001}, and with orientation quaternion and std_deg"
 _AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
@@ -97,6 +99,7 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
         None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
         None if data.get("tool") is None else _part(path, _tool, "tool", data["tool"], _AS_TOOL),
         None if data.get("gravity") is None else _part(path, _gravity, "gravity", data["gravity"], _AS_GRAVITY),
+        payloads=tuple(_part(path, _payload, "payloads", p, _AS_PAYLOAD) for p in data.get("payloads") or ()),
     )
 
 
@@ -176,6 +179,14 @@ def _gravity(data: Any) -> tuple[float, float, float]:
     if not 0.0 < np.linalg.norm([x, y, z]) < np.inf:
         raise ValueError("a direction has a length")
     return x, y, z
+
+
+def _payload(data: Mapping[str, Any]) -> StatedPayload:
+    x, y, z = (float(v) for v in data.get("centre_m", (0.0, 0.0, 0.0)))
+    mass = float(data["mass_kg"])
+    if not (0.0 <= mass <= _MOST_KG and np.abs([x, y, z]).max() <= _FARTHEST_M):
+        raise ValueError(f"0 to {_MOST_KG:g} kg within {_FARTHEST_M:g} m of the tip are allowed")
+    return StatedPayload(mass, (x, y, z))
 
 
 def _tool(data: Mapping[str, Any]) -> StatedTool:
