@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from cells import ur10
 from report.reports import warm_cell
 
+from modcal_core.diagnosis.loads import FoundPayload, Loads
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
 from modcal_core.verdict.grounds import Grounds, NotApplied, Regime
@@ -51,6 +54,14 @@ def everything() -> Report:
             regimes=(Regime(0, 11, "tool"),),
             not_applied=(NotApplied("compliance at elbow_joint", "effort was not recorded", 0.004),),
             convention="pose inverted",
+        ),
+        loads=Loads(
+            NominalArm(ur10()),
+            NominalArm(ur10()),
+            np.array([0.6, 0.0, -0.8]),
+            0.01,
+            0.64,
+            (FoundPayload(1.7e9, 2.5, 0.1, np.array([0.0, 0.0, 0.06]), np.full(3, 0.004)),),
         ),
         dropped=(("readings outside the time of the joint states", 12),),
         trace=Trace(date=iso_date(1.7e9), bag_sha256="ab" * 32, robot="ur10", instrument="pose on /tracker/pose"),
