@@ -350,7 +350,7 @@ class Space:
         J = np.zeros((P, rows, N))
         J[:, :3] = now.J[:, : 3 * N].reshape(P, 3, N)
         if rows > 3:
-            J[:, 3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, -1)
+            J[:, 3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, len(view.pose))
         J *= weight[:rows]
         Q = np.zeros((6, N, P))
         Q[:rows] = _orthonormal(J.reshape(P, rows * N), held).reshape(P, rows, N).transpose(1, 2, 0)
