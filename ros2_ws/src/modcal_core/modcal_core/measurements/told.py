@@ -21,8 +21,9 @@ def is_told(x: Array) -> bool:
     if len(x) < 2 or not np.ptp(x) > 0.0:
         return False
     known = np.abs(x[x != 0.0])
-    scaled = known * 10.0 ** (_DIGITS - 1 - np.floor(np.log10(known)))
-    is_round = bool(np.all(np.abs(scaled - np.round(scaled)) <= _SAME * scaled))
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers near the ends of what is a number are not round
+        scaled = known * 10.0 ** (_DIGITS - 1 - np.floor(np.log10(known)))
+        is_round = bool(np.all(np.abs(scaled - np.round(scaled)) <= _SAME * scaled))
     return is_round and float(np.median(np.abs(np.diff(x)))) > _JUMP * float(np.ptp(x))
 
 
