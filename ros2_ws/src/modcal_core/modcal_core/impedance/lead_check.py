@@ -3,8 +3,10 @@
 A servo pulls with its stiffness times the way by which its setpoint leads the tool. A force sensor that is stuck, or
 not connected to what is held, hides that: the setpoint runs on, the hand does not, and what is felt stays small. So the
 tool is compared with where its setpoint was a servo's lag ago, and with what the felt force takes on the softest stack
-that is asked for. Where something is left, the whole lead that is not explained, times the stiffness that is assumed of
-a contact, is force that nobody feels. A sensor that says the same to the last digit while the arm is
+that is asked for. What is left, times the stiffness by which the servos hold the tool, is force that nobody feels. That
+stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers give way by
+does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
+some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
 moved may be stuck, or coarse: what it says explains nothing.
 """
 
@@ -14,6 +16,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 
@@ -21,8 +25,12 @@ _LAGS = 1.5  # servo lags ago the setpoint may have been where the tool is now
 _REMEMBERED = 0.5  # s of setpoints
 _LEAST_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
 _LEAST_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
-_SAME, _SAME_WAY = 10, 2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
+_SAME, _SAME_WAY = 5, 0.2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
 _SOFTER = 3.0  # times softer than a contact may an arm be that is felt
+_SHARE = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
+_LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
+_IN_A_ROW = 2  # measurements, for one may be late
+_SETTLES = 0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
 
 
 @dataclass(frozen=True)
@@ -30,16 +38,23 @@ class Stiffness:
     """What is known beforehand. contact: of hand, arm and object [N/m], by which an unfelt force is judged.
 
     softest: of the stack that follows, by which a felt force is thought to lead [N/m]. lag: of its servo [s].
+    stiffest: of a stiff stack, in any posture [N/m]; 0 where the stack is as compliant as it is asked to be.
     """
 
     contact: float
     softest: float
     lag: float
+    stiffest: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The parameter that states it."""
+        return "arm_stiffness_n_m" if self.stiffest else "stiffness"
 
     @classmethod
-    def of(cls, contact: float, stack: float, lag: float) -> Stiffness:
-        """From the stiffness of a contact, the one that is asked of the stack [N/m], and the servo's lag [s]."""
-        return cls(contact, min(stack, contact / _SOFTER), lag)
+    def of(cls, contact: float, stack: float, lag: float, stiffest: float) -> Stiffness:
+        """From the stiffness of a contact, the ones asked of the stack and at most [N/m], and the servo's lag [s]."""
+        return cls(contact, min(stack, contact / _SOFTER), lag, stiffest)
 
 
 class LeadCheck:
@@ -51,11 +66,16 @@ class LeadCheck:
         self._raw: tuple[float, ...] = ()
         self._stamp = -math.inf
         self._same, self._way = 0, 0.0
+        self._gone, self._sag = 0.0, np.zeros(3)
+        self._beyond = 0
+        self._looked = -math.inf
 
     def sent(self, p: Array, now: float) -> None:
         """Note where the setpoint (3,) [m] is at time ``now`` [s]."""
         if self._sent:
-            self._way += math.dist(p, self._sent[-1][1])
+            step = math.dist(p, self._sent[-1][1])
+            self._way += step
+            self._gone += step
         self._sent.append((now, p.copy()))
         while self._sent[0][0] < now - _REMEMBERED:
             self._sent.popleft()
@@ -85,20 +105,31 @@ class LeadCheck:
         lately = [p for t, p in self._sent if since <= t <= stamp] or [p for t, p in self._sent if t <= stamp][-1:]
         if not lately:
             return 0.0
+        if known.stiffest and self._gone <= _SETTLES:
+            self._sag = tool - lately[-1]
+        tool = tool - self._sag
         explained = 0.0 if self.repeats else force / known.softest
+        left = min(math.dist(p, tool) for p in lately) - explained
+        if known.stiffest:
+            slack = _LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
+            return known.stiffest * max(left - slack, 0.0)
         least = min(_LEAST_LEAD, _LEAST_SHARE * most / known.contact)
-        if min(math.dist(p, tool) for p in lately) - explained <= least:
+        if left <= least:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
 
     def refused(self, tool: Array, force: float, stamp: float, most: float) -> BadCommand | None:
         """Why to let go: more than ``most`` [N] is not felt; None where all is well."""
-        hidden = self.unfelt(tool, force, stamp, most)
-        if hidden <= most:
+        if stamp <= self._looked:
+            return None
+        self._looked = stamp
+        hidden, stiff = self.unfelt(tool, force, stamp, most), self.stiffness.stiffest > 0.0
+        self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
+        if self._beyond < (_IN_A_ROW if stiff else 1):
             return None
         lead = math.dist(self._sent[-1][1], tool)
         said = (
             f"{force:.0f} N are felt{', always the same,' if self.repeats else ''} but the setpoint leads the tool by "
-            f"{1e3 * lead:.0f} mm, which takes {hidden:.0f} N more"
+            f"{1e3 * lead:.1f} mm, which may take {hidden:.0f} N more"
         )
-        return BadCommand("wrench", said, "check the force sensor, servo_lag_s and contact_stiffness_n_m")
+        return BadCommand("wrench", said, f"check the force sensor, servo_lag_s and {self.stiffness.name}")

@@ -39,6 +39,9 @@ _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely 
 _STAND_PATIENCE = 2.0  # s
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RELEASE = 0.6  # s in which the force is let go
+_CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
+_UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
+_TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
 _MOVING = ("explore", "check", "follow")  # phases in which the hand is led
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
@@ -59,6 +62,7 @@ class Operation:
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
+        self._answered = False
         self._delay = 0.0  # s from a touch until the arm begins to brake
         self.expected = self._measured = np.eye(4)
         self._pull: Exploration | None = None
@@ -234,7 +238,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploration_speed, h)
+        ds = self._go(self._unknown_speed(pull.progress(T)), h)
         self.expected = pull.advance(ds, T, h)
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
@@ -244,6 +248,16 @@ class Operation:
         elif pull.way > self.task.max_exploration:
             said = state.event or "no model predicts it"
             self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
+
+    def _unknown_speed(self, progress: float) -> float:
+        """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began.
+
+        A force sensor that has not told of anything may be stuck: until it has, little may come of that.
+        """
+        felt = math.sqrt(self.force[:3] @ self.force[:3])
+        self._answered = (self._answered or felt >= _TOLD) and not self.lead_check.repeats
+        speed = self.task.exploration_speed
+        return speed if self._answered else min(speed, _CREEP if progress < _FREE else max(_CREEP, _UNTOLD * speed))
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and walk along the way in thought."""
@@ -400,5 +414,5 @@ class Operation:
 def _stiffness(task: ImpedanceTask) -> Stiffness:
     """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
     if task.mode == "admittance":
-        return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag)
+        return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag, task.arm_stiffness)
     return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)

@@ -70,6 +70,7 @@ class ImpedanceTask:
     stack: stiffness that is asked of a stiff stack, way and turning. blend: how long new gains take to come in [s].
     servo_lag: how far ahead of the arm a setpoint is that moves steadily [s], and so how late the arm stops.
     gravity (3,): gravity in the base [m/s²]. input_timeout_s: longest silence of an input before it is the end [s].
+    arm_stiffness: of a stiff stack in its stiffest posture, by which a force that is not felt is judged [N/m].
     """
 
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
@@ -89,6 +90,7 @@ class ImpedanceTask:
     gravity: Array = field(default_factory=lambda: DOWN.copy())
     governor: GovernorSettings = field(default_factory=GovernorSettings)
     input_timeout_s: float = 1.0
+    arm_stiffness: float = 100e3
 
     def gains(self, along: Array) -> Gains:
         """The impedance's gains with their first axis along a direction (3,), seen from the tool."""

@@ -49,6 +49,7 @@ _WHILE_PULLING = {
     "max_force_n", "max_moment_nm", "max_speed_m_s", "max_acceleration_m_s2", "max_angular_speed_rad_s",
     "max_angular_acceleration_rad_s2", "max_displacement_m", "max_rotation_rad", "joint_speed_rad_s", "joint_speed_m_s",
     "joint_acceleration_rad_s2", "joint_acceleration_m_s2", "min_gain", "contact_stiffness_n_m",
+    "arm_stiffness_n_m",
 }  # fmt: skip
 _RCLError = rclpy_implementation.RCLError
 

@@ -245,6 +245,9 @@ IMPEDANCE_SETPOINT = {
     "contact_stiffness_n_m": Parameter(
         15e3, "Assumed stiffness of arm, hand and object at a hard stop [N/m].", 100.0, 1e6
     ),
+    "arm_stiffness_n_m": Parameter(
+        100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7
+    ),
     "tare_s": Parameter(0.5, "Duration of the tare [s].", 0.1, 10.0),
     "timeout_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
     "patience_s": Parameter(1.0, "Time that a pull waits for a late input before it is aborted [s].", 0.0, 60.0),
@@ -355,8 +358,8 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "max_force_n max_moment_nm max_speed_m_s max_acceleration_m_s2 max_angular_speed_rad_s "
         "max_angular_acceleration_rad_s2 max_displacement_m max_rotation_rad joint_speed_rad_s joint_speed_m_s "
         "joint_acceleration_rad_s2 joint_acceleration_m_s2 min_gain gravity servo_lag_s contact_stiffness_n_m "
-        "tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre wrench_frame wrench_by_tool "
-        "cutoff_hz timeout_s rate_hz",
+        "arm_stiffness_n_m tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre wrench_frame "
+        "wrench_by_tool cutoff_hz timeout_s rate_hz",
     ),
     "acceleration_limits": (
         ACCELERATION_LIMITS,

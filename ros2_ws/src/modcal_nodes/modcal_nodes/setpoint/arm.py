@@ -97,6 +97,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
             contact_stiffness=chosen["contact_stiffness_n_m"],
         ),
         input_timeout_s=chosen["patience_s"],
+        arm_stiffness=chosen["arm_stiffness_n_m"],
     )
     out.gains(out.direction)  # refuses what is no gain, and no direction
     if out.mode == "admittance":
