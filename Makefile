@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera constants closed-loop \
-	soak chaos kills live long-bag doors articulation control-tick synthesis modular planning limits delta real-arms outside docs reference wheel lock clean
+	soak chaos kills live long-bag doors articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -127,6 +127,9 @@ outside: setup-test build  ## the outer fifth of real arms' postures, frozen, by
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo
 	@$(PY) bench/pose_planning.py $(BENCH_ARGS)
+
+measure: setup-test build  ## stations until an accuracy is proven, chosen and at random; BENCH_ARGS="goal --cells 6"
+	@$(PY) bench/measure/run.py $(BENCH_ARGS)
 
 limits: setup-test build  ## a pick and place within torque limits and within constant ones, played in MuJoCo
 	@$(PY) bench/limits.py $(BENCH_ARGS)

@@ -99,10 +99,12 @@ def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> f
     measurer = Replay(offered)
     pool = of_recording(offered.q, np.random.default_rng(seed))
     goal = Goal(None, stations=max(int(grid.limit * len(offered)), 20))
-    advisor = Advisor(robot.mechanism, pool, goal, seed, None, robot.inertias, planned)
     session = Session(robot.names, POSE if measurer.kind == POSE else POINT)
     reached: int | None = None
     while True:
+        # half as many again each time: what is asked is how few do, not how few one could stop at
+        batch = max(12, len(session.rows()) // 2)
+        advisor = Advisor(robot.mechanism, pool, goal, seed, None, robot.inertias, planned, batch)
         advice = advisor.advise(session)
         session = advice.session
         if advice.refitted is not None:

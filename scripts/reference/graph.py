@@ -43,6 +43,7 @@ DECIDING = {
     "articulation_estimator": [("input", topic) for topic in ("tool_pose", "tracker/pose", "tracker/point")],
     "simulated_cell": [("measurement", "point"), ("publish_clock", "true")],
     "simulated_furniture": [("publish_clock", "true")],
+    "station_runner": [("measurement", "point")],
 }
 EVERY_NODE = {"/rosout", "/parameter_events"}
 EVERY_NODES_SERVICES = ("rcl_interfaces", "type_description_interfaces")

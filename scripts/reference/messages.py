@@ -221,6 +221,11 @@ MEANINGS: dict[str, dict[str, str]] = {
     "door_demo simulated_furniture/contact_force": {"wrench.force": "N; the largest is said in the end"},
     "door_demo joint_states": {"header.stamp": STAMP, "name": "of the arm", "position": "rad, m; the way of the hand is learned from"},
     "trajectory_sender ~/joint_trajectory": TRAJECTORY,
+    "station_runner ~/joint_trajectory": {
+        "header.stamp": "zero: from now on",
+        "joint_names": "of the arm, base to tip",
+        "points": "positions, velocities and time_from_start of the way to a station, at rest at its end; a single point holds the arm",
+    },
 }  # fmt: skip
 SERVICES = {
     "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",

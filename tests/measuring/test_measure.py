@@ -27,7 +27,7 @@ from modcal_core.planning.site import Site
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
-from modcal_nodes.measuring.measurers import SimulatedCell
+from modcal_nodes.measuring.measurers import CellInProcess
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
@@ -35,10 +35,10 @@ CHAIN = read_chain(URDF.read_text())
 LIMITS = {name: (-1.8, 1.8) for name in CHAIN.names}
 
 
-def cell(**chosen: Any) -> SimulatedCell:
+def cell(**chosen: Any) -> CellInProcess:
     usual = {name: p.default for name, p in SIMULATED_CELL.items()}
     given = {"measurement": "point", "noise_m": 2e-5, "seed": 3, **chosen}
-    return SimulatedCell({**usual, "urdf": str(URDF), **given})
+    return CellInProcess({**usual, "urdf": str(URDF), **given})
 
 
 def advisor(goal: Goal, **options: Any) -> Advisor:
@@ -46,7 +46,7 @@ def advisor(goal: Goal, **options: Any) -> Advisor:
     return Advisor(CHAIN, pool, goal, 0, None, read_inertias(URDF.read_text(), CHAIN), **options)
 
 
-def measured(advising: Advisor, by: SimulatedCell, session: Session | None = None, until: int = 1000) -> Advice:
+def measured(advising: Advisor, by: CellInProcess, session: Session | None = None, until: int = 1000) -> Advice:
     session = session or Session(CHAIN.names)
     while True:
         advice = advising.advise(session)
@@ -57,7 +57,7 @@ def measured(advising: Advisor, by: SimulatedCell, session: Session | None = Non
             session = session.with_station(number, by.measure(session.stations[number]))
 
 
-def true_error(advice: Advice, by: SimulatedCell, rng: np.random.Generator) -> float:
+def true_error(advice: Advice, by: CellInProcess, rng: np.random.Generator) -> float:
     """RMS [m] over random postures: where the model has the tool, against MuJoCo."""
     q = rng.uniform(-1.8, 1.8, (200, CHAIN.n))
     exact = np.array([(by.plant.world.T_tracker_base @ by.plant.world.tool_in_base(row))[:3, 3] for row in q])
@@ -66,7 +66,7 @@ def true_error(advice: Advice, by: SimulatedCell, rng: np.random.Generator) -> f
     return float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - exact) ** 2, axis=1))))
 
 
-Whole = tuple[Advice, SimulatedCell]
+Whole = tuple[Advice, CellInProcess]
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measuring.motion import Motion, free_way, from_side, is_free, timed
+from modcal_core.measuring.motion import TimedMotion, free_way, from_side, is_free, timed
 from modcal_core.measuring.session import MEASURED, UNSEEN, Station
-from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, Joints, Rules, Runner
+from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
 
 GOAL = np.array([0.4, -0.2])
 SPEED = np.full(2, 0.5)
@@ -18,7 +18,7 @@ PERIOD = 0.02
 RULES = Rules(stale=0.2, off=0.05, arrived=0.01, settle=0.2, patience=1.0, readings=4)
 
 
-def moving() -> tuple[Runner, Motion]:
+def moving() -> tuple[Runner, TimedMotion]:
     runner = Runner(np.full(2, -1.0), np.full(2, 1.0), RULES)
     motion = timed([np.zeros(2), GOAL], SPEED)
     runner.begin(7, Station(GOAL), motion, 0.0)
@@ -26,13 +26,13 @@ def moving() -> tuple[Runner, Motion]:
 
 
 def followed(
-    runner: Runner, motion: Motion, until: float, late: float = 0.0, read: bool = True
+    runner: Runner, motion: TimedMotion, until: float, late: float = 0.0, read: bool = True
 ) -> tuple[float, object]:
     """The first answer of a runner whose arm follows so many seconds late, and when it came."""
     now = 0.0
     while now < until:
         now += PERIOD
-        answer = runner.tick(now, Joints(motion.at(max(now - late, 0.0)), now))
+        answer = runner.tick(now, JointReport(motion.at(max(now - late, 0.0)), now))
         if answer is not None:
             return now, answer
         if read:
@@ -68,13 +68,13 @@ def test_a_station_without_readings_is_not_seen() -> None:
 def test_stale_joint_states_hold_the_arm_within_one_period_of_the_limit() -> None:
     runner, motion = moving()
     last = 0.3
-    assert runner.tick(last, Joints(motion.at(last), last)) is None
-    assert runner.tick(last + RULES.stale, Joints(motion.at(last), last)) is None
-    answer = runner.tick(last + RULES.stale + PERIOD, Joints(motion.at(last), last))
+    assert runner.tick(last, JointReport(motion.at(last), last)) is None
+    assert runner.tick(last + RULES.stale, JointReport(motion.at(last), last)) is None
+    answer = runner.tick(last + RULES.stale + PERIOD, JointReport(motion.at(last), last))
     assert isinstance(answer, Hold)
     assert "older than 0.2 s" in answer.why
     assert runner.phase == HELD
-    assert runner.tick(1.0, Joints(motion.at(1.0), 1.0)) is None  # and nothing more is sent
+    assert runner.tick(1.0, JointReport(motion.at(1.0), 1.0)) is None  # and nothing more is sent
 
 
 def test_an_arm_that_does_not_follow_is_held() -> None:
@@ -82,7 +82,7 @@ def test_an_arm_that_does_not_follow_is_held() -> None:
     now, answer = 0.0, None
     while answer is None:
         now += PERIOD
-        answer = runner.tick(now, Joints(np.zeros(2), now))
+        answer = runner.tick(now, JointReport(np.zeros(2), now))
     assert isinstance(answer, Hold)
     assert "from its way" in answer.why
     assert np.allclose(answer.q, 0.0)
@@ -100,14 +100,14 @@ def test_an_arm_that_stops_short_is_held() -> None:
     now, answer = 0.0, None
     while answer is None:
         now += PERIOD
-        answer = runner.tick(now, Joints(motion.at(now) - np.array([min(now, 1.0) * 0.03, 0.0]), now))
+        answer = runner.tick(now, JointReport(motion.at(now) - np.array([min(now, 1.0) * 0.03, 0.0]), now))
     assert isinstance(answer, Hold)
     assert "did not arrive" in answer.why
 
 
 def test_a_joint_outside_its_limits_holds_the_arm() -> None:
     runner, _ = moving()
-    answer = runner.tick(PERIOD, Joints(np.array([1.1, 0.0]), PERIOD))
+    answer = runner.tick(PERIOD, JointReport(np.array([1.1, 0.0]), PERIOD))
     assert isinstance(answer, Hold)
     assert "joint 1 is outside its limits" in answer.why
 
@@ -117,8 +117,8 @@ def test_an_arm_that_is_pushed_while_it_is_read_is_held() -> None:
     now = 0.0
     while runner.phase != "reading":
         now += PERIOD
-        assert runner.tick(now, Joints(motion.at(now), now)) is None
-    answer = runner.tick(now + PERIOD, Joints(GOAL + 0.05, now + PERIOD))
+        assert runner.tick(now, JointReport(motion.at(now), now)) is None
+    answer = runner.tick(now + PERIOD, JointReport(GOAL + 0.05, now + PERIOD))
     assert runner.phase == HELD
     assert answer is None  # nothing moves that could be stopped
 

@@ -38,8 +38,8 @@ LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
-LAYERS["measuring"] = LAYERS["planning"] | LAYERS["diagnosis"] | {"correction", "verdict", "measuring"}
 LAYERS["checking"] = LAYERS["diagnosis"] | {"checking"}
+LAYERS["measuring"] = LAYERS["verdict"] | {"planning", "measuring"}
 LAYERS["report"] = {*LAYERS, "report", "top"}
 LAYERS["top"] = {*LAYERS, "top"}
 

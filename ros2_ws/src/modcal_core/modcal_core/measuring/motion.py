@@ -19,7 +19,7 @@ Free = Callable[[Array], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Motion:
+class TimedMotion:
     """t: [s] from its beginning, rising, (k,). q, v: postures and joint speeds there, (k, n); at rest at its end."""
 
     t: Array
@@ -65,7 +65,7 @@ def from_side(goal: Array, approach: Array, amount: float = 0.05) -> Array:
     return np.asarray(goal - amount * approach)
 
 
-def timed(way: list[Array], speed: Array) -> Motion:
+def timed(way: list[Array], speed: Array) -> TimedMotion:
     """The motion along these postures, at rest at each, no joint faster than its speed (n,) [rad/s, m/s]."""
     t, q, v = [0.0], [way[0]], [np.zeros_like(way[0])]
     for a, b in pairwise(way):
@@ -77,4 +77,4 @@ def timed(way: list[Array], speed: Array) -> Motion:
             t.append(begin + u * duration)
             q.append(a + (b - a) * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5))
             v.append((b - a) * 30.0 * u**2 * (1.0 - u) ** 2 / duration)
-    return Motion(np.array(t), np.array(q), np.array(v))
+    return TimedMotion(np.array(t), np.array(q), np.array(v))

@@ -40,6 +40,7 @@ _PLAIN = (
     ("gear_ratio", "linear"),
 )
 _CYCLES = 2.0  # a turn, at most, of a suspected wobble or harmonic
+_ROUNDS = 40  # in which stations are chosen, at most; up to as many they are chosen one by one
 _WIDEST = 10.0  # m, rad; a prior beyond it holds nothing
 _NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
 _SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried; weighs as much as one station
@@ -89,17 +90,19 @@ class Outlook:
         chosen: list[int] = []
         after: list[Array] = []
         free = np.array(weight, dtype=float)
-        for _ in range(min(count, int(np.sum(free > 0.0)))):
+        count = min(count, int(np.sum(free > 0.0)))
+        while len(chosen) < count:
             P = np.linalg.inv(H)
             JP = (J.reshape(-1, J.shape[2]) @ P).reshape(J.shape)
             S = JP @ J.transpose(0, 2, 1) + np.eye(J.shape[1])
             seen = (JP.reshape(-1, J.shape[2]) @ self.gamma).reshape(J.shape) @ JP.transpose(0, 2, 1)
             gained = free * np.trace(np.linalg.solve(S, seen), axis1=1, axis2=2)
-            j = int(np.argmax(gained))
-            free[j] = 0.0
-            H = H + J[j].T @ J[j]
-            chosen.append(j)
-            after.append(H)
+            # of many stations several are taken at once, for time
+            for j in np.argsort(-gained, kind="stable")[: min(max(1, count // _ROUNDS), count - len(chosen))].tolist():
+                free[j] = 0.0
+                H = H + J[j].T @ J[j]
+                chosen.append(j)
+                after.append(H)
         return chosen, after
 
 

@@ -28,7 +28,7 @@ _TURNING, _SLIDING = ("revolute", "continuous"), ("prismatic",)
 
 
 @dataclass(frozen=True)
-class Touch:
+class LinkContact:
     """Two things that touch, by name, and how deep [m]."""
 
     one: str
@@ -73,7 +73,7 @@ class CollisionModel:
         if always:
             self._load(always)
 
-    def touches(self, q: Array) -> list[Touch]:
+    def touches(self, q: Array) -> list[LinkContact]:
         """What touches at a posture (n,), each pair of links once."""
         self._data.qpos[:] = 0.0
         self._data.qpos[self._at] = q
@@ -86,7 +86,7 @@ class CollisionModel:
             pair = tuple(sorted(self._body(int(g)) for g in (contact.geom1, contact.geom2)))
             depth = self._margin - float(contact.dist)
             found[pair] = max(found.get(pair, -np.inf), depth)  # type: ignore[index,arg-type]
-        return [Touch(one, other, depth) for (one, other), depth in found.items()]
+        return [LinkContact(one, other, depth) for (one, other), depth in found.items()]
 
     def _body(self, geom: int) -> str:
         return str(self._model.body(int(self._model.geom_bodyid[geom])).name)

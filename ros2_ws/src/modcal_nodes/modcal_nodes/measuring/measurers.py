@@ -83,7 +83,7 @@ class Replay:
         i = station.row
         s = self.samples
         reading = np.r_[s.reading[i], so3.to_quaternion(s.R[i])] if self.kind == POSE else s.reading[i]
-        stamp = float(s.stamps[i]) if s.clock else float("nan")
+        stamp = float(s.stamps[i])  # an order at least, which is not that in which stations are chosen
         sigma = float(s.sigma_position[i])
         effort: Array | None = s.effort[i] if np.isfinite(s.effort[i]).all() else None
         return replace(

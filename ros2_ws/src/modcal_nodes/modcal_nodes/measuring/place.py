@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measuring.advice import Advice, Advisor
 from modcal_core.measuring.goal import Goal
-from modcal_core.measuring.motion import Motion, free_way, from_side, timed
+from modcal_core.measuring.motion import TimedMotion, free_way, from_side, timed
 from modcal_core.measuring.pool import Pool, of_robot
 from modcal_core.measuring.session import Session, Station
 from modcal_core.planning.posture_pool import with_limits
@@ -31,11 +31,11 @@ _SIDE = 0.05  # rad or m from which a station is come to where the side matters
 
 
 @dataclass(frozen=True)
-class Way:
+class StationWay:
     """How to go to a station: its number, and the motion, None where there is no free one."""
 
     number: int
-    motion: Motion | None
+    motion: TimedMotion | None
 
 
 class Place:
@@ -115,7 +115,7 @@ class Place:
             out[inside] = clearance(self._spheres, self.site, q[inside]) >= 0.0
         return out
 
-    def way(self, number: int, start: Array, speed: float) -> Way:
+    def way(self, number: int, start: Array, speed: float) -> StationWay:
         """How to go to a pending station from a posture (n,), no joint faster than the speed [rad/s, m/s]."""
         station = self.session.stations[number]
         goal = station.asked
@@ -125,7 +125,7 @@ class Place:
             before = free_way(start, beside, self.free, self.pool.where)
             last = None if before is None else free_way(beside, goal, self.free, self.pool.where[:0])
             via = None if before is None or last is None else [*before, goal]
-        return Way(number, None if via is None else timed(via, np.full(len(goal), speed)))
+        return StationWay(number, None if via is None else timed(via, np.full(len(goal), speed)))
 
     def require_free(self, q: Array) -> None:
         """Raises BadRobot where the arm cannot begin from a posture (n,)."""

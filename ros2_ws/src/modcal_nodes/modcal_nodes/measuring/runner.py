@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measuring.motion import Motion
+from modcal_core.measuring.motion import TimedMotion
 from modcal_core.measuring.session import UNSEEN, Station
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"
@@ -38,7 +38,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Joints:
+class JointReport:
     """What the joints report: q (n,), and when it was received [s]; effort (n,), NaN where not sent."""
 
     q: Array
@@ -50,7 +50,7 @@ class Joints:
 class Send:
     """Send this motion to the controller."""
 
-    motion: Motion
+    motion: TimedMotion
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Runner:
     why: str = ""
     _number: int = -1
     _station: Station | None = None
-    _motion: Motion | None = None
+    _motion: TimedMotion | None = None
     _began: float = 0.0
     _since: float = 0.0
     _stood: Array | None = None
@@ -96,7 +96,7 @@ class Runner:
         """Whether a station is being measured."""
         return self.phase in (MOVING, SETTLING, READING)
 
-    def begin(self, number: int, station: Station, motion: Motion, now: float) -> Send:
+    def begin(self, number: int, station: Station, motion: TimedMotion, now: float) -> Send:
         """Go to a station. Only from idle, and one at a time."""
         assert self.phase == IDLE, self.phase
         self.phase, self._number, self._station = MOVING, number, station
@@ -120,7 +120,7 @@ class Runner:
         if self.phase == READING and received >= self._since and len(self._read) < self.rules.readings:
             self._read.append((stamp, reading))
 
-    def tick(self, now: float, joints: Joints | None) -> Answer:
+    def tick(self, now: float, joints: JointReport | None) -> Answer:
         """What to do now."""
         if not self.busy:
             return None
@@ -133,7 +133,7 @@ class Runner:
             return self._move(now, joints)
         return self._stand(now, joints)
 
-    def _move(self, now: float, joints: Joints) -> Answer:
+    def _move(self, now: float, joints: JointReport) -> Answer:
         assert self._motion is not None
         after = now - self._began
         # a controller lags behind: what counts is how far the arm is from where it should be now or a moment ago
@@ -152,7 +152,7 @@ class Runner:
             return self.hold(joints.q, f"the arm did not arrive: {missing:.3f} rad or m are missing", now)
         return None
 
-    def _stand(self, now: float, joints: Joints) -> Answer:
+    def _stand(self, now: float, joints: JointReport) -> Answer:
         assert self._stood is not None
         if np.abs(joints.q - self._stood).max() > self.rules.still:
             if self.phase == READING and np.abs(joints.q - self._stood).max() > self.rules.arrived:

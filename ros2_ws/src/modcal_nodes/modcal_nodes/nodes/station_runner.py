@@ -21,12 +21,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measuring.advice import Advice
-from modcal_core.measuring.motion import Motion
+from modcal_core.measuring.motion import TimedMotion
 from modcal_core.measuring.session import SKIPPED, UNSEEN
 from modcal_msgs_py.commands import JointInput
 from modcal_msgs_py.stamps import seconds, set_seconds
-from modcal_nodes.measuring.place import Place, Way
-from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, Joints, Rules, Runner, Send
+from modcal_nodes.measuring.place import Place, StationWay
+from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner, Send
 from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
@@ -307,7 +307,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         if self._chosen["yes"] and self._active:
             self._begin()
 
-    def _go(self, way: Way) -> None:
+    def _go(self, way: StationWay) -> None:
         """Begin the motion to a station, if it may still be begun."""
         place, runner = self._place, self._runner
         assert place is not None
@@ -341,7 +341,7 @@ class StationRunner(GuardedNode, LifecycleNode):
     def _send(self, sent: Send) -> None:
         self._publish(sent.motion)
 
-    def _publish(self, motion: Motion) -> None:
+    def _publish(self, motion: TimedMotion) -> None:
         assert self._place is not None
         message = JointTrajectory(joint_names=list(self._place.robot.names))  # without a stamp: from now on
         for after, q, v in zip(motion.t[1:], motion.q[1:], motion.v[1:], strict=True):
@@ -355,7 +355,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         if hold is None or self._place is None:
             return
         still = np.zeros_like(hold.q)
-        self._publish(Motion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
+        self._publish(TimedMotion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
 
     def _think(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Do something that takes long elsewhere, so that every period is kept; one at a time."""
@@ -373,7 +373,7 @@ class StationRunner(GuardedNode, LifecycleNode):
     def _position(self) -> Array | None:
         return None if self._joints is None or self._joints.missing() else self._joints.position.copy()
 
-    def _now_joints(self, require: bool = False) -> Joints | None:
+    def _now_joints(self, require: bool = False) -> JointReport | None:
         """What the joints report; None while some were never heard of. require: raises BadCommand for old ones."""
         if require:
             if self._joints is None:
@@ -383,7 +383,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         if q is None or self._joints is None:
             return None
         effort = self._joints.effort.copy()
-        return Joints(q, self._received, effort if np.isfinite(effort).all() else None)
+        return JointReport(q, self._received, effort if np.isfinite(effort).all() else None)
 
     def _clock_now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
