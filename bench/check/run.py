@@ -124,11 +124,11 @@ def said(found: Checked) -> Result:
     }
 
 
-def runs(cells: int, each: int, nothing: int) -> Iterator[tuple[str, str, int, str, int]]:
+def runs(cells: int, each: int, nothing: int, setups: tuple[str, ...]) -> Iterator[tuple[str, str, int, str, int]]:
     """(setup, robot, seed, kind, number) of all checks, in rounds, so that a table grows evenly."""
     for seed in range(cells):
         robot = ROBOTS[seed % len(ROBOTS)]
-        for setup in SETUPS:
+        for setup in setups:
             kinds = ("camera", "base", "joint_zero") if setup == "camera" else KINDS
             for i in range(nothing):
                 yield setup, robot, seed, "nothing", i
@@ -175,6 +175,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=12)
     parser.add_argument("--each", type=int, default=5, help="checks of each kind in a cell")
     parser.add_argument("--nothing", type=int, default=25, help="checks in a cell while nothing has changed")
+    parser.add_argument("--setups", default=",".join(SETUPS), help="some of them, separated by commas")
     parser.add_argument("--stations", type=int, default=10)
     parser.add_argument("--full", type=int, default=1, help="of each kind in a cell, beside a full recalibration")
     parser.add_argument("--seed", type=int, default=0, help="another seed is another set of cells")
@@ -185,7 +186,7 @@ def main() -> None:
     key = ("setup", "robot", "seed", "kind", "number")
     have = {tuple(r[k] for k in key) for r in done}
     now: tuple[Any, ...] = ()
-    for run in runs(asked.cells, asked.each, asked.nothing) if not asked.table else ():
+    for run in runs(asked.cells, asked.each, asked.nothing, tuple(asked.setups.split(","))) if not asked.table else ():
         setup, robot, number, kind, i = run
         seed = number + 1000 * asked.seed
         if (setup, robot, seed, kind, i) in have:

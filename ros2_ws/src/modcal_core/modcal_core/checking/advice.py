@@ -59,7 +59,7 @@ def telling_stations(change: FittedChange, calibration: Calibration, model: Mode
     chosen = list(range(len(samples)))
     for _ in range(min(STATIONS, len(pool))):
         inside = np.isin(sample, chosen)
-        gap = np.full(len(rows), np.inf)
+        gap = np.bincount(sample, moved**2, len(rows))  # noise alone would leave the whole motion unexplained
         for A in rivals:
             fit = np.linalg.lstsq(A[inside], moved[inside], rcond=1e-9)[0]
             gap = np.minimum(gap, np.bincount(sample, (moved - A @ fit) ** 2, len(rows)))

@@ -28,6 +28,8 @@ from modcal_core.measurements.samples import Samples
 FACTORS = (0.71, 0.84, 1.0, 1.19, 1.41, 1.68)  # of the spread
 _FACTOR_STD = 0.2  # of its logarithm: a spread of 160 stations is known to 3 %, that of another day to some 20 %
 JOINT_SHARES = (0.0, 0.3, 0.6, 0.9)  # of the spread that joints make, as far as its size allows
+_ONE_JOINT = 0.3  # prior that the pattern is that of one joint
+_OF_ONE = (1.0, 1.41)  # factors of the spread beside it
 _ALIKE = 0.6  # rad or m, over all joints: postures this far apart share 61 % of a pattern
 _LARGE = 400  # rows, beyond which a coarser grid is kept: it is then known well from the data
 
@@ -106,21 +108,33 @@ def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known:
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])
     J = parameter_rows(model, view, drivers, known.parameters, known.effects)
     own = J.T @ known.covariance[: len(J), : len(J)] @ J if len(J) else np.zeros((len(residual),) * 2)
-    joints, share = _of_joints(model, samples, view, rows)
+    own_joint = [_of_joint(p, samples, view, rows) for p in _turning(model)]
+    joints, share = _together(own_joint, rows)
     pattern = _pattern(samples, rows) * np.sqrt(np.outer(rows.variance, rows.variance))
+    turned = (rows.component >= 3).astype(int)
+
+    def spread(part: float, common: Array) -> Array:
+        white = np.diag(rows.variance * (1.0 - part * share[turned]))
+        return (1.0 - known.pattern) * (white + part * joints) + known.pattern * common
+
     fine = len(residual) <= _LARGE
-    covariances, priors = [], []
+    members: list[tuple[Array, float]] = []  # covariance of the spread, and the logarithm of its prior
     reference = 0
     for factor in FACTORS if fine else FACTORS[2:3]:
         for part in JOINT_SHARES if fine else JOINT_SHARES[1:3]:
-            white = np.diag(rows.variance * (1.0 - part * share[(rows.component >= 3).astype(int)]))
-            spread = (1.0 - known.pattern) * (white + part * joints) + known.pattern * pattern
             if factor == 1.0 and part == JOINT_SHARES[1]:
-                reference = len(covariances)
-            covariances.append(own + factor**2 * spread + np.diag(rows.known))
-            priors.append(-0.5 * (np.log(factor) / _FACTOR_STD) ** 2)
-    log_prior = np.array(priors) - scipy.special.logsumexp(priors)
-    return NullModel(residual, tuple(covariances), log_prior, reference, rows)
+                reference = len(members)
+            members.append((factor**2 * spread(part, pattern), -0.5 * (np.log(factor) / _FACTOR_STD) ** 2))
+    # the pattern that is left may be one joint's, as of a gear whose curve was too fine to be found
+    usual = float(scipy.special.logsumexp([p for _, p in members]))
+    if known.pattern > 0.0 and own_joint:
+        each = np.log(_ONE_JOINT / (1.0 - _ONE_JOINT) / (len(own_joint) * len(_OF_ONE))) + usual
+        for T, size in own_joint:
+            single = T + np.diag(rows.variance * (1.0 - size[turned]))
+            members += [(factor**2 * spread(JOINT_SHARES[1], single), each) for factor in _OF_ONE]
+    log_prior = np.array([p for _, p in members])
+    log_prior -= scipy.special.logsumexp(log_prior)
+    return NullModel(residual, tuple(own + V + np.diag(rows.known) for V, _ in members), log_prior, reference, rows)
 
 
 def parameter_rows(
@@ -132,22 +146,38 @@ def parameter_rows(
     return np.concatenate([geometry, *(view.moved_by(t)[None] for t in terms)]) if terms else geometry
 
 
-def _of_joints(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
-    """Covariance (n, n) of joints that repeat alike, as large as the spread allows; its share of either variance."""
+def _turning(model: Model) -> list[tuple[int, int]]:
+    """Place and direction of every joint that turns."""
     chain = model.chain
-    place = [(chain.first_place + j, 5 if chain.revolute[j] else 2) for j in range(len(chain.names))]
-    turning = [p for j, p in enumerate(place) if chain.revolute[j]]
-    if not turning:
-        return np.zeros((len(rows.sample),) * 2), np.zeros(2)
-    G = np.stack([view.unit_column(*p) for p in turning], axis=1)
-    square = np.sum(G**2, axis=1)
-    turned = rows.component >= 3
-    size = [
-        float(square[part].mean() / rows.variance[part].mean()) if part.any() else 0.0 for part in (~turned, turned)
-    ]
+    return [(chain.first_place + j, 5) for j in range(len(chain.names)) if chain.revolute[j]]
+
+
+def _of_joint(at: tuple[int, int], samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
+    """Covariance (n, n) of a joint that repeats badly, as large as the spread allows; its share of either variance."""
+    g = view.unit_column(*at)
+    size = _sizes(g**2, rows)
     tau2 = 1.0 / max(*size, 1e-300)
     same = samples.station[rows.sample][:, None] == samples.station[rows.sample]
-    return tau2 * (G @ G.T) * same, np.minimum(tau2 * np.array(size), 1.0)
+    return tau2 * np.outer(g, g) * same, np.minimum(tau2 * np.array(size), 1.0)
+
+
+def _sizes(square: Array, rows: RowKinds) -> tuple[float, float]:
+    """Mean squares of positions and orientations, in the variances of the spread."""
+    turned = rows.component >= 3
+    position, rotation = (
+        float(square[part].mean() / rows.variance[part].mean()) if part.any() else 0.0 for part in (~turned, turned)
+    )
+    return position, rotation
+
+
+def _together(each: list[tuple[Array, Array]], rows: RowKinds) -> tuple[Array, Array]:
+    """The same of all joints, each with an equal share of what the spread allows."""
+    if not each:
+        return np.zeros((len(rows.sample),) * 2), np.zeros(2)
+    total = np.sum([T for T, _ in each], axis=0)
+    size = _sizes(np.diag(total), rows)
+    scale = 1.0 / max(*size, 1e-300)
+    return scale * total, np.minimum(scale * np.array(size), 1.0)
 
 
 def _pattern(samples: Samples, rows: RowKinds) -> Array:

@@ -230,7 +230,9 @@ class CheckState:
         return np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
 
     def columns(self, hypothesis: CellChange) -> Array:
-        """Of a change, at this model."""
+        """Of a change, at this model; none of noise, which has no size."""
+        if hypothesis.kind == NOISE:
+            return np.zeros((len(self.residual), 0))
         if hypothesis.curve >= 0:
             return curve_columns(hypothesis.curve, self.model, self.view)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
