@@ -13,7 +13,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.naming import named
-from modcal_core.checking.outcome import Advice, NamedChange, Noticed, Status
+from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
 from modcal_core.checking.recognise import recognised
 from modcal_core.checking.repair import repaired
 from modcal_core.checking.search import CheckState, FoundChanges, search
@@ -50,7 +50,7 @@ class Checked:
     stations: int
     aside: tuple[int, ...]
     noticed: tuple[Noticed, ...]
-    advice: Advice
+    advice: Recommendation
     repaired: Calibration | None
     report: Report
     joints: tuple[str, ...]

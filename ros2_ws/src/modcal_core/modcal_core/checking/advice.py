@@ -12,7 +12,7 @@ from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, hypotheses
 from modcal_core.checking.known import FrozenCalibration
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.outcome import Advice, Noticed
+from modcal_core.checking.outcome import Noticed, Recommendation
 from modcal_core.checking.search import FALSE_ALARM, CheckState, FittedChange, FoundChanges
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -130,17 +130,19 @@ def _needed(k: int, n: int, log_prior: float) -> float:
     return np.inf
 
 
-def advise(found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool]) -> Advice:
+def advise(
+    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool]
+) -> Recommendation:
     """What to do."""
     changes = found.changes
     if found.more:
-        return Advice(
+        return Recommendation(
             "calibrate_again",
             "Calibrate again: what is left after the changes above is no noise. Check first that robot, tool and "
             "instrument are those of the calibration.",
         )
     if not changes:
-        return Advice("nothing", "Nothing needs to be done.")
+        return Recommendation("nothing", "Nothing needs to be done.")
     curve = next((c for c in changes if c.hypothesis.curve >= 0), None)
     if curve is not None:
         stations = telling_stations(curve, calibration, frozen.model, found.samples)
@@ -148,21 +150,21 @@ def advise(found: FoundChanges, calibration: Calibration, frozen: FrozenCalibrat
             f"Measure these {len(stations)} stations as well, which cover the range of {curve.hypothesis.place}, and "
             "check again with all of them; if the curve then has no simple form, calibrate again."
         )
-        return Advice("add_stations", said, stations)
+        return Recommendation("add_stations", said, stations)
     for change, same in zip(changes, everywhere, strict=True):
         if change.same_as and not same and change.hypothesis.kind != NOISE:
             stations = telling_stations(change, calibration, frozen.model, found.samples)
             rivals = " and ".join((change.judged.label, *(j.label for j in change.same_as)))
             said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
-            return Advice("add_stations", said, stations)
+            return Recommendation("add_stations", said, stations)
     kinds = {c.hypothesis.kind for c in changes}
     if kinds == {NOISE}:
-        return Advice(
+        return Recommendation(
             "check_instrument",
             "Look at the instrument (line of sight, a loose target, its warm-up) and check again; the model may stay.",
         )
     if kinds <= {BASE, FRAME}:
-        return Advice(
+        return Recommendation(
             "refit_base", "Use the repaired model: it differs in the base only, nothing else need be measured."
         )
-    return Advice("use_repaired", "Use the repaired model: it differs in what is named above only.")
+    return Recommendation("use_repaired", "Use the repaired model: it differs in what is named above only.")

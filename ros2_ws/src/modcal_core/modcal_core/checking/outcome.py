@@ -55,7 +55,7 @@ class Noticed:
 
 
 @dataclass(frozen=True)
-class Advice:
+class Recommendation:
     """action, and what it means here. stations: to be measured next (k, n); empty where none are needed."""
 
     action: Action

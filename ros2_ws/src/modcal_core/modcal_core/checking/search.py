@@ -408,7 +408,9 @@ def _with_sizes(
     mean = covariance @ (J.T @ judge.whitened(state.residual, judge.best))  # of curves; of sizes it is the last step
     own = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
     cross = -known.covariance @ judge.whitened(own.T, judge.best).T @ J @ covariance
-    out, kept, first = [], [], 0
+    out: list[FittedChange] = []
+    kept: list[int] = []
+    first = 0
     for change, fit, block, root in zip(changes, fits, blocks, roots, strict=True):
         rows = slice(first, first + block.shape[1])
         first += block.shape[1]

@@ -222,8 +222,8 @@ class _Fitted:
             if std > _MOST_STD or turn < max(_LEAST_TURN, _SURE * std):
                 return False
         if asked.carries:
-            mass, std = self._masses(asked)
-            if np.abs(mass).max() > _MOST_KG or (np.abs(mass) < _SURE * std).all():
+            mass, mass_std = self._masses(asked)
+            if np.abs(mass).max() > _MOST_KG or (np.abs(mass) < _SURE * mass_std).all():
                 return False
             if asked.arm.weighed and mass.max() <= 0.0:  # nothing hangs upwards
                 return False

@@ -189,8 +189,8 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
         for c in found.changes
     )
     if rivals:
-        header = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(PageTable("What it may as well be", header, rivals, 3))
+        columns = ("named", "explains these stations as well", "the same at every posture", "probability")
+        out.append(PageTable("What it may as well be", columns, rivals, 3))
     if len(found.advice.stations):
         turned = [tuple(f"{x:.4f}" for x in q) for q in found.advice.stations]
         numbered = tuple((str(i + 1), *row) for i, row in enumerate(turned))

@@ -25,18 +25,17 @@ from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.calibrate import (
     CELL,
     CLOCK,
-    EXISTING,
     OUT,
     SEED_OPTION,
     STATED,
     TOLERANCE,
-    UNMET,
     calibration_name,
     stated_of,
     with_options,
 )
-from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, particulars
+from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from

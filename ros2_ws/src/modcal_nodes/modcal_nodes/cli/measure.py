@@ -31,7 +31,7 @@ from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io.inputs import read_cell
 from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
-from modcal_nodes.measuring.folder import NEXT, Folder, Kept, outcome_data
+from modcal_nodes.measuring.folder import NEXT, Folder, StoredSession, outcome_data
 from modcal_nodes.measuring.measurers import CellInProcess, Measurer, Replay, one_a_station
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
@@ -177,7 +177,7 @@ def measure_command(
             pool = of_robot(arm.mechanism, site, reading, rng)
         place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
         began = time.time() if measurer is None else None
-        kept = place.begin(Kept(Session(arm.names, reading), goal, seed, began))
+        kept = place.begin(StoredSession(Session(arm.names, reading), goal, seed, began))
         advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=batch, effects=not geometry_only)
         if measurer is None:
             advice = _by_hand(place, kept, advisor, watch)
@@ -212,7 +212,7 @@ def _cell(robot: Path, base: str | None, tip: str | None, given: tuple[str, ...]
     return chosen
 
 
-def _whole(place: Folder, kept: Kept, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
+def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
     """Measure to the end, the session being kept after every station."""
     session = kept.session
     while True:
@@ -229,7 +229,7 @@ def _whole(place: Folder, kept: Kept, advisor: Advisor, measurer: Measurer, watc
             place.save(replace(kept, session=session))
 
 
-def _by_hand(place: Folder, kept: Kept, advisor: Advisor, watch: Watch) -> Advice:
+def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch) -> Advice:
     """Take in what was filled in, and ask for the next stations once those asked for are done."""
     session, table = kept.session, place.path / NEXT
     if table.exists():

@@ -187,18 +187,18 @@ def _shape(
     shape = geometry[0]
     place = {"pos": _text(xyz), "quat": _text(np.roll(turn.as_quat(), 1)), "margin": _text(np.array([margin]))}
     if shape.tag == "box":
-        ET.SubElement(body, "geom", type="box", size=_text(0.5 * _numbers(shape, "size", "0 0 0")), **place)
+        ET.SubElement(body, "geom", type="box", size=_text(0.5 * _numbers(shape, "size", "0 0 0")), attrib=place)
     elif shape.tag == "sphere":
-        ET.SubElement(body, "geom", type="sphere", size=str(shape.get("radius")), **place)
+        ET.SubElement(body, "geom", type="sphere", size=str(shape.get("radius")), attrib=place)
     elif shape.tag in ("cylinder", "capsule"):
         size = f"{shape.get('radius')} {0.5 * float(shape.get('length', 0.0))}"
-        ET.SubElement(body, "geom", type=shape.tag, size=size, **place)
+        ET.SubElement(body, "geom", type=shape.tag, size=size, attrib=place)
     elif shape.tag == "mesh":
         file = _file(str(shape.get("filename")), folder)
         name = meshes.setdefault(f"{file} {shape.get('scale', '1 1 1')}", f"mesh_{len(meshes)}")
         if assets.find(f"mesh[@name='{name}']") is None:
             ET.SubElement(assets, "mesh", name=name, file=str(file), scale=str(shape.get("scale", "1 1 1")))
-        ET.SubElement(body, "geom", type="mesh", mesh=name, **place)
+        ET.SubElement(body, "geom", type="mesh", mesh=name, attrib=place)
 
 
 def _file(name: str, folder: Path | None) -> Path:

@@ -25,7 +25,7 @@ _FEWEST_SCORED = 2  # proof stations, from which a report is theirs
 
 
 @dataclass(frozen=True)
-class Kept:
+class StoredSession:
     """A session and what it was begun with. began: [s]; None where nobody's clock counts."""
 
     session: Session
@@ -47,21 +47,21 @@ class Folder:
         """Whether a session is there."""
         return (self.path / SESSION).exists()
 
-    def load(self) -> Kept:
+    def load(self) -> StoredSession:
         """The session. Raises BadTable where it cannot be read, or is another robot's."""
         file = self.path / SESSION
         session, goal, seed, robot, began = from_data(read_yaml(file), str(file))
         if robot != self._print or session.names != self.robot.names:
             said = f"is of robot {robot}, this is {self._print}"
             raise BadTable(str(file), said, "give the description that it was begun with, or another folder")
-        return Kept(session, goal, seed, began)
+        return StoredSession(session, goal, seed, began)
 
-    def save(self, kept: Kept) -> None:
+    def save(self, kept: StoredSession) -> None:
         """Write the session, whole or not at all."""
         data = to_data(kept.session, kept.goal, kept.seed, self._print, kept.began)
         write_file(self.path / SESSION, to_yaml(data))
 
-    def begin(self, wanted: Kept) -> Kept:
+    def begin(self, wanted: StoredSession) -> StoredSession:
         """The session that is there, else this one. Raises BadTable where the one there was begun otherwise."""
         if not self.begun:
             self.path.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from modcal_core.planning.spheres import Spheres, clearance, spheres_of
 from modcal_core.robot import Robot
 from modcal_core.robots.mechanism import forward
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
-from modcal_nodes.measuring.folder import Folder, Kept
+from modcal_nodes.measuring.folder import Folder, StoredSession
 
 _SIDE = 0.05  # rad or m from which a station is come to where the side matters
 
@@ -74,7 +74,9 @@ class Place:
         if not chosen["out"]:
             raise BadTable("out", "names no folder", "set it: the session is kept there")
         self.folder = Folder(Path(chosen["out"]), self.robot)
-        self.kept = self.folder.begin(Kept(Session(self.robot.names, kind), self.goal, chosen["seed"], time.time()))
+        self.kept = self.folder.begin(
+            StoredSession(Session(self.robot.names, kind), self.goal, chosen["seed"], time.time())
+        )
         self._advisor = Advisor(
             self.robot.mechanism, self.pool, self.goal, chosen["seed"], None, self.robot.inertias,
             effects=not chosen["geometry_only"],

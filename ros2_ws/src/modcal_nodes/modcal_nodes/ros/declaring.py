@@ -69,7 +69,7 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
     if said:
         text = f"parameters without effect: {'; '.join(said)}: correct the name, or leave it out"
         node.get_logger().warning(text)
-        node.parameters_without_effect = text  # type: ignore[attr-defined]
+        node.parameters_without_effect = text
 
 
 def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
