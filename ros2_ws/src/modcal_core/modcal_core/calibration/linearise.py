@@ -297,12 +297,16 @@ class RowView:
             rotation += unit[3 * N :].reshape(3, -1) * term.size[self.pose]
         return out
 
-    def by_sample(self, rows: Array) -> Array:
-        """Sums over the components of each sample, (…, N), of rows (…, 3 N + 3 M)."""
-        N = self.position.shape[1]
-        out = rows[..., :N] + rows[..., N : 2 * N] + rows[..., 2 * N : 3 * N]
+    def products(self, rows: Array, unit: Array) -> Array:
+        """Sums over the components of each sample, (d, N), of rows (d, 3 N + 3 M) times one row (3 N + 3 M,)."""
+        N, d = self.position.shape[1], len(rows)
+        out = np.einsum("dcn,cn->dn", rows[:, : 3 * N].reshape(d, 3, N), unit[: 3 * N].reshape(3, N))
         if len(self.pose):
-            out[..., self.pose] += np.sum(rows[..., 3 * N :].reshape(*rows.shape[:-1], 3, -1), axis=-2)
+            turned = np.einsum("dcn,cn->dn", rows[:, 3 * N :].reshape(d, 3, -1), unit[3 * N :].reshape(3, -1))
+            if len(self.pose) == N:
+                out += turned
+            else:
+                out[:, self.pose] += turned
         return np.asarray(out)
 
     def unit_column(self, place: int, direction: int) -> Array:

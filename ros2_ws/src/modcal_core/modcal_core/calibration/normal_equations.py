@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
 from modcal_core.calibration.model import Model
@@ -21,6 +22,10 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 BLOCK = 2000  # samples
+_LEAST_THINNED = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker than of sparse ones
+_FULL = (
+    0.3  # share of numbers that are not zero, above which they are so too; a cubic curve with 16 knots has a quarter
+)
 
 
 @dataclass(frozen=True)
@@ -87,16 +92,16 @@ def _add(
     JW = J * weight
     H[np.ix_(dense, dense)] += JW @ J.T
     g[dense] += JW @ residual
-    groups = _groups(terms, view)
+    groups = _groups(terms, view, at)
     for a, group in enumerate(groups):
         index = P + group.index
-        weighted = group.unit * weight
-        cross = group.numbers @ view.by_sample(JW * group.unit).T
+        cross = group.numbers @ view.products(JW, group.unit).T
         H[np.ix_(index, dense)] += cross
         H[np.ix_(dense, index)] += cross.T
-        g[index] += group.numbers @ view.by_sample(weighted * residual)
+        weighted = (group.unit * weight)[None]
+        g[index] += group.numbers @ view.products(weighted, residual)[0]
         for other in groups[a:]:
-            block = (group.numbers * view.by_sample(weighted * other.unit)) @ other.numbers.T
+            block = _product(group.numbers, view.products(weighted, other.unit)[0], other.numbers)
             H[np.ix_(index, P + other.index)] += block
             if other is not group:
                 H[np.ix_(P + other.index, index)] += block.T
@@ -104,19 +109,60 @@ def _add(
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one direction at one place. unit: (3 N + 3 M,). numbers: (b, N). index: among the effects' values."""
+    """Columns of one direction at one place. unit: (3 N + 3 M,). numbers: (b, N), sparse where a curve of many knots is
+    among them. index: among the effects' values.
+    """
 
     unit: Array
-    numbers: Array
+    numbers: Array | sparse.csr_array
     index: np.ndarray
 
 
-def _groups(terms: list[list[Term]], view: RowView) -> list[_Group]:
+def _product(numbers: Array | sparse.csr_array, weight: Array, others: Array | sparse.csr_array) -> Array:
+    """``numbers diag(weight) othersᵀ``, (b, c)."""
+    if isinstance(numbers, np.ndarray):
+        weighted: Array | sparse.csr_array = numbers * weight
+    else:
+        weighted = sparse.csr_array((numbers.data * weight[numbers.indices], numbers.indices, numbers.indptr))
+        weighted.resize(numbers.shape)
+    if not isinstance(others, np.ndarray):
+        product = others @ weighted.T
+        return np.asarray(product.T if isinstance(product, np.ndarray) else product.toarray().T)
+    return np.asarray(weighted @ others.T)
+
+
+def _numbers(terms: Sequence[Term], at: Drivers) -> Array | sparse.csr_array:
+    """The numbers (b, N) of terms; as a sparse array where functions that are mostly zero are among them."""
+    parts: list[Array | sparse.csr_array] = []
+    first = 0
+    while first < len(terms):
+        of = terms[first].of
+        count = 1 if of is None else len(of)
+        whole = of is not None and [t.of is of for t in terms[first : first + count]] == [True] * count
+        if of is not None and whole and of.size >= _LEAST_THINNED:
+            parts.append(at.thinned(of, _thinned))
+        else:
+            count = 1
+            parts.append(terms[first].size[None])
+        first += count
+    if len(parts) == 1:
+        return parts[0]
+    if any(not isinstance(part, np.ndarray) for part in parts):
+        return sparse.csr_array(sparse.vstack([sparse.csr_array(part) for part in parts], format="csr"))
+    return np.concatenate(parts)
+
+
+def _thinned(numbers: Array) -> Array | sparse.csr_array:
+    """Numbers (b, N) as a sparse array where that is less work."""
+    return numbers if np.count_nonzero(numbers) > _FULL * numbers.size else sparse.csr_array(numbers)
+
+
+def _groups(terms: list[list[Term]], view: RowView, at: Drivers) -> list[_Group]:
     members: dict[tuple[int, int], list[int]] = {}
     for j, t in enumerate(terms):
         if len(t) == 1:
             members.setdefault((t[0].place, t[0].direction), []).append(j)
     return [
-        _Group(view.unit_column(*key), np.stack([terms[j][0].size for j in index]), np.array(index))
+        _Group(view.unit_column(*key), _numbers([terms[j][0] for j in index], at), np.array(index))
         for key, index in members.items()
     ]

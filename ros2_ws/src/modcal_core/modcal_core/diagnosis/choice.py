@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import FREE
+from modcal_core.effects.family import FREE, USUAL
 from modcal_core.effects.registry import complexity, family
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
@@ -111,7 +111,7 @@ def _together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain:
     for _ in range(_LOOK_AHEAD - 1):
         started = chosen.started(scanner.amplitudes(fit, chosen))
         fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, started)))
-        now = scanner.evidence(fit)
+        now = scanner.evidence(fit, most=USUAL)  # curves take no part
         best = int(np.argmax(np.where(plain, now.score, -1.0)))
         left *= 1.0 - float(now.explained[best])
         chosen = now.effects[best]

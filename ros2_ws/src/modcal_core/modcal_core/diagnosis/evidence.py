@@ -16,9 +16,10 @@ residual and with the projector once, and the thousands of candidates that share
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -67,11 +68,11 @@ class Evidence:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """What the C candidates of a bank are in the rows of a fit. inverse: of the products of their columns, the fitted
-    projected out, (C, m, m). sizes: numbers of new directions, (C,).
+    """What the C candidates of some banks, of m columns each, are in the rows of a fit. inverse: of the products of
+    their columns, the fitted projected out, (C, m, m). sizes: numbers of new directions, (C,).
     """
 
-    bank: Bank
+    banks: tuple[Bank, ...]
     inverse: Array
     sizes: np.ndarray
 
@@ -102,9 +103,12 @@ class Scanner:
             else:
                 factors = [(effect, *self._factor(effect)) for effect in alike]
                 single += [Numbers((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
-        self.banks: list[Bank] = [*several, *gathered(single)]
+        self.banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: len(bank.keys))
         self.effects = tuple(effect for bank in self.banks for effect in bank.effects)
         self.complexity = np.array([complexity(effect) for effect in self.effects], dtype=int)
+        ends = np.cumsum([0, *(len(bank.effects) for bank in self.banks)])
+        parts = zip(self.banks, ends, ends[1:], strict=False)
+        self._least = {id(bank): int(self.complexity[first:last].min()) for bank, first, last in parts}
         self.unit = independent_unit(drivers.samples)
         self._last: tuple[Fit, Space] | None = None
 
@@ -130,13 +134,19 @@ class Scanner:
             self._last = (fit, Space.of(fit, self.drivers))
         return self._last[1]
 
-    def evidence(self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS) -> Evidence:
-        """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1)."""
+    def evidence(
+        self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS, most: int | None = None
+    ) -> Evidence:
+        """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1).
+
+        most: banks of nothing but candidates of greater complexity are left out, which explain nothing then.
+        """
         space = self.space_of(fit)
         signs = np.ones((1, self.unit.max() + 1))
         if rng is not None:
             signs = np.concatenate([signs, rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))])
-        weighed = [self._weighed(bank, space) for bank in self.banks]
+        asked = [bank for bank in self.banks if most is None or self._plainest(bank) <= most]
+        weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: len(bank.keys))]
         size = np.concatenate([part.sizes for part in weighed])
         tables = {int(m): _score_table(int(m), space.freedom) for m in np.unique(size)}
         trials = space.trials(signs[: 1 + FIRST_FLIPS][:, self.unit])
@@ -144,6 +154,9 @@ class Scanner:
         if len(signs) > len(best) and not _is_clear(best):
             more = space.trials(signs[len(best) :][:, self.unit])
             best = np.concatenate([best, self._explained(weighed, space, more, tables)[1]])
+        if most is not None:
+            taken = np.concatenate([np.full(len(b.effects), self._plainest(b) <= most) for b in self.banks])
+            size, squares = _spread(size, taken), _spread(squares, taken)
         share = squares / trials.total[0]
         score = np.zeros(len(share))
         for m, table in tables.items():
@@ -152,6 +165,10 @@ class Scanner:
         p_value, inflation = _against_noise(best, len(self.effects))
         flipped = len(best) - 1
         return Evidence(self.effects, share, score, p_value, inflation, space.freedom, flipped, self.complexity)
+
+    def _plainest(self, bank: Bank) -> int:
+        """The least complexity among the candidates of a bank."""
+        return self._least[id(bank)]
 
     def enough(self, fit: Fit) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
@@ -194,8 +211,9 @@ class Scanner:
             space.columns[key] = np.sum([space.column(k, d) * share for k, d, share in parts], axis=0)
         return space.columns[key]
 
-    def _weighed(self, bank: Bank, space: Space) -> _Weighed:
-        return _Weighed(bank, *_inverse(*self._gram(bank, space)))
+    def _weighed(self, banks: tuple[Bank, ...], space: Space) -> _Weighed:
+        grams, squares = zip(*(self._gram(bank, space) for bank in banks), strict=True)
+        return _Weighed(banks, *_inverse(np.concatenate(grams), np.concatenate(squares)))
 
     def _explained(
         self, weighed: Sequence[_Weighed], space: Space, trials: _Trials, tables: _Tables
@@ -204,9 +222,11 @@ class Scanner:
         squares = []
         most = {m: np.zeros(len(trials.total)) for m, table in tables.items() if table is not None}
         for part in weighed:
-            for first in range(0, len(part.inverse), _AT_ONCE):
-                rows = slice(first, first + _AT_ONCE)
-                explained = _quadratic(part.inverse[rows], self._products(part.bank, space, trials, rows))
+            done = 0
+            for products in self._in_portions(part.banks, space, trials):
+                rows = slice(done, done + len(products))
+                done += len(products)
+                explained = _quadratic(part.inverse[rows], products)
                 squares.append(explained[:, 0])
                 sizes = part.sizes[rows]
                 for m in set(sizes.tolist()) & most.keys():
@@ -214,6 +234,18 @@ class Scanner:
         # more explained is a better score: of candidates alike in size only the best in a trial is asked for
         scores = [np.interp(so_far / trials.total, *tables[m]) for m, so_far in most.items()]  # type: ignore[misc]
         return np.concatenate(squares), np.max(scores, axis=0, initial=0.0)
+
+    def _in_portions(self, banks: Sequence[Bank], space: Space, trials: _Trials) -> Iterator[Array]:
+        """Products of all candidates of these banks with the trials (C, m, trials), some hundred at once."""
+        waiting: list[Array] = []
+        for bank in banks:
+            for first in range(0, len(bank.effects), _AT_ONCE):
+                waiting.append(self._products(bank, space, trials, slice(first, first + _AT_ONCE)))
+                if sum(map(len, waiting)) >= _AT_ONCE:
+                    yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
+                    waiting = []
+        if waiting:
+            yield np.concatenate(waiting)
 
     def _products(self, bank: Bank, space: Space, trials: _Trials, rows: slice = slice(None)) -> Array:
         """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
@@ -273,6 +305,13 @@ def _quadratic(inverse: Array, n: Array) -> Array:
         out += n[:, 1] ** 2 * inverse[:, 1, 1:]
         return np.asarray(out)
     return np.asarray(np.einsum("cmf,cmf->cf", inverse @ n, n))
+
+
+def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Values at the places where something is true, zero elsewhere."""
+    out = np.zeros(len(where), values.dtype)
+    out[where] = values
+    return out
 
 
 def _cycles(alike: list[Effect]) -> Array:

@@ -25,7 +25,8 @@ from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.registry import candidates, family
+from modcal_core.effects.family import FREE, USUAL
+from modcal_core.effects.registry import candidates, complexity, family
 from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 
@@ -228,7 +229,10 @@ class _Search:
         for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
             without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
-            better = choose(self.scanner.evidence(without), self.scanner, without, set(), incumbent=effects[i])
+            # a plain cause is not given up for a curve
+            most = USUAL if complexity(effects[i]) < FREE else None
+            evidence = self.scanner.evidence(without, most=most)
+            better = choose(evidence, self.scanner, without, set(), incumbent=effects[i])
             if better is None or better.effect.key == effects[i].key:
                 continue
             started = better.effect.started(self.scanner.amplitudes(without, better.effect))

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,7 @@ class Kept:
 
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}
+        self._thin: dict[int, tuple[Array, Any]] = {}
         self._bytes = 0
 
     def of(self, key: Hashable, compute: Callable[[], Array]) -> Array:
@@ -76,9 +78,16 @@ class Kept:
             self._bytes += found.nbytes
             if self._bytes > _MOST_KEPT:
                 self._arrays.clear()
+                self._thin.clear()
                 self._bytes = found.nbytes
             self._arrays[key] = found
         return found
+
+    def thinned(self, array: Array, make: Callable[[Array], Any]) -> Any:
+        """What is made of an array that is kept here."""
+        if id(array) not in self._thin:
+            self._thin[id(array)] = array, make(array)  # the array itself stays, so that no other takes its number
+        return self._thin[id(array)][1]
 
 
 @dataclass(frozen=True)
@@ -100,6 +109,10 @@ class Drivers:
         """The functions (b, N) of a shape that follows a driver."""
         key = "basis", name, lag, shape.kind, *sorted(shape.settings.items())
         return self._kept.of(key, lambda: shape.basis(self.values(name, lag)))
+
+    def thinned(self, basis: Array, make: Callable[[Array], Any]) -> Any:
+        """What is made of the functions of a shape, computed once."""
+        return self._kept.thinned(basis, make)
 
     def _values(self, name: str, lag: float) -> Array:
         if "," in name:

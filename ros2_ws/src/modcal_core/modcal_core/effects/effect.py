@@ -34,11 +34,14 @@ _TURNED = 3e-3  # rad or m; what a shorter turn changes in the derivatives hardl
 
 @dataclass(frozen=True)
 class Term:
-    """One motion: place 0 … n or READING, direction 0 … 5, and its size at every sample, (N,)."""
+    """One motion: place 0 … n or READING, direction 0 … 5, and its size at every sample, (N,). of: the functions (b, N)
+    that the size is one of, where it is just that.
+    """
 
     place: int
     direction: int
     size: Array
+    of: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     return [
-        [Term(k, direction, share * phi) for direction, share in towards]
+        [Term(k, d, phi, basis) if share == 1.0 else Term(k, d, share * phi) for d, share in towards]
         for towards in _directions(effect.direction, chain, k)
         for phi in basis
     ]

@@ -108,7 +108,8 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     order = np.argsort(track.stamps, kind="stable")
     stamps, position = track.stamps[order], track.values[order, :3]
     seen = _speed(grid, stamps, position)
-    every = max(1, int(_FINE * STEP / float(np.median(np.diff(t)))))  # more joint states than that say nothing more
+    apart = np.diff(np.unique(t))  # some recorders note each state twice
+    every = max(1, int(_FINE * STEP / float(np.median(apart)))) if len(apart) else 1  # more states say nothing more
     poses = tip(q[::every])
     moved = _speed(grid, t[::every], poses[:, :3, 3])
     if not (np.nanmax(seen, initial=0.0) > _MOVING and np.nanmax(moved, initial=0.0) > _MOVING):
