@@ -39,7 +39,6 @@ LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
 LAYERS["measuring"] = LAYERS["planning"] | LAYERS["diagnosis"] | {"correction", "verdict", "measuring"}
-LAYERS["measuring"] = LAYERS["verdict"] | {"planning", "measuring"}
 LAYERS["report"] = {*LAYERS, "report", "top"}
 LAYERS["top"] = {*LAYERS, "top"}
 
