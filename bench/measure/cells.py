@@ -82,6 +82,17 @@ class Bench:
             reading = np.r_[reading, turned.as_quat()]
         return station.measured(reading, stamp=BEGIN + self.now, approach=way)
 
+    def floor(self) -> float:
+        """RMS over space [m] of what the arm does not repeat at random allowed postures, as its truth has it."""
+        rng = np.random.default_rng([self.seed, 29])
+        q = self.pool.q[self.pool.order[-TRUTH:]]
+        way, now = rng.choice([-1.0, 1.0], q.shape), np.zeros(len(q))
+        p = [
+            self.cell.poses(Stations(q + off, now, way), self.faults).p
+            for off in (np.zeros_like(q), rng.normal(0.0, self.repeats, q.shape))
+        ]
+        return float(np.sqrt(np.mean(np.sum((p[1] - p[0]) ** 2, axis=1))))
+
     def error(self, calibration: Calibration, repeats: bool = True) -> float:
         """RMS [m] of the distance between where the model has the tool and where it is, at random allowed postures.
 

@@ -9,7 +9,7 @@ from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.proof import MIN_STATIONS, Proof, axes_of, share
 
 GOAL = 1e-4  # m
-RUNS, LOOKS = 2000, 60
+RUNS, LOOKS = 600, 60
 
 
 def drawn(rng: np.random.Generator, axes: tuple[float, ...], rms: float) -> np.ndarray:
@@ -26,8 +26,8 @@ def test_an_error_as_large_as_the_goal_is_proven_no_more_often_than_alpha(
     nu = min(len(axes), 2) if axes != (1.0, 0.3, 0.1) else 1.0
     wrong = 0
     for e in drawn(rng, axes, GOAL):
-        wrong += any(Proof(e[:n], 0.5 * GOAL, 0.05, nu).holds(GOAL) for n in range(MIN_STATIONS, LOOKS, 2))
-    # of 2 000, 5 % and three standard deviations of counting
+        wrong += any(Proof(e[:n], 0.5 * GOAL, 0.05, nu).holds(GOAL) for n in range(MIN_STATIONS, LOOKS, 3))
+    # 5 % and three standard deviations of counting
     assert wrong <= 0.05 * RUNS + 3.0 * np.sqrt(0.05 * 0.95 * RUNS)
 
 

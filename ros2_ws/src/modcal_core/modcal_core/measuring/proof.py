@@ -8,7 +8,8 @@ numbers, its Laplace transform is E exp(−λX) ≤ (1 + 2λg²/ν)^(−ν/2) wh
 
 is a supermartingale that begins at 1 and exceeds 1/α at any time with probability at most α (Ville 1939; see Ramdas et
 al. 2023, Statistical Science 38:576). s is the RMS error that the fit expects, known before the first of these stations
-is read: a wrong s costs stations, and never the guarantee. ν, of at most three directions, is between one and two, as
+is read: a wrong s costs stations, and never the guarantee; E_n is a weighted mean of those with s as expected and
+somewhat larger, so that it does not cost many. ν, of at most three directions, is between one and two, as
 for returns (verdict/floor.py), by how the fit's own residuals vary (Satterthwaite 1946). What no such law covers is an
 error that is rare and large, which no few stations can exclude.
 
@@ -25,6 +26,8 @@ from modcal_core.geometry.so3 import Array
 
 _FIRST = 2.0 / 3.0  # of α for the first model that is tried, the same of what is left for each further one
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
+_LARGER = np.array([1.0, 1.3, 1.7])  # times what is expected: fits of few stations expect too little more often
+_WEIGHTS = np.array([0.5, 0.3, 0.2])
 _LEAST_RATIO = 1.05  # goal over expected error; nearer to 1 a proof takes hundreds of stations
 
 
@@ -50,12 +53,16 @@ class Proof:
     alpha: float
     axes: float = 1.0
 
+    def _evidences(self, goal: float) -> Array:
+        """log of weight times E_n against an RMS of ``goal`` [m] or more, for each of the expected sizes."""
+        s = self.expected * _LARGER
+        n, square = len(self.errors), 0.5 * float(np.sum(self.errors**2))
+        gained = self.axes * (n * np.log(goal / s) - square * (s**-2 - goal**-2))
+        return np.asarray(np.log(_WEIGHTS) + np.where(goal > s, gained, 0.0))  # a size beyond the goal says nothing
+
     def evidence(self, goal: float) -> float:
-        """log E_n against an RMS of ``goal`` [m] or more; 0 where the goal is no larger than what is expected."""
-        if goal <= self.expected:
-            return 0.0
-        lost = 0.5 * float(np.sum(self.errors**2)) * (self.expected**-2 - goal**-2)
-        return self.axes * (len(self.errors) * float(np.log(goal / self.expected)) - lost)
+        """log E_n against an RMS of ``goal`` [m] or more."""
+        return float(np.logaddexp.reduce(self._evidences(goal)))
 
     def holds(self, goal: float) -> bool:
         """Whether an RMS error below the goal [m] is proven."""
@@ -89,8 +96,11 @@ class Proof:
 
     def more(self, goal: float, expected: float) -> float:
         """Further stations until the goal is proven, if the RMS error is this."""
-        if goal < _LEAST_RATIO * self.expected:
+        s = self.expected * _LARGER
+        each = self.axes * (np.log(goal / s) - 0.5 * expected**2 * (s**-2 - goal**-2))
+        missing = -np.log(self.alpha) - self._evidences(goal)
+        good = (each > 0.0) & (goal > _LEAST_RATIO * s)
+        if not good.any():
             return float("inf")
-        each = self.axes * (float(np.log(goal / self.expected)) - 0.5 * expected**2 * (self.expected**-2 - goal**-2))
         least = float(max(MIN_STATIONS - len(self.errors), 0))
-        return float("inf") if each <= 0.0 else max((-np.log(self.alpha) - self.evidence(goal)) / each, least)
+        return max(float((missing[good] / each[good]).min()), least)
