@@ -40,8 +40,8 @@ _DEPTH = 3  # folders below the one that is given
 def history_command(folder: Path, out: Path | None, output: Output) -> int:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
 
-    FOLDER holds folders that modcal calibrate and modcal check wrote, of one robot or of several. Joint zeros, curves of
-    gears, compliances and the spread of readings are followed; what grows or falls beyond chance is said.
+    FOLDER holds what modcal calibrate and modcal check wrote, for each robot in a folder of its own. Joint zeros,
+    curves of gears, compliances and the spread of readings are followed; what grows or falls beyond chance is said.
     """
     with output.working() as watch:
         watch("reading")
@@ -84,13 +84,9 @@ def _histories(shelf: str, kept: list[_Kept]) -> Iterator[History]:
         dated = [(k.entry.name, k.entry.time, k.values) for k in mine if k.entry.time is not None and k.values]
         notes = []
         if undated := sum(k.entry.time is None for k in mine):
-            notes.append(
-                f"{undated} without a date are in no trend: begin the folder's name with the day (2026-03-01)."
-            )
+            notes.append(f"{undated} without a date are in no trend: begin their names with the day (2026-03-01).")
         if len(robots) > 1 and (loose := sum(not k.robot for k in kept)):
-            notes.append(
-                f"{loose} checks that changed nothing may be of any of {len(robots)} robots: they are left out."
-            )
+            notes.append(f"{loose} checks without a change may be of any of {len(robots)} robots: they are left out.")
         name = next(k.name for k in mine if k.robot)
         called = name if shelf == "." else f"{name} in {shelf}"
         yield History(called, tuple(k.entry for k in mine), series_of(dated), tuple(notes))
