@@ -1,0 +1,151 @@
+"""A robot over months: what its calibrations and checks say one after the other, and what grows.
+
+Each quantity is a series of values with their standard deviations. A trend is the slope of a straight line through them
+(weighted least squares), its error not smaller than the scatter about the line says; it is said where it is more than
+chance explains at 99 % for all series together. With two values only their difference is judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.effects.curve import curve
+from modcal_core.effects.effect import AXIS
+from modcal_core.geometry.so3 import Array
+
+_TAIL = 0.01  # chance that a trend is said while there is none, over all series together
+_95 = 1.959964  # standard deviations
+_POINTS = 200  # of a curve
+_DAY = 86400.0  # s
+_SPREAD = 0.05  # of a spread of readings, its standard deviation: that of some 200 values
+Values = dict[str, tuple[str, float, float, bool]]  # unit, value, standard deviation, whether it is a size; by name
+_LEAST = 1e-12  # a value without error would weigh more than all others
+
+
+@dataclass(frozen=True)
+class SeriesPoint:
+    """One value [the series' unit] with its standard deviation, of one entry, at its time [s]."""
+
+    time: float
+    entry: str
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """change: from the first to the last entry, along the line, with its 95 % interval. share: of the first value, None
+    where that is no size. days: in between.
+    """
+
+    change: float
+    low: float
+    high: float
+    share: float | None
+    days: float
+
+
+@dataclass(frozen=True)
+class Series:
+    """One quantity over time. size: whether it is a size, so that a share of it means something."""
+
+    name: str
+    unit: str
+    points: tuple[SeriesPoint, ...]
+    size: bool = False
+    trend: Trend | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The trend, for a person; empty where there is none."""
+        t = self.trend
+        if t is None:
+            return ""
+        way = "grew" if t.change > 0.0 else "fell"
+        by = f"by {abs(t.change):.3g} {self.unit} ({t.low:+.3g} … {t.high:+.3g})"
+        share = "" if t.share is None else f", {abs(100.0 * t.share):.0f} %"
+        return f"The {self.name} {way} {by}{share} in {duration(t.days)}."
+
+
+def duration(days: float) -> str:
+    """So many days in the words of people."""
+    if days < 60.0:
+        return f"{days:.0f} days" if days >= 2.0 else f"{24.0 * days:.0f} hours"
+    return f"{days / 30.44:.0f} months" if days < 730.0 else f"{days / 365.25:.1f} years"
+
+
+def values_of(calibration: Calibration) -> Values:
+    """(unit, value, standard deviation, whether it is a size) of each quantity of a calibration that may grow."""
+    out: Values = {}
+    chain = calibration.nominal.chain
+    for j, name in enumerate(chain.names):
+        own = [e for e in calibration.calibrated.effects if e.place == name and e.direction == AXIS]
+        curves = [e for e in own if e.driver == f"position:{name}"]
+        if curves:
+            low, high = calibration.seen[:, j]
+            _, size, std = curve(curves, float(low), float(high), _POINTS)
+            rms = float(np.sqrt(np.mean((size - size.mean()) ** 2)))
+            unit = "mrad" if chain.revolute[j] else "mm"
+            out[f"curve of {name}"] = (unit, 1e3 * rms, 1e3 * float(np.sqrt(np.mean(std**2) / _POINTS)), True)
+        loads = [e for e in own if e.driver == f"load:{name}" and e.shape.kind == "linear"]
+        if loads:
+            soft, std = sum(float(e.values[0]) for e in loads), float(np.hypot.reduce([e.std[0] for e in loads]))
+            out[f"compliance of {name}"] = ("urad/(N m)", 1e6 * soft, 1e6 * std, True)
+    scales = [e for e in calibration.calibrated.effects if e.place == "tracker" and e.driver == "reading"]
+    if scales:
+        std = float(np.hypot.reduce([e.std[0] for e in scales]))
+        out["scale of the tracker"] = ("ppm", 1e6 * sum(float(e.values[0]) for e in scales), 1e6 * std, False)
+    spread = 1e3 * np.sqrt(3.0) * calibration.noise.position
+    if calibration.kind in ("pose", "point"):
+        out["spread of the readings about the model"] = ("mm", spread, _SPREAD * spread, True)
+    return out
+
+
+def series_of(entries: Sequence[tuple[str, float, Values]]) -> tuple[Series, ...]:
+    """The series of entries (name, time [s], values by name), with trends. What stands in one entry only has none."""
+    points: dict[str, list[SeriesPoint]] = {}
+    about: dict[str, tuple[str, bool]] = {}
+    for entry, time, values in sorted(entries, key=lambda e: e[1]):
+        for name, (unit, value, std, size) in values.items():
+            points.setdefault(name, []).append(SeriesPoint(time, entry, value, std))
+            about[name] = unit, size
+    several = [name for name, of in points.items() if len(of) > 1 and of[-1].time > of[0].time]
+    limit = -float(ndtri(0.5 * _TAIL / max(len(several), 1)))
+    return tuple(
+        Series(
+            name,
+            about[name][0],
+            tuple(of),
+            about[name][1],
+            _trend(of, about[name][1], limit) if name in several else None,
+        )
+        for name, of in points.items()
+    )
+
+
+def _trend(points: Sequence[SeriesPoint], size: bool, limit: float) -> Trend | None:
+    t = np.array([p.time for p in points])
+    y, std = np.array([p.value for p in points]), np.maximum([p.std for p in points], _LEAST)
+    span = float(t[-1] - t[0])
+    u = (t - t[0]) / span
+    A = np.stack([np.ones_like(u), u], axis=1) / std[:, None]
+    covariance = np.linalg.pinv(A.T @ A)
+    at = covariance @ (A.T @ (y / std))
+    free = len(points) - 2
+    left = float(np.sum((y / std - A @ at) ** 2)) / free if free else 1.0
+    deviation = float(np.sqrt(covariance[1, 1] * max(left, 1.0)))
+    change = float(at[1])
+    if abs(change) <= limit * deviation:
+        return None
+    share = change / float(at[0]) if size and abs(at[0]) > 0.0 else None
+    return Trend(change, change - _95 * deviation, change + _95 * deviation, share, span / _DAY)
+
+
+def line(series: Series) -> tuple[Array, Array]:
+    """Times [s] and values of a series, (N,) each."""
+    return np.array([p.time for p in series.points]), np.array([p.value for p in series.points])

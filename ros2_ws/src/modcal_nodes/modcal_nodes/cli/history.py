@@ -1,0 +1,149 @@
+"""``modcal history``: the calibrations and checks of a robot over time, and what grows."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from modcal_core.calibration.store import Calibration, fingerprint
+from modcal_core.checking.history import Values, series_of, values_of
+from modcal_core.errors import BadTable
+from modcal_core.files import to_json, write_folder
+from modcal_core.report.history import History, HistoryEntry, summary, to_html, to_json_data
+from modcal_core.report.joint_offsets import offsets_of
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.show import show_blocks
+
+_MAX_FILE = 1 << 28  # bytes; a report of ours has some ten thousand
+_DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
+_DEPTH = 3  # folders below the one that is given
+
+
+@click.command("history")
+@click.argument("folder", type=EXISTING)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of history.html and history.json. Default: FOLDER.",
+)
+@speaking
+def history_command(folder: Path, out: Path | None, output: Output) -> int:
+    """Show how a robot changes over time, by all calibrations and checks below FOLDER.
+
+    FOLDER holds what modcal calibrate and modcal check wrote, for each robot in a folder of its own. Joint zeros,
+    curves of gears, compliances and the spread of readings are followed; what grows or falls beyond chance is said.
+    """
+    with output.working() as watch:
+        watch("reading")
+        found = read_history(folder)
+        page = to_html(found, f"History: {folder.resolve().name}")
+        files = {"history.json": to_json(to_json_data(found)), "history.html": page}
+        out = out or folder
+        write_folder(out, files)
+    where = written(out, files, "History", "history.html")
+    output.result(to_json_data(found), partial(show_blocks, summary(found)), where)
+    return 0
+
+
+def read_history(folder: Path) -> tuple[History, ...]:
+    """The history of each robot below a folder. Raises BadTable where it holds none."""
+    parts = sorted(
+        {p.parent for depth in range(1, _DEPTH + 1) for n in ("calibration.yaml", "check.json")
+         for p in folder.glob("/".join(["*"] * depth) + f"/{n}")}
+    )  # fmt: skip
+    if not parts:
+        said = "holds no folder of modcal calibrate or modcal check"
+        raise BadTable(str(folder), said, "keep a robot's calibrations and checks as folders in one folder")
+    shelves: dict[Path, list[_Kept]] = {}
+    for part in parts:
+        shelves.setdefault(part.parent, []).append(_kept(part, folder))
+    histories = [h for shelf, kept in shelves.items() for h in _histories(shelf.relative_to(folder).as_posix(), kept)]
+    if not histories:
+        remedy = "keep the calibration that was checked there as well"
+        raise BadTable(str(folder), "holds checks but no calibration", remedy)
+    return tuple(histories)
+
+
+def _histories(shelf: str, kept: list[_Kept]) -> Iterator[History]:
+    """Of the robots of one folder: one, unless descriptions differ."""
+    robots = sorted({k.robot for k in kept if k.robot})
+    for robot in robots:
+        # a check that changed nothing keeps no model: it belongs to the robot of its folder, if there is but one
+        mine = [k for k in kept if k.robot == robot or (not k.robot and len(robots) == 1)]
+        mine.sort(key=lambda k: (k.entry.time is None, k.entry.time or 0.0, k.entry.name))
+        dated = [(k.entry.name, k.entry.time, k.values) for k in mine if k.entry.time is not None and k.values]
+        notes = []
+        if undated := sum(k.entry.time is None for k in mine):
+            notes.append(f"{undated} without a date are in no trend: begin their names with the day (2026-03-01).")
+        if len(robots) > 1 and (loose := sum(not k.robot for k in kept)):
+            notes.append(f"{loose} checks without a change may be of any of {len(robots)} robots: they are left out.")
+        name = next(k.name for k in mine if k.robot)
+        called = name if shelf == "." else f"{name} in {shelf}"
+        yield History(called, tuple(k.entry for k in mine), series_of(dated), tuple(notes))
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What a folder keeps. robot: fingerprint, empty where it keeps no model. name: of the robot. values: by name."""
+
+    robot: str
+    name: str
+    entry: HistoryEntry
+    values: Values
+
+
+def _kept(part: Path, folder: Path) -> _Kept:
+    check, report = _json(part / "check.json"), _json(part / "report.json")
+    calibration = Calibration.load(part) if (part / "calibration.yaml").is_file() else None
+    trace = (report or {}).get("trace") or {}
+    date = (check or {}).get("date") or trace.get("date")
+    if date is None and (dated := _DATED.search(part.name)) is not None:
+        date = dated[1]
+    said = str((check or report or {}).get("verdict") or "")
+    name = part.relative_to(folder).as_posix()
+    entry = HistoryEntry(name, "check" if check else "calibration", date, _seconds(date, part), said)
+    if calibration is None:
+        return _Kept("", "", entry, {})
+    robot = fingerprint(calibration.nominal.chain)
+    values = values_of(calibration)
+    offsets = offsets_of(calibration)
+    for offset in () if offsets is None else offsets.found:
+        if offset.std is not None:
+            unit = "mrad" if offset.turning else "mm"
+            values[f"zero of {offset.joint}"] = (unit, 1e3 * offset.value, 1e3 * offset.std, False)
+    return _Kept(robot, str(trace.get("robot") or robot), entry, values)
+
+
+def _seconds(date: str | None, part: Path) -> float | None:
+    if date is None:
+        return None
+    try:
+        at = datetime.fromisoformat(date)
+    except ValueError as error:
+        raise BadTable(f"{part}: date {date[:40]}", "is not a date", "remove the folder, or calibrate again") from error
+    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    remedy = "remove the folder, or run the verb again"
+    if path.stat().st_size > _MAX_FILE:
+        raise BadTable(str(path), f"is larger than {_MAX_FILE >> 20} MiB", remedy)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise BadTable(str(path), "is not JSON", remedy) from error
+    if not isinstance(data, dict):
+        raise BadTable(str(path), "is no report", remedy)
+    return data
