@@ -15,6 +15,7 @@ from modcal_core.errors import BadTable
 from modcal_core.planning.criteria import CRITERIA, criterion, observability
 from modcal_core.planning.exchange import exchange
 from modcal_core.planning.rows import StationRows
+from modcal_core.planning.worth import Worth
 
 
 def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> StationRows:
@@ -128,3 +129,22 @@ def test_what_is_known_already_is_not_measured_again() -> None:
 def test_a_criterion_that_is_not_known_is_refused() -> None:
     with pytest.raises(BadTable, match="is not known"):
         criterion("o6", np.eye(2))
+
+
+@pytest.mark.parametrize("name", ["accuracy", "d"])
+@pytest.mark.parametrize("c", [3, 6])
+def test_what_candidates_are_worth_is_kept_up_as_stations_come_and_go(name: str, c: int) -> None:
+    """Against the criterion itself, of every candidate, after many changes."""
+    rng = np.random.default_rng(6)
+    rows = small(rng, N=30, c=c, P=9)
+    good = criterion(name, rows.information([0, 1, 2]) / 3.0)
+    chosen = list(range(10))
+    base = np.eye(9)
+    worth = Worth.of(rows, good, base + rows.information(chosen))
+    for _ in range(60):
+        gone, come = chosen.pop(0), int(rng.integers(30))
+        chosen.append(come)
+        worth = worth.changed(gone, -1.0).changed(come, 1.0)
+    H = base + rows.information(chosen)
+    each = good.value(H + rows.J.transpose(0, 2, 1) @ rows.J)
+    assert np.allclose(worth.values(), each, rtol=1e-10, atol=0.0)

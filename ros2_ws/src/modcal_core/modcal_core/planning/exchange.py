@@ -5,13 +5,15 @@ P = H⁻¹ and S = 1 + J P Jᵀ (c × c),
 
     log det(H + JᵀJ) = log det H + log det S,        tr((H + JᵀJ)⁻¹ Γ) = tr(P Γ) − tr(S⁻¹ J P Γ P Jᵀ)
 
-for all candidates at once. The indices that hang on single eigenvalues have no such form: candidates are ranked by
-the slope tr(∂/∂H · JᵀJ), and the best of these are computed exactly. The first start grows the set station by station,
-the others begin at random; the best end is taken.
+for all candidates at once, and what changes with a station is of that rank too (:mod:`modcal_core.planning.worth`). The
+indices that hang on single eigenvalues have no such form: candidates are ranked by the slope tr(∂/∂H · JᵀJ), and the
+best of these are computed exactly. The first start grows the set station by station, the others begin at random; the
+best end is taken.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +21,12 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.criteria import ACCURACY, Criterion
 from modcal_core.planning.rows import StationRows
+from modcal_core.planning.worth import Worth
 
 _SHORTLIST = 24  # for time: candidates that are tried in full
 _BETTER = 1e-9  # of the criterion, that counts as better
 PASSES = 8  # iterations
+_AFRESH = 4  # stations added, after which all is computed afresh: from the prior to what they tell is six decades
 
 
 @dataclass(frozen=True)
@@ -66,13 +70,49 @@ def exchange(
     return Exchange(np.sort(chosen), value, tuple(v for _, v, _ in ends), used)
 
 
+class _Search:
+    """The candidates beside the stations that are chosen: which is best to add, as stations come and go."""
+
+    def __init__(self, rows: StationRows, criterion: Criterion, H: Array) -> None:
+        self._rows, self._criterion = rows, criterion
+        self._H, self._worth = H, None if _spectral(criterion) else Worth.of(rows, criterion, H)
+
+    def begin(self, H: Array) -> None:
+        """Go on from this information, so that rounding does not add up."""
+        self._H, self._worth = H, self._worth and Worth.of(self._rows, self._criterion, H, self._worth.J)
+
+    def changed(self, k: int, sign: float) -> None:
+        """Station k comes (1) or goes (−1)."""
+        if self._worth is not None:
+            self._worth = self._worth.changed(k, sign)
+        else:
+            self._H = self._H + sign * self._rows.J[k].T @ self._rows.J[k]
+
+    def best(self, free: np.ndarray) -> tuple[int, float]:
+        """The free candidate that is best added, and the criterion with it."""
+        if self._worth is None:
+            return best_candidate(self._rows, self._H, self._criterion, free)
+        values = np.where(free, self._worth.values(), -np.inf)
+        j = int(np.argmax(values))
+        return j, float(values[j])
+
+    def without(self, k: int) -> _Search:
+        """The same with station k taken out; this one stays as it is."""
+        out = copy(self)
+        out.changed(k, -1.0)
+        return out
+
+
 def _grown(rows: StationRows, count: int, criterion: Criterion, base: Array) -> np.ndarray:
-    H, free = base.copy(), np.ones(len(rows), dtype=bool)
+    search, free = _Search(rows, criterion, base), np.ones(len(rows), dtype=bool)
     chosen = np.empty(count, dtype=int)
     for k in range(count):
-        j, _ = best_candidate(rows, H, criterion, free)
+        j, _ = search.best(free)
         chosen[k], free[j] = j, False
-        H = H + rows.J[j].T @ rows.J[j]
+        if k % _AFRESH == _AFRESH - 1:
+            search.begin(base + rows.information(chosen[: k + 1]))
+        else:
+            search.changed(j, 1.0)
     return chosen
 
 
@@ -83,23 +123,30 @@ def _improved(
     free = np.ones(len(rows), dtype=bool)
     free[chosen] = False
     H = base + rows.information(chosen)
+    search = _Search(rows, criterion, H)
     value, used = float(criterion.value(H)), 0
     for used in range(1, passes + 1):  # noqa: B007 (reported)
         before = value
         for k in rng.permutation(len(chosen)):
-            out = chosen[k]
-            without = H - rows.J[out].T @ rows.J[out]
+            out = int(chosen[k])
+            without = search.without(out)
             free[out] = True
-            j, new = best_candidate(rows, without, criterion, free)
-            if new <= value + _BETTER * abs(value):
-                j, new = int(out), value
-            chosen[k], free[j], value = j, False, new
-            H = without + rows.J[j].T @ rows.J[j]
-        H = base + rows.information(chosen)  # so that rounding does not add up
+            j, new = without.best(free)
+            if j != out and new > value + _BETTER * abs(value):
+                without.changed(j, 1.0)
+                search, chosen[k], value = without, j, new
+            free[chosen[k]] = False
+        H = base + rows.information(chosen)
+        search.begin(H)
         value = float(criterion.value(H))
         if value <= before + 1e-6 * abs(before):
             break
     return chosen, value, used
+
+
+def _spectral(criterion: Criterion) -> bool:
+    """Whether a criterion hangs on single eigenvalues."""
+    return not criterion.by_determinant and criterion.name != ACCURACY
 
 
 def best_candidate(rows: StationRows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:
