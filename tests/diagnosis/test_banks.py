@@ -8,7 +8,7 @@ from calibration.test_identify import fit_all
 from cells import record, ur10
 
 from modcal_core.calibration.identify import Fit
-from modcal_core.diagnosis.banks import Numbers, Spectra, Times, Waves
+from modcal_core.diagnosis.banks import NumberBank, Spectra, StepBank, WaveBank
 from modcal_core.diagnosis.evidence import FIRST_FLIPS, FLIPS, Scanner
 from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.drivers import Drivers
@@ -37,7 +37,7 @@ def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.r
     """Every kind of bank of a real scan, beside the numbers of its candidates one by one."""
     _, drivers = fitted
     scanner = Scanner(list(candidates(drivers)), drivers)
-    assert {type(bank) for bank in scanner.banks} == {Numbers, Waves, Times}
+    assert {type(bank) for bank in scanner.banks} == {NumberBank, WaveBank, StepBank}
     assert len(scanner.effects) == len(list(candidates(drivers)))
     for bank in scanner.banks:
         distinct = dict.fromkeys(bank.keys)

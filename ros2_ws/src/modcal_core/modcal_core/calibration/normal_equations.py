@@ -29,7 +29,7 @@ _FULL = (
 
 
 @dataclass(frozen=True)
-class Block:
+class RowBlock:
     """Some of the samples. rows: of a linearisation of all, (3 n + 3 m,). at: their drivers, None where not kept."""
 
     part: Samples
@@ -37,7 +37,7 @@ class Block:
     at: Drivers | None = None
 
 
-def blocks(samples: Samples) -> Iterator[Block]:
+def blocks(samples: Samples) -> Iterator[RowBlock]:
     """All samples, block by block."""
     N, pose = len(samples), samples.is_pose
     M = int(pose.sum())
@@ -46,7 +46,7 @@ def blocks(samples: Samples) -> Iterator[Block]:
         rows = np.arange(first, min(first + BLOCK, N))
         part = samples if len(rows) == N else samples.select(rows)
         angles = 3 * N + turned[rows[pose[rows]]]
-        yield Block(part, np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles]))
+        yield RowBlock(part, np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles]))
 
 
 def normal_equations(
@@ -55,7 +55,7 @@ def normal_equations(
     values: Array,
     samples: Samples,
     row_weight: Array,
-    parts: Iterable[Block] | None = None,
+    parts: Iterable[RowBlock] | None = None,
 ) -> tuple[Array, Array]:
     """(JᵀWJ, JᵀWr) of the parameters, then of the effects' values where there are any, at these values.
 
@@ -123,8 +123,8 @@ def _product(numbers: Array | sparse.csr_array, weight: Array, others: Array | s
     if isinstance(numbers, np.ndarray):
         weighted: Array | sparse.csr_array = numbers * weight
     else:
-        weighted = sparse.csr_array((numbers.data * weight[numbers.indices], numbers.indices, numbers.indptr))
-        weighted.resize(numbers.shape)
+        own = numbers.data * weight[numbers.indices], numbers.indices, numbers.indptr
+        weighted = sparse.csr_array(own, shape=numbers.shape)
     if not isinstance(others, np.ndarray):
         product = others @ weighted.T
         return np.asarray(product.T if isinstance(product, np.ndarray) else product.toarray().T)
@@ -147,9 +147,10 @@ def _numbers(terms: Sequence[Term], at: Drivers) -> Array | sparse.csr_array:
         first += count
     if len(parts) == 1:
         return parts[0]
-    if any(not isinstance(part, np.ndarray) for part in parts):
-        return sparse.csr_array(sparse.vstack([sparse.csr_array(part) for part in parts], format="csr"))
-    return np.concatenate(parts)
+    dense = [part for part in parts if isinstance(part, np.ndarray)]
+    if len(dense) == len(parts):
+        return np.concatenate(dense)
+    return sparse.csr_array(sparse.vstack([sparse.csr_array(part) for part in parts], format="csr"))
 
 
 def _thinned(numbers: Array) -> Array | sparse.csr_array:

@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import BLOCK, Block, blocks, normal_equations
+from modcal_core.calibration.normal_equations import BLOCK, RowBlock, blocks, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
@@ -49,7 +49,7 @@ class PlainSystem:
     def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> None:
         """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
-        self._kept: list[Block] | None = None
+        self._kept: list[RowBlock] | None = None
 
     def residuals(self, values: Array) -> Linearised:
         """Residuals, without derivatives."""
@@ -61,7 +61,7 @@ class PlainSystem:
         self._last = H / float(row_weight.sum())
         return H, g
 
-    def _blocks(self) -> Iterable[Block]:
+    def _blocks(self) -> Iterable[RowBlock]:
         """The samples in blocks, with their drivers where that takes little memory."""
         if len(self._samples) > MOST_KEPT:
             return blocks(self._samples)

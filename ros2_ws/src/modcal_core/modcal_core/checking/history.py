@@ -88,10 +88,10 @@ def values_of(calibration: Calibration) -> Values:
         curves = [e for e in own if e.driver == f"position:{name}"]
         if curves:
             low, high = calibration.seen[:, j]
-            _, size, std = curve(curves, float(low), float(high), _POINTS)
+            _, size, error = curve(curves, float(low), float(high), _POINTS)
             rms = float(np.sqrt(np.mean((size - size.mean()) ** 2)))
             unit = "mrad" if chain.revolute[j] else "mm"
-            out[f"curve of {name}"] = (unit, 1e3 * rms, 1e3 * float(np.sqrt(np.mean(std**2) / _POINTS)), True)
+            out[f"curve of {name}"] = (unit, 1e3 * rms, 1e3 * float(np.sqrt(np.mean(error**2) / _POINTS)), True)
         loads = [e for e in own if e.driver == f"load:{name}" and e.shape.kind == "linear"]
         if loads:
             soft, std = sum(float(e.values[0]) for e in loads), float(np.hypot.reduce([e.std[0] for e in loads]))

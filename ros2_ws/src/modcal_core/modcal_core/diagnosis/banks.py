@@ -69,7 +69,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class NumberBank:
     """Candidates of any numbers, (C, m, N)."""
 
     effects: tuple[Effect, ...]
@@ -116,7 +116,7 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Waves:
+class WaveBank:
     """Sines and cosines along one driver, m/2 of either a candidate. which: their numbers in the spectrum, (C, m/2).
 
     squares: the spectrum up to twice the highest of them.
@@ -166,7 +166,7 @@ class Waves:
 
 
 @dataclass(frozen=True)
-class Times:
+class StepBank:
     """What is −1 before a time of its own and nothing from then on, or nothing and then 1.
 
     order: samples in the order of time, (N,). before: how many of them are before each one's time, (C,). after: whether
@@ -257,12 +257,14 @@ def wave_step(cycles: Array) -> float | None:
     return step if even < _SAME * step * len(cycles) else None
 
 
-def gathered(banks: Iterable[Numbers]) -> list[Numbers]:
+def gathered(banks: Iterable[NumberBank]) -> list[NumberBank]:
     """Banks of any numbers, those of the same keys made one."""
-    alike: dict[tuple[Key, ...], list[Numbers]] = {}
+    alike: dict[tuple[Key, ...], list[NumberBank]] = {}
     for bank in banks:
         alike.setdefault(bank.keys, []).append(bank)
     return [
-        Numbers(tuple(e for bank in some for e in bank.effects), keys, np.concatenate([bank.numbers for bank in some]))
+        NumberBank(
+            tuple(e for bank in some for e in bank.effects), keys, np.concatenate([bank.numbers for bank in some])
+        )
         for keys, some in alike.items()
     ]

@@ -29,7 +29,17 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
-from modcal_core.diagnosis.banks import Bank, Key, Numbers, Spectra, SpectraOfDrivers, Times, Waves, gathered, wave_step
+from modcal_core.diagnosis.banks import (
+    Bank,
+    Key,
+    NumberBank,
+    Spectra,
+    SpectraOfDrivers,
+    StepBank,
+    WaveBank,
+    gathered,
+    wave_step,
+)
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
 from modcal_core.effects.registry import complexity
@@ -93,16 +103,16 @@ class Scanner:
             if alike[0].shape.kind in PERIODIC and len(alike) > 1:
                 spectra.foresee(alike[0].driver, _cycles(alike), _multiples(alike[0]))
         several: list[Bank] = []
-        single: list[Numbers] = []
+        single: list[NumberBank] = []
         for alike in lists:
             bank = self._at_once(alike, spectra) if len(alike) > 1 else None
-            if isinstance(bank, Numbers):
+            if isinstance(bank, NumberBank):
                 single.append(bank)
             elif bank is not None:
                 several.append(bank)
             else:
                 factors = [(effect, *self._factor(effect)) for effect in alike]
-                single += [Numbers((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
+                single += [NumberBank((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
         self.banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: len(bank.keys))
         self.effects = tuple(effect for bank in self.banks for effect in bank.effects)
         self.complexity = np.array([complexity(effect) for effect in self.effects], dtype=int)
@@ -120,13 +130,13 @@ class Scanner:
         if first.shape.kind in STEPS:
             order = np.argsort(x, kind="stable")
             before = np.searchsorted(x[order], [e.shape.settings["at"] for e in alike])
-            return Times(effects, keys, order, before, first.shape.kind == "step")
+            return StepBank(effects, keys, order, before, first.shape.kind == "step")
         cycles = _cycles(alike)
         step = wave_step(cycles)
         if step is None:
-            return Numbers(effects, keys, periodic(first.shape.kind, cycles, x))
+            return NumberBank(effects, keys, periodic(first.shape.kind, cycles, x))
         which = np.round(cycles / step).astype(np.int64)[:, None] * _multiples(first)
-        return Waves(effects, keys, which, *spectra.of(first.driver, step))
+        return WaveBank(effects, keys, which, *spectra.of(first.driver, step))
 
     def space_of(self, fit: Fit) -> Space:
         """The rows of this fit at the samples."""
@@ -178,7 +188,7 @@ class Scanner:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
         keys, numbers = self._factor(effect)
         space = self.space_of(fit)
-        bank = Numbers((effect,), keys, numbers[None])
+        bank = NumberBank((effect,), keys, numbers[None])
         gram, _ = self._gram(bank, space)
         n = self._products(bank, space, space.trials(np.ones((1, len(self.drivers)))))
         own = np.einsum("cii->ci", gram)[0]
@@ -284,7 +294,7 @@ def _inverse(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
         out = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / np.maximum(a * d - b * b, 1e-300)[:, None, None]
         rest = np.flatnonzero(0.5 * (a + d) - np.hypot(0.5 * (a - d), b) <= _LEAST_NEW)
     else:
-        out = np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m))
+        out = np.asarray(np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m)), dtype=float)
         rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _LEAST_NEW**-2))
     sizes = np.full(len(scaled), m)
     value, vector = np.linalg.eigh(scaled[rest])

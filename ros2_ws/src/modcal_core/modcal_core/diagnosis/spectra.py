@@ -42,7 +42,7 @@ class Spectrum:
         out = np.empty((self.most + 1, columns.shape[1]), complex)
         for first in range(0, columns.shape[1], _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            grid = self._spread @ np.ascontiguousarray(columns[:, some])
+            grid = np.asarray(self._spread @ np.ascontiguousarray(columns[:, some]), dtype=float)
             np.conj(fft.rfft(grid, axis=0, overwrite_x=True)[: self.most + 1], out=out[:, some])
         out *= self._share[:, None]
         return out
