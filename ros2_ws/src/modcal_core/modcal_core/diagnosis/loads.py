@@ -34,7 +34,7 @@ from modcal_core.robots.mechanism import is_serial_arm
 _MOST_ASKED = 400  # samples that a suspicion rests on; more are thinned
 _MOST_FITTED = 1000  # samples that what pulls is fitted to, for time
 _SUSPICIOUS = 20.0  # gain for each number, in units of what is left for each row: chance makes one, other causes some
-_WORTH = 0.2  # gain as a share of what is left; less is not worth another search
+_WORTH = 0.2  # gain as a share of what is left: less is not worth another search, nor a word on how an arm stands
 _SURE = 5.0  # standard deviations from which another way of weight or a mass is believed
 _LEAST_TURN = np.radians(2.0)  # a floor is as level as that
 _MOST_STD = np.radians(5.0)  # of the way of weight; known worse it is not known
@@ -102,7 +102,8 @@ def weighed(
             continue
         asked = replace(kept, arm=arm if best is None else _arm_of(best), tilts=tilts, carries=not tilts)
         suspicion = at.suspicion(asked)
-        if suspicion is None:
+        # 1 kg at the tip is a rough load: where no mass is known, only what is plain is believed of the way of weight
+        if suspicion is None or (tilts and not arm.weighed and not suspicion.plain):
             continue
         if best is None and not suspicion.plain:
             best = search(geometric)
@@ -164,7 +165,8 @@ class _Weighing:
             return new
         before, after = self.missed(best, best), self.missed(new, best)
         plainer = asked.carries and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
-        return new if after < (1.0 - LEAST_GAIN) * before or plainer else None
+        least = _WORTH if asked.tilts else LEAST_GAIN
+        return new if after < (1.0 - least) * before or plainer else None
 
     @cached_property
     def seen(self) -> tuple[Space, Drivers]:
