@@ -182,7 +182,7 @@ def solve_camera(
     used_lens = lens or lens_fit.lens
     doubted = doubts(fit, used_lens, is_stated(lens, stated), size_of_arm)
     in_view = tool_error(fit, nominal, near, rng, doubted)
-    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted)
+    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted, both_ends=True)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m, beside)
     other_length = arm_m is not None or (beside is not None and beside.metric)

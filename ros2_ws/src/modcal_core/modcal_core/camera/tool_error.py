@@ -38,27 +38,26 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 class ToolError:
     """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, sum 1, (D,).
 
-    in_doubt: whether some of the draws are those of a statement in doubt.
+    both_ends: whether the intervals leave out the same on either side.
     """
 
     calibrated: Array
     nominal: Array
     weight: Array
-    in_doubt: bool = False
+    both_ends: bool = False
 
     @property
     def interval(self) -> tuple[float, float, float]:
         """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m].
 
-        The interval is the shortest that holds 95 %. Where a statement is in doubt, it leaves out the same on either
-        side, for the shortest might leave out that very doubt.
+        The interval is the shortest that holds 95 %, or leaves out the same on either side.
         """
-        return _interval(self.calibrated, self.weight, not self.in_doubt)
+        return _interval(self.calibrated, self.weight, not self.both_ends)
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
         """The same of the nominal arm."""
-        return _interval(self.nominal, self.weight, not self.in_doubt)
+        return _interval(self.nominal, self.weight, not self.both_ends)
 
     @property
     def chance_worse(self) -> float:
@@ -78,11 +77,18 @@ def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, floa
 
 
 def tool_error(
-    fit: CameraFit, nominal: CameraFit, q: Array, rng: np.random.Generator, doubted: Sequence[Doubt] = ()
+    fit: CameraFit,
+    nominal: CameraFit,
+    q: Array,
+    rng: np.random.Generator,
+    doubted: Sequence[Doubt] = (),
+    both_ends: bool = False,
 ) -> ToolError:
     """The errors over postures q (M, n).
 
-    nominal: of the same images, the arm held nominal. doubted: statements that may be wrong.
+    nominal: of the same images, the arm held nominal. doubted: statements that may be wrong; where one is in doubt, the
+    intervals leave out the same on either side, for the shortest might leave out that very doubt. both_ends: they do so
+    in any case, which suits postures that no image is near.
     """
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
@@ -103,7 +109,7 @@ def tool_error(
     def rms(e: Array) -> Array:
         return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1) + scatter))
 
-    return ToolError(rms(error), rms(apart), weight / weight.sum(), bool(doubted))
+    return ToolError(rms(error), rms(apart), weight / weight.sum(), both_ends or bool(doubted))
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:
