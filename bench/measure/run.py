@@ -117,6 +117,15 @@ def main() -> int:
         goal(chosen.cells, chosen.noise)
     if chosen.part in (None, "impossible"):
         impossible(chosen.cells)
+    if chosen.part in (None, "ties"):
+        from ties import ties
+
+        ties(chosen.cells)
+    if chosen.part in (None, "replay"):
+        import replay
+
+        sys.argv[1:] = []
+        replay.main()
     return 0
 
 

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -185,7 +186,8 @@ def _shape(
     if geometry is None or not len(geometry):
         return
     shape = geometry[0]
-    place = {"pos": _text(xyz), "quat": _text(np.roll(turn.as_quat(), 1)), "margin": _text(np.array([margin]))}
+    quat = _text(np.roll(turn.as_quat(), 1))
+    place: dict[str, Any] = {"pos": _text(xyz), "quat": quat, "margin": _text(np.array([margin]))}
     if shape.tag == "box":
         ET.SubElement(body, "geom", type="box", size=_text(0.5 * _numbers(shape, "size", "0 0 0")), attrib=place)
     elif shape.tag == "sphere":

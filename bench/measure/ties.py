@@ -1,0 +1,89 @@
+"""Pairs of explanations that one recording leaves open: how many are separated by at most twelve more stations."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from cells import Bench
+
+from modcal_core.measuring.choose import deciding_stations
+from modcal_core.measuring.refit import Refit, refit
+from modcal_core.measuring.session import Session, Station
+
+FAULTS = (
+    "compliance", "bearing_tilt", "gear_ratio", "axis_wobble", "encoder_eccentricity", "wrist_coupling",
+    "hardening_spring",
+)  # fmt: skip
+ARMS = ("ur10", "panda", "xarm7")
+RECORDED, NARROW = 45, 0.45  # stations of the recording, and the share of each joint's range that it covers
+MOST, AT_ONCE = 12, 4
+
+
+def ties(count: int) -> None:
+    """Go through cells until so many pairs were left open, and separate them."""
+    found = separated = 0
+    seed = 0
+    while found < count and seed < 40 * count:
+        robot, fault = ARMS[seed % 3], FAULTS[(seed // 3) % len(FAULTS)]
+        seed += 1
+        bench = Bench(robot, fault, 500 + seed, "point" if seed % 2 else "pose")
+        session = recorded(bench)
+        model = fitted(bench, session)
+        before = open_pairs(model)
+        stations, between = deciding_stations(model, bench.pool, AT_ONCE, np.random.default_rng(seed))
+        if not stations:
+            continue
+        found += 1
+        used = 0
+        while stations and used < MOST:
+            stations = stations[: MOST - used]
+            session = session.asking(stations)
+            for number in session.pending:
+                session = session.with_station(number, bench.measure(session.stations[number]))
+            used += len(stations)
+            model = fitted(bench, session)
+            stations, _ = deciding_stations(model, bench.pool, AT_ONCE, np.random.default_rng(seed + used))
+        one, _, other = between.partition(" or ")
+        decided = (one, other) not in open_pairs(model) and (other, one) not in open_pairs(model)
+        separated += decided
+        print(
+            json.dumps(
+                {
+                    "cell": f"{robot} {fault} {500 + seed}", "between": between, "more": used, "decided": decided,
+                    "open_before": len(before), "open_after": len(open_pairs(model)),
+                    "effects": [e.label for e in model.calibration.calibrated.effects],
+                    "true": [list(f.place) for f in bench.faults],
+                }
+            ),
+            flush=True,
+        )  # fmt: skip
+    print(
+        f"ties: of {found} pairs that {RECORDED} stations left open, {separated} were separated by at most {MOST} more"
+    )
+
+
+def recorded(bench: Bench) -> Session:
+    """Random stations of a part of the joints' ranges."""
+    bench.begin(0)
+    rng = np.random.default_rng([bench.seed, 30])
+    low, high = bench.cell.arm.range
+    middle = 0.5 * (low + high) + 0.25 * rng.uniform(-1.0, 1.0, len(low)) * (high - low)
+    half = 0.5 * NARROW * (high - low)
+    q = np.clip(rng.uniform(middle - half, middle + half, (RECORDED, len(low))), low, high)
+    session = Session(bench.chain.names, bench.kind).asking([Station(row) for row in q])
+    for number in session.pending:
+        session = session.with_station(number, bench.measure(session.stations[number]))
+    return session
+
+
+def fitted(bench: Bench, session: Session) -> Refit:
+    """The model from everything measured."""
+    return refit(session.samples(session.fitted), bench.chain, 0, None, bench.inertias)
+
+
+def open_pairs(model: Refit) -> set[tuple[str, str]]:
+    """Pairs of explanations that the readings leave open, by name."""
+    c = model.calibration
+    pairs = zip(c.calibrated.effects, c.rivals, strict=False)
+    return {(effect.label, rival.label) for effect, rivals in pairs for rival in rivals}
