@@ -132,6 +132,7 @@ MEANINGS: dict[str, dict[str, str]] = {
     "calibrator ~/robot_description": {"data": "the trusted corrected URDF"},
     "calibrator ~/calibration": {"data": "the trusted calibration.yaml"},
     "calibrator ~/change": {"data": "JSON: place, direction, driver, since when, how large, what else it may be; `{}`: nothing"},
+    "calibrator ~/checked": {"data": "check.json of the last `~/check` ([check](../check.md))"},
     "calibrator ~/report": {"data": "report.json of the trusted model ([report](../report.md))"},
     "calibrator ~/residual": {"data": "held-out RMS of the last result, m"},
     "calibrator ~/residual_before": {"data": "the same of the model trusted before, m"},

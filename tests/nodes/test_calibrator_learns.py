@@ -71,6 +71,36 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
     assert report["recording"]["stations"] == 48
 
 
+def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tmp_path: Path) -> None:
+    shutil.copytree(saved, tmp_path / "state")
+    domain = fresh_domain()
+    bump = se3.exp(np.array([5e-4, -4e-4, 3e-4, 0.0, 0.0, 0.0]))
+    # a change is not followed up by itself, so that the worker is free for the check
+    again = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state", after_change=0)
+    with running(again), listener(domain) as (node, wait):
+        cell, said = PlayedCell(node), Said(node)
+        checked = latched(node, "calibrator/checked")
+        wait(cell.heard, 60.0)
+        refused = call(node, wait, "calibrator/check")
+        assert not refused.success
+        assert "no model is trusted yet" in refused.message
+        cell.describe(URDF.read_text())
+        cell.play(stations(10, begin=START + 1000.0))
+        wait(cell.taken, 60.0)
+        wait(lambda: said.value(MODEL, "state") == "trusted", 20.0)
+        answer = call(node, wait, "calibrator/check")
+        assert answer.success
+        assert answer.message.startswith("Nothing has changed, by 10 stations.")
+        cell.play(stations(12, begin=START + 2000.0, bump=bump))
+        wait(cell.taken, 60.0)
+        answer = call(node, wait, "calibrator/check")
+        assert answer.success
+        assert answer.message.startswith("The tool has moved: 0.7")
+        wait(lambda: len(checked) == 2, 10.0)
+        assert [c["kind"] for c in json.loads(checked[-1])["changes"]] == ["tool"]
+        assert again.stop() == 0
+
+
 def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: Path, tmp_path: Path) -> None:
     shutil.copytree(saved, tmp_path / "state")
     domain = fresh_domain()

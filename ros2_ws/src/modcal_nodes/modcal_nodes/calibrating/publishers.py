@@ -26,7 +26,9 @@ class Publishers:
     """The calibrator's publishers. All are latched but the running estimate."""
 
     def __init__(self, node: Node) -> None:
-        self._texts = {topic: node.create_publisher(String, topic, LATCHED) for topic in (*_OF_THE_MODEL, "~/change")}
+        self._texts = {
+            topic: node.create_publisher(String, topic, LATCHED) for topic in (*_OF_THE_MODEL, "~/change", "~/checked")
+        }
         self._names = node.create_publisher(String, "~/estimate_names", LATCHED)
         self._estimate = node.create_publisher(Float64MultiArray, "~/estimate", 10)
         self._residual = node.create_publisher(Float64, "~/residual", LATCHED)
@@ -62,6 +64,10 @@ class Publishers:
         }
         self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
         self._trusted.publish(Bool(data=False))
+
+    def check(self, data: str) -> None:
+        """Publish what a check has found: the text of check.json."""
+        self._texts["~/checked"].publish(String(data=data))
 
     def moved(self, moved: Moved) -> None:
         """Publish that images show something to have been moved."""

@@ -28,6 +28,7 @@ from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.by_camera import ByCamera
+from modcal_nodes.calibrating.check import LiveCheck, live_check
 from modcal_nodes.calibrating.commands import CommandSubscription
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
@@ -49,13 +50,15 @@ from modcal_nodes.ros.tf_frames import static_frames
 
 _POLL = 0.1  # s
 _REST = 0.01  # s
-_SOLVE = "solve"
+_SOLVE, _CHECK = "solve", "check"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
 
 class Calibrator(GuardedNode):
-    """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets."""
+    """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets;
+    ``~/check`` says by a few stations what has changed since.
+    """
 
     def __init__(self) -> None:
         super().__init__("calibrator")
@@ -97,9 +100,11 @@ class Calibrator(GuardedNode):
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)
         self._waiting: Future | None = None
+        self._checking: Future | None = None
         self._solve_next = False
         # a group of its own: while a solve is awaited, its group takes no other callback
         self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
+        self.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, "~/accept", self._on_accept)
         self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -225,6 +230,37 @@ class Calibrator(GuardedNode):
         page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
         self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
+
+    async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Say what has changed since the trusted model was made, by the newest stations; answer when known."""
+        trusted, chain = self._supervisor.trusted, self._arm.chain
+        refusal = "no model is trusted yet: solve and accept one, or set the parameter state" if trusted is None else ""
+        refusal = refusal or ("" if chain is not None else self._lacks())
+        if refusal or self._worker.doing or self._checking is not None:
+            response.success, response.message = (
+                False,
+                refusal or f"busy with {self._worker.doing or _CHECK}: ask again",
+            )
+            return response
+        self._checking = Future(executor=self.executor)
+        work = self._buffer.collected(), chain, trusted, self._chosen["clock_limit_s"], self._chosen["check_stations"]
+        fail = partial(self._checked, False)
+        self._worker.give(_CHECK, live_check, *work, self._supervisor.changed, finish=self._found, fail=fail)
+        response.success, response.message = await self._checking
+        return response
+
+    def _found(self, check: LiveCheck) -> None:
+        self._outputs.check(check.data)
+        if check.changed:
+            self.get_logger().warning(f"check: {check.sentence}")
+        else:
+            self.get_logger().info(f"check: {check.sentence}")
+        self._checked(True, check.sentence)
+
+    def _checked(self, success: bool, message: str) -> None:
+        if self._checking is not None:
+            waiting, self._checking = self._checking, None
+            waiting.set_result((success, message))
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message

@@ -47,6 +47,7 @@ CALIBRATOR = {
     "after_change": Parameter(
         20, "Stations since a change after which the diagnosis is repeated; 0: only on request.", 0, 100_000
     ),
+    "check_stations": Parameter(10, "Newest stations that ~/check looks at.", 5, 48),
     "process_noise_places": Parameter([""], "Places that may drift slowly: base, tool or joints; empty: none."),
     "process_noise_m": Parameter(1e-6, "Standard deviation of that drift over one second [m].", 0.0, 1e-2),
     "process_noise_rad": Parameter(1e-6, "Standard deviation of the rotation over one second [rad].", 0.0, 1e-2),

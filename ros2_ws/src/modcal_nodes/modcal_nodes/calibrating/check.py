@@ -1,0 +1,56 @@
+"""``~/check``: what has changed since the trusted model was made, by the newest stations, beside the callbacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import NotEnoughData
+from modcal_core.files import to_json
+from modcal_core.measurements.samples import Samples
+from modcal_core.public import check
+from modcal_core.recalibrate import SampleMemory
+from modcal_core.report.checkup import to_json_data
+from modcal_core.robots.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class LiveCheck:
+    """sentence: for a person. data: text of check.json. changed: whether anything is named or left unexplained."""
+
+    sentence: str
+    data: str
+    changed: bool
+
+
+def live_check(
+    heard: SampleMemory,
+    chain: Mechanism,
+    calibration: Calibration,
+    clock_limit: float,
+    newest: int,
+    since: float | None,
+) -> LiveCheck:
+    """The check by the newest stations; of those since a stamp [s] where something is suspected to have changed.
+
+    Raises ModcalError for too few, or for what is not of this arm.
+    """
+    samples, _, _ = heard.prepared(chain, clock_limit)
+    found = check(calibration, newest_of(samples, newest, since))
+    said = f"{found.sentence} {found.advice.sentence}"
+    return LiveCheck(said, to_json(to_json_data(found)), found.status != "unchanged")
+
+
+def newest_of(samples: Samples, count: int, since: float | None) -> Samples:
+    """The samples of the newest stations, of those since a stamp where one is given. Raises NotEnoughData."""
+    first = -np.inf if since is None else since
+    stations = samples.station[samples.stamps >= first]
+    kept = np.unique(stations)[-count:]
+    if len(kept) < count:
+        where = "" if since is None else " since something seems to have changed"
+        raise NotEnoughData(
+            f"{len(kept)} stations{where}", f"a check looks at {count}", "drive to more, or set check_stations"
+        )
+    return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
