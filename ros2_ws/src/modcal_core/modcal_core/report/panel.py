@@ -7,6 +7,8 @@ stand: the same sizes, strokes, ticks and letters.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -14,15 +16,18 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.page import Chart, framed
+from modcal_core.report.palette import LIGHT
 
 _WIDTH, _HEIGHT = 216.0, 126.0  # points
-_LEFT, _RIGHT, _TOP, _BOTTOM = 44.64, 210.24, 8.64, 95.76  # of the axes
+_LEFT, _RIGHT, _TOP = 44.64, 210.24, 8.64  # of the axes
+_BELOW = 30.24  # points from the axis below to the edge
 _TICK, _PAD = 3.5, 3.5
 _SMALL, _LARGE = 7.5, 8.0  # print of ticks and of names
 _WIDE = {"−": 0.838, ".": 0.318}  # widths of letters in units of their size; digits have another
 _DIGIT = 0.636
 _OFF = 0.15  # points, an eighth of a line's width: what a drawn curve may be off by
 _TICKS = 4  # about as many
+_ROOM = 1.08  # of the range of the points that are shown to scale
 _FONT = "'DejaVu Sans','Bitstream Vera Sans',Verdana,Geneva,Arial,Helvetica,sans-serif"
 _SHAPES = {  # around a point
     "circle": "M-1.4 0a1.4 1.4 0 1 0 2.8 0a1.4 1.4 0 1 0 -2.8 0z",
@@ -36,13 +41,27 @@ class Panel:
     """A chart of this range, (low, high) along either axis, to which marks are added.
 
     Numbers along x are in the unit that its name says, those along y in that of its own name. Colours are names of the
-    page's palette.
+    page's palette. height: of the chart [points].
     """
 
     x: tuple[float, float]
     y: tuple[float, float]
+    height: float = _HEIGHT
     _drawn: list[str | tuple[str, int]] = field(default_factory=list)  # elements, or places of a mark and its number
     _marks: list[str] = field(default_factory=list)
+
+    @classmethod
+    def to_scale(cls, x: Array, y: Array, height: float) -> Panel:
+        """A chart that shows these points (N,) with both axes to one scale."""
+        wide, high = _RIGHT - _LEFT, height - _BELOW - _TOP
+        scale = _ROOM * max(np.ptp(x) / wide, np.ptp(y) / high, 1e-9)  # units of a point of the chart
+        across, along = (0.5 * (float(np.min(v)) + float(np.max(v))) for v in (x, y))
+        half, tall = 0.5 * scale * wide, 0.5 * scale * high
+        return cls((across - half, across + half), (along - tall, along + tall), height)
+
+    @property
+    def _bottom(self) -> float:
+        return self.height - _BELOW
 
     def dashes(self, x: Array, y: Array, colour: str, half: float, wide: float) -> None:
         """A dash of this half length, in units of the width, at every point (N,); a dot where it has none."""
@@ -74,7 +93,7 @@ class Panel:
 
     def rug(self, x: Array, colour: str) -> None:
         """A short stroke on the axis below at each of these places (N,)."""
-        drawn = "".join(f"M{a:.1f} {_BOTTOM - 4.0:g}v4" for a in self._across(x).tolist())
+        drawn = "".join(f"M{a:.1f} {self._bottom - 4.0:g}v4" for a in self._across(x).tolist())
         self._drawn.append(f'<path d="{drawn}" style="stroke:var(--{colour});stroke-width:0.5"/>')
 
     def chart(self, name: str, x: str, y: str, alt: str, caption: str) -> Chart:
@@ -83,32 +102,32 @@ class Panel:
         ticks, texts, widest = [], [], 0.0
         for value, said in _labelled(*self.x):
             at = float(self._across(np.array(value)))
-            ticks.append(f"M{at:.2f} {_BOTTOM}v{_TICK}")
-            texts.append(_text(said, at, _BOTTOM + 12.7, _SMALL))
+            ticks.append(f"M{at:.2f} {self._bottom:g}v{_TICK}")
+            texts.append(_text(said, at, self._bottom + 12.7, _SMALL))
         for value, said in _labelled(*self.y):
             at = float(self._along(np.array(value)))
             ticks.append(f"M{_LEFT} {at:.2f}h-{_TICK}")
             texts.append(_text(said, _LEFT - _TICK - _PAD, at + 2.85, _SMALL, "end"))
             widest = max(widest, _SMALL * sum(_WIDE.get(letter, _DIGIT) for letter in said))
-        texts.append(_text(x, 0.5 * (_LEFT + _RIGHT), 120.34, _LARGE))
+        texts.append(_text(x, 0.5 * (_LEFT + _RIGHT), self._bottom + 24.58, _LARGE))
         beside = _LEFT - _TICK - _PAD - widest - 5.92
-        texts.append(_text(y, beside, 0.5 * (_TOP + _BOTTOM), _LARGE, turned=True))
+        texts.append(_text(y, beside, 0.5 * (_TOP + self._bottom), _LARGE, turned=True))
         clip = f"{name}-inside"
         marks = "".join(_marker(f"{name}-mark{k}", mark) for k, mark in enumerate(self._marks))
         drawn = "".join(_at(*d, name) if isinstance(d, tuple) else d for d in self._drawn)
         ink = "fill:none;stroke:var(--ink);stroke-width:0.8"
-        size = f'width="{_RIGHT - _LEFT:g}" height="{_BOTTOM - _TOP:g}"'
+        size = f'width="{_RIGHT - _LEFT:g}" height="{self._bottom - _TOP:g}"'
         body = (
-            f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" style="fill:var(--paper)"/>'
+            f'<rect width="{_WIDTH:g}" height="{self.height:g}" style="fill:var(--paper)"/>'
             f'{marks}<clipPath id="{clip}"><rect x="{_LEFT}" y="{_TOP}" {size}/></clipPath>'
             f'<g clip-path="url(#{clip})">'
             f'<path d="M{_LEFT} {zero:.2f}H{_RIGHT}" style="stroke:var(--line);stroke-width:0.8"/>'
             f"{drawn}</g>"
             f'<path d="{"".join(ticks)}" style="{ink}"/>'
-            f'<path d="M{_LEFT} {_TOP}V{_BOTTOM}H{_RIGHT}" style="{ink};stroke-linecap:square"/>'
+            f'<path d="M{_LEFT} {_TOP}V{self._bottom:g}H{_RIGHT}" style="{ink};stroke-linecap:square"/>'
             f'<g style="font-family:{_FONT};fill:var(--ink)">{"".join(texts)}</g></svg>'
         )
-        return Chart(name, framed(body, _WIDTH, _HEIGHT, alt), caption)
+        return Chart(name, framed(body, _WIDTH, self.height, alt), caption)
 
     def _across(self, x: Array) -> Array:
         low, high = self.x
@@ -116,7 +135,18 @@ class Panel:
 
     def _along(self, y: Array) -> Array:
         low, high = self.y
-        return np.asarray(_BOTTOM - (y - low) / (high - low) * (_BOTTOM - _TOP))
+        return np.asarray(self._bottom - (y - low) / (high - low) * (self._bottom - _TOP))
+
+
+def side_by_side(charts: Sequence[Chart], height: float) -> str:
+    """Charts of panels of one height as a file of its own, SVG, in the colours of light pages."""
+    whole = f'viewBox="0 0 {_WIDTH * len(charts):g} {height:g}"'
+    parts = [
+        one.drawn.replace("<svg", f'<svg x="{k * _WIDTH:g}" width="{_WIDTH:g}" height="{height:g}"', 1)
+        for k, one in enumerate(charts)
+    ]
+    drawn = re.sub(r"var\(--(\w+)\)", lambda found: LIGHT[found[1]], "".join(parts))
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {whole}>{drawn}</svg>\n'
 
 
 def _marker(name: str, mark: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +12,11 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.planning.accuracy import Accuracy
 from modcal_core.planning.plan import Plan
 from modcal_core.report.counted import percent
-from modcal_core.report.figures import label, small, thinned
-from modcal_core.report.page import chart, plain_page, svg
-from modcal_core.report.palette import LIGHT
+from modcal_core.report.figures import thinned
+from modcal_core.report.page import Chart, plain_page
+from modcal_core.report.panel import Panel, side_by_side
 from modcal_core.report.robot_scene import MOST_POINTS, MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 from modcal_core.robots.table_rows import plain
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _FILES = [
     ("plan.yaml", "the stations and what is expected of them, for programs"),
@@ -28,6 +25,7 @@ _FILES = [
 ]
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
+_HIGH = 200.0  # points
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -149,25 +147,13 @@ def _duration(seconds: float) -> dict[str, int]:
 
 def figure(plan: Plan) -> str:
     """The picture of the stations as a file of its own, SVG."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(8.4, 3.6), layout="constrained")
-    for axes, (_, plane) in zip(drawn.subplots(1, 2), _VIEWS, strict=True):
-        _draw(plan, axes, plane)
-    return svg(drawn)
+    return side_by_side(_charts(plan), _HIGH)
 
 
 def to_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, pictures, files."""
     first, *others = sentences(plan)
-    charts = []
-    for seen, plane in _VIEWS:
-        drawn, axes = small(3.4, 3.2)
-        _draw(plan, axes, plane)
-        alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
-        words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order."
-        charts.append(chart(drawn, f"stations-{'xyz'[plane[1]]}", alt, words))
-    return plain_page(f"{title}: stations to measure", first, others, charts, _FILES, robot=_robot(plan))
+    return plain_page(f"{title}: stations to measure", first, others, _charts(plan), _FILES, robot=_robot(plan))
 
 
 def _robot(plan: Plan) -> RobotScene:
@@ -184,17 +170,26 @@ def _robot(plan: Plan) -> RobotScene:
     return RobotScene(tuple(paths[rows]), tuple(said), points, rows, chain.base, alt, True, could, marks)
 
 
-def _draw(plan: Plan, axes: Axes, plane: tuple[int, int]) -> None:
-    """Where the target stands at the stations, seen along one axis of the base, among all that could be chosen."""
-    pool, tracker, (i, j) = plan.pool, plan.pool.site.tracker, plane
+def _charts(plan: Plan) -> list[Chart]:
+    """Where the target stands at the stations, seen along two axes of the base, among all that could be chosen."""
+    pool, tracker = plan.pool, plan.pool.site.tracker
     origin = pool.model.T_frame_base[0][:3, 3]
     could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
     could = could[thinned(len(could), MOST_POINTS)]
-    axes.plot(could[:, i], could[:, j], ".", ms=1.5, color=LIGHT["before"])
-    axes.plot(chosen[:, i], chosen[:, j], ".-", ms=6.0, lw=0.5, color=LIGHT["after"], label="stations")
-    axes.plot(0.0, 0.0, "s", ms=6.0, color=LIGHT["ink"], label="base")
-    if tracker is not None:
-        axes.plot(tracker.position[i], tracker.position[j], "^", ms=7.0, color=LIGHT["bad"], label="tracker")
-    label(axes, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=3)
+    base = np.zeros((1, 3))
+    sight = base[:0] if tracker is None else np.asarray(tracker.position, dtype=float)[None]
+    every = np.concatenate([could, chosen, base, sight])
+    out = []
+    for seen, (i, j) in _VIEWS:
+        panel = Panel.to_scale(every[:, i], every[:, j], _HIGH)
+        panel.dashes(could[:, i], could[:, j], "before", 0.0, 1.2)
+        panel.line(chosen[:, i], chosen[:, j], "after", 0.5)
+        panel.dashes(chosen[:, i], chosen[:, j], "after", 0.0, 3.5)
+        panel.hollow(base[:, i], base[:, j], "ink", "square")
+        panel.hollow(sight[:, i], sight[:, j], "bad", "triangle")
+        alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
+        words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order; the base "
+        words += "is a square." if tracker is None else "is a square, the tracker a triangle."
+        name = f"stations-{'xyz'[j]}"
+        out.append(panel.chart(name, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m", alt, words))
+    return out

@@ -24,7 +24,7 @@ RCLError = rclpy_implementation.RCLError
 _PAUSE = 0.05  # s after a fault of the executor itself, so that one that lasts does not take the processor
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# nothing is lost where the publisher can repeat it; one that cannot is heard as it is, see hearing.py
+# nothing is lost where the publisher can repeat it; one that cannot is heard as it is, see subscriptions.py
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 # what is acted on at once: a long queue would only make it old
 FRESH = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
