@@ -222,7 +222,7 @@ def _before(robot: str, joint: str, kind: str, xyz: str, axis: str, span: tuple[
     DESCRIBED[robot] = text.replace("</robot>", f"{foot}\n{moves}\n{fixed}\n</robot>"), "tool0"
 
 
-_before("lifted", "lift", "prismatic", "0 0 0.3", "0 0 1", (0.0, 0.6), 25.0)
+_before("lifted", "lift", "prismatic", "0.1 0 0.3", "0 0 1", (0.0, 0.6), 25.0)
 _before("torso", "torso", "revolute", "0 0 0.8", "0 1 0", (-0.6, 0.6), 12.0)
 
 
