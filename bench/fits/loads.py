@@ -153,7 +153,7 @@ def _loads(rng: np.random.Generator) -> tuple[Works, tuple[float, ...], list[Ses
 
     def bend_of(mass: float) -> Bend:
         def bend(arm: object, stations: object, deviation: object) -> None:
-            springs(arm, stations, deviation)  # type: ignore[arg-type]
+            springs(arm, stations, deviation)
             deviation.payload += mass  # type: ignore[attr-defined]
 
         return bend
@@ -281,7 +281,7 @@ def other_torque(torso: Array, turns: Array) -> Array:
     shoulder, elbow = (np.array(xyz) for _, _, xyz, _ in OTHER)
     at = [shoulder + first.apply(centre), shoulder + first.apply(elbow) + second.apply(centre)]
     weights = [mass * GRAVITY * np.array([0.0, 0.0, -1.0]) for *_, mass in OTHER]
-    return sum(np.cross(lean.apply(p), w)[:, 1] for p, w in zip(at, weights, strict=True))  # type: ignore[no-any-return]
+    return np.sum([np.cross(lean.apply(p), w)[:, 1] for p, w in zip(at, weights, strict=True)], axis=0)
 
 
 ROWS: dict[str, Maker] = {
@@ -326,6 +326,7 @@ def judged(row: str, seed: int) -> Outcome:
     report = calibrate(samples, chain, np.random.default_rng(0), cell, inertias=read_inertias(urdf, chain)).report
     size = report.size_mm("final")
     assert size is not None
+    assert report.judged is not None
     found = [(effect.family, effect.place) for effect in report.effects if effect.family != "outliers"]
     named = planted.named is None or any(f in planted.named[0] and p in planted.named[1] for f, p in found)
     clean = not (found if "*" in planted.never else [f for f, _ in found if f in planted.never])
