@@ -57,7 +57,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         self._runner: Runner | None = None
         self._advice: Advice | None = None
         self._summary, self._shown = "", False
-        self._active = self._running = False
+        self._active = self._running = self._begun = False
         self._blind, self._again = 0, -np.inf
         self._said, self._level = "not configured", OK
         self._timer: Timer | None = None
@@ -164,12 +164,13 @@ class StationRunner(GuardedNode, LifecycleNode):
             raise BadCommand("start", "it is measuring already", "call ~/stop first")
         self._now_joints(require=True)
         self._runner.release()
-        self._running, self._blind = True, 0
+        self._running, self._begun, self._blind = True, True, 0
         self._tell(OK, "measuring")
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Hold the arm where it is, at once."""
         moved = self._runner is not None and self._runner.busy
+        self._begun = True  # also what was accepted in advance waits for ~/start from here on
         self._halt("stopped as asked")
         response.success, response.message = True, "held" if moved else "nothing moved"
         return response
@@ -256,16 +257,22 @@ class StationRunner(GuardedNode, LifecycleNode):
             return
         if time.monotonic() < self._again:
             return
-        self._next()
+        try:
+            self._next()
+        except ModcalError as error:
+            self._refused(error)
 
     def _take(self, future: Future[Any]) -> None:
         """What came of thinking; what is refused is said, and tried again a little later."""
         try:
             self._then(future.result())
         except ModcalError as error:
-            self._again = time.monotonic() + _AGAIN
-            self._halt(str(error))
-            self._tell(ERROR, str(error))
+            self._refused(error)
+
+    def _refused(self, error: ModcalError) -> None:
+        self._again = time.monotonic() + _AGAIN
+        self._halt(str(error))
+        self._tell(ERROR, str(error))
 
     def _next(self) -> None:
         """What to think about, or where to go, now that nothing is being thought about."""
@@ -286,6 +293,8 @@ class StationRunner(GuardedNode, LifecycleNode):
         if not self._summary:
             self._think(lambda: place.dry_run(here.q, speed), self._dry)
             return
+        if self._chosen["yes"] and self._active and not self._begun:
+            self._begin()
         if self._running and runner.phase == IDLE:
             number = place.session.pending[0]
             self._think(lambda: place.way(number, here.q, speed), self._go)
@@ -304,8 +313,6 @@ class StationRunner(GuardedNode, LifecycleNode):
     def _dry(self, summary: str) -> None:
         self._summary = summary
         self._tell(OK, f"dry run: {summary}")
-        if self._chosen["yes"] and self._active:
-            self._begin()
 
     def _go(self, way: StationWay) -> None:
         """Begin the motion to a station, if it may still be begun."""
@@ -383,7 +390,9 @@ class StationRunner(GuardedNode, LifecycleNode):
         if q is None or self._joints is None:
             return None
         effort = self._joints.effort.copy()
-        return JointReport(q, self._received, effort if np.isfinite(effort).all() else None)
+        # joints may come in messages of several drivers: the one heard longest ago counts
+        now, age = time.monotonic(), max(self._clock_now() - float(self._joints.stamps.min()), 0.0)
+        return JointReport(q, min(self._received, now - age), effort if np.isfinite(effort).all() else None)
 
     def _clock_now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
