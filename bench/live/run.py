@@ -5,7 +5,8 @@
 Each node runs beside two bare ones: one that ``rclpy.spin`` serves, and one that takes all that waits at once and rests
 between two looks. Times are of the processor, of the process and its children. Then all nodes run at once with the
 simulated cell, and it is measured how old a pose is when the calibrator has taken it in, and when the bare one has.
-Ends with exit code 1 where a node costs more than five points of a core above the bare node that is spun.
+Ends with exit code 1 where a node costs more than five points of a core above the bare node that is spun; the estimator
+of articulation, which weighs kinds of joints with each pose, has no limit.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from nodes.processes import EXECUTABLES, environment, fresh_domain, listener  # 
 
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
+THINKS = ("articulation_estimator",)  # it weighs kinds of joints with each pose, which is no cost of hearing
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 NODES = (
     "recorder", "calibrator", "corrector", "acceleration_limits", "impedance_setpoint", "articulation_estimator",
@@ -171,7 +173,7 @@ def main() -> int:
             if asked.only in ("", each):
                 used = cost(each, asked.seconds, folder / each)
                 above = used["node"] - used["spin"]
-                broken += above > ABOVE
+                broken += above > ABOVE and each not in THINKS
                 row = [used["node"], used["spin"], used["rest"], above, used["source"]]
                 print("| " + " | ".join([each, *(f"{x:.1f}" for x in row)]) + " |", flush=True)
         if asked.only in ("", "chain"):

@@ -58,5 +58,6 @@ def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.C
 
 @pytest.mark.dds
 def test_parameters_that_are_known_are_not_spoken_of() -> None:
-    with spun(ImpedanceSetpoint, max_force_n=33.0, most_moment_nm=7.0) as pair:
+    """Nor those of another node: a file under /** gives all nodes all parameters."""
+    with spun(ImpedanceSetpoint, max_force_n=33.0, most_moment_nm=7.0, max_stations=100) as pair:
         assert not pair.node.parameters_without_effect

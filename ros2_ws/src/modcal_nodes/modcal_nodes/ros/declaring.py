@@ -56,12 +56,15 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
 def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
     """Say which of the names that files and command line give are no parameter of this node, and which are meant.
 
-    A file may be shared by several nodes, so that this is no reason to refuse the start.
+    A file may be shared by several nodes: what another one knows is not spoken of, and the rest is no reason to refuse
+    the start.
     """
     from modcal_nodes.ros.aliases import OLD_NAMES
+    from modcal_nodes.ros.parameters import NODES
 
+    known = {*OLD_NAMES.values(), *(name for parameters in NODES.values() for name in parameters)}
     given = getattr(node, "_parameter_overrides", {})
-    strange = [name for name in given if not name.startswith("qos_overrides.") and name not in OLD_NAMES.values()]
+    strange = [name for name in given if not name.startswith("qos_overrides.") and name not in known]
     said = []
     for name in sorted(name for name in strange if not node.has_parameter(name)):
         like = get_close_matches(name, parameters, 1)
