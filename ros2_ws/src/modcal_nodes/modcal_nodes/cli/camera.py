@@ -36,8 +36,8 @@ _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
-        "--images", type=click.Path(exists=True, file_okay=False, path_type=Path), default=None, metavar="FOLDER",
-        help="Images of a printed target, with --joints, --target and --urdf. Readings of BAG stand beside them.",
+        "--images", type=_EXISTING, default=None, metavar="FOLDER",
+        help="Images of a printed target, or a CSV of its corners; with --joints, --target, --urdf. BAG may stand beside.",
     ),
     click.option(
         "--joints", type=_EXISTING, default=None, metavar="FILE",
@@ -230,7 +230,8 @@ def _read(
     """The robot, the images with their joints, and readings of other instruments in the bag, None where it has none."""
     from modcal_core.camera.beside import beside
     from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.images import read_images
+    from modcal_nodes.vision.corner_table import read_corner_table
+    from modcal_nodes.vision.images import read_camera_info, read_images
 
     recording = None
     if bag is not None:
@@ -238,7 +239,11 @@ def _read(
     if camera["images"] is not None:
         columns = _columns(camera["joints"])
         robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
-        found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
+        if camera["images"].is_file():
+            size = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"]).size
+            found = read_corner_table(camera["images"], camera["joints"], robot.names, target, size)
+        else:
+            found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
     else:
         assert bag is not None
         assert recording is not None

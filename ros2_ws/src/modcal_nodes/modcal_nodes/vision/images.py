@@ -65,7 +65,7 @@ def read_images(
         raise BadRecording(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES[:3])} files")
     if len(files) > _MOST_IMAGES:
         raise BadRecording(str(folder), f"holds {len(files)} images, {_MOST_IMAGES} are read", "give fewer")
-    rows = joints_of_text(_text(joints), names, str(joints))
+    rows = joints_of_text(text_of(joints), names, str(joints))
     left_out: dict[str, str] = {}
     views: list[BoardView] = []
     at: list[tuple[Array, Array]] = []
@@ -203,7 +203,8 @@ def _stamp(text: str) -> float | None:
     return (1e-9 * stamp if stamp > _NANOSECONDS else stamp) if np.isfinite(stamp) else None
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """The text of a table. Raises BadTable for one that is too large or is none."""
     if path.stat().st_size > _MOST_TABLE:
         raise BadTable(str(path), f"has more than {_MOST_TABLE >> 20} MiB", "give a table of joints")
     try:
