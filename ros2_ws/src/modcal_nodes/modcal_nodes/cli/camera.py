@@ -37,7 +37,7 @@ _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
         "--images", type=_EXISTING, default=None, metavar="FOLDER",
-        help="Images of a printed target, or a CSV of its corners; with --joints, --target, --urdf. BAG may stand beside.",
+        help="Images of a printed target, or a CSV of its corners; with --joints, --target, --urdf.",
     ),
     click.option(
         "--joints", type=_EXISTING, default=None, metavar="FILE",
