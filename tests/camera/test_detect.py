@@ -17,6 +17,7 @@ from modcal_core.camera.lens import Lens
 from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHESSBOARD, PrintedTarget
 from modcal_core.errors import ModcalError
 from modcal_core.files import to_yaml
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_nodes.vision.detect import detect
 from modcal_nodes.vision.images import read_camera_info, read_images, require_size
@@ -105,6 +106,17 @@ def test_images_that_cannot_be_used(spoil: Callable[[np.ndarray], np.ndarray], s
 
 
 @pytest.mark.slow
+def test_a_single_row_of_corners_is_too_few() -> None:
+    """They lie on one line, which no homography is taken from."""
+    T = se3.transform(np.eye(3), [-0.105, -0.075, 0.3])
+    grey = render(T, SMALL, BOARD, np.random.default_rng(0))
+    # down to just below the second row of squares: six corners
+    end = int(seen(T, np.array([[0.0, 0.061, 0.0]]), SMALL)[0, 1])
+    found = detect(np.ascontiguousarray(grey[:end]), BOARD, "")
+    assert found.view is None
+    assert "not on one line" in found.reason
+
+
 def test_another_board() -> None:
     found = detect(image(), replace(BOARD, dictionary="DICT_4X4_100"), "a")
     assert found.view is None

@@ -112,7 +112,7 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array
 def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:
     """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
     half = _LEAST_WINDOW
-    if len(ids) >= 4:
+    if enough_corners(target.points[ids]):
         H = homography(target.points[ids, :2], pixels)
         h, w = grey.shape
         middle = np.r_[target.points[ids, :2].mean(axis=0), 1.0]
@@ -120,7 +120,8 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
         at = [(H @ p)[:2] / (H @ p)[2] for p in (middle, *steps)]
         square = min(float(np.linalg.norm(a - at[0])) for a in at[1:])
         margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
-        half = int(np.clip(min(_LEAST_SHARE, margin) * square, _LEAST_WINDOW, _MOST_WINDOW))
+        if np.isfinite(square):  # else the board is seen edge on
+            half = int(np.clip(min(_LEAST_SHARE, margin) * square, _LEAST_WINDOW, _MOST_WINDOW))
     h, w = grey.shape
     inside = ((pixels >= half + 1) & (pixels <= np.array([w, h]) - half - 2)).all(axis=1)
     ids, pixels = ids[inside], pixels[inside]
