@@ -89,6 +89,7 @@ _SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than tw
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
+_KEEPS = 0.5  # of what the positions' hinge turns by may a hand turn that keeps its orientation
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -98,6 +99,7 @@ class Tracker:
     def __init__(self, settings: TrackerSettings | None = None, oriented: bool | None = None) -> None:
         self.settings = TrackerSettings() if settings is None else settings
         self._wanted = oriented
+        self._turn: int | None = None  # of two trackers that think by turns
         self.reset()
 
     def reset(self, changes: int = 0) -> None:
@@ -109,9 +111,11 @@ class Tracker:
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
         self._travel = Travel()
         self._two = TwoMotions()
+        self._positions: Tracker | None = None
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
+        self._held: Array | None = None  # rotation of the hand at first
         self._moved = 0.0
         self._known: tuple[Array, Array | None] | None = None  # the last pose that was learned from
         self._waiting: tuple[Array, Array | None] | None = None  # one that jumped, and waits for another
@@ -139,6 +143,10 @@ class Tracker:
         self._recent.append((p, R))
         if self._first is None or self._nodes is None:
             self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
+            if self._oriented:
+                self._positions = Tracker(self.settings, False)
+                self._positions._turn = 1
+            self._held = R
         motion = self._selector.motion
         a, off, twisted, event = self._compare(p, R)
         accepted = self._accepted(p, R, off, twisted)
@@ -150,14 +158,35 @@ class Tracker:
             self._two.come(q, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
+            for _ in range(self._travel.thoughts(self._least()) if self._nodes.k >= FEWEST else 0):
                 self._two.think(self._selector.scale[0])
                 if self._selector.think(self._nodes):
                     self._check.begin(*self._reached())
         self._judge()
         if self._two.found and (motion is None or motion.flat):
             self._check.lose()
-        return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
+        state = self._state(p, R, off, event or self._stuck(p, stamp, pulled))
+        return state if self._positions is None or R is None else self._weighed(state, p, R, stamp, pulled)
+
+    def _weighed(self, state: TrackerState, p: Array, R: Array, stamp: float, pulled: bool) -> TrackerState:
+        """This state, or the one of positions alone where that predicts, this does not, and the hand hardly turns."""
+        if state.trusted:
+            self._positions = None
+            return state
+        assert self._positions is not None
+        assert self._held is not None
+        alone = self._positions.update(p, None, stamp, pulled)
+        if not alone.trusted or alone.model is None or not alone.model.turns or self._two.found or self._none:
+            return state
+        turned = _between(p, self._held, p, R)[1]
+        if turned > _KEEPS * abs(alone.configuration):
+            return state
+        return replace(alone, event=state.event or alone.event, samples=state.samples, follows=False)
+
+    def _least(self) -> int:
+        """How many thoughts a pose has that pays for none: one, which two trackers have by turns."""
+        turn = 0 if self._positions is not None else self._turn
+        return 1 if turn is None or self._samples % 2 == turn else 0
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
         p = np.array(position, dtype=float)

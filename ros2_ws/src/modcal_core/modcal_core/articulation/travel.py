@@ -47,8 +47,8 @@ class Travel:
             self.path += far
             self._owed += far / _PER_THOUGHT
 
-    def thoughts(self) -> int:
-        """How many are due at this pose: one at least, and what the way since the last pays for."""
-        due = min(max(round(self._owed), 1), _MOST)
+    def thoughts(self, least: int = 1) -> int:
+        """How many are due at this pose: so many at least, and what the way since the last pays for."""
+        due = min(max(round(self._owed), least), _MOST)
         self._owed = max(self._owed - due, -_AHEAD)
         return due

@@ -400,11 +400,11 @@ class Operation:
         """How far it is open [rad or m]."""
         if self.course is None:
             return 0.0
-        return self.course.opened(self.course.configuration(self.expected if T is None else T))
+        return self.course.said(self.course.configuration(self.expected if T is None else T))
 
     def _said(self, T: Array | None = None) -> str:
         opened = self._opened(T)
-        turns = self.course is not None and self.course.model.turns
+        turns = self.course is not None and self.course.turns
         return f"{math.degrees(opened):.0f}°" if turns else f"{100.0 * opened:.0f} cm"
 
     def _pushed(self) -> str:

@@ -121,8 +121,8 @@ class PathModel:
         v = self._twist[:3] + crossed(self._twist[3:], expected[:3, 3])
         self.sign = 1.0 if v @ self._ahead >= 0.0 else -1.0
         self.closed_at = self.configuration(self._closed)
-        turns = model.turns and model.radius < _SLIDES_BEYOND
-        goal = self._goals[0] if turns else self._goals[1] / self.per_unit
+        self.turns = bool(model.turns and model.radius < _SLIDES_BEYOND)
+        goal = self._goals[0] if self.turns else self._goals[1] / self.per_unit
         self.goal_at = self.closed_at + self.sign * goal
         self.at = at
         return self.pose(self.at)
@@ -158,8 +158,12 @@ class PathModel:
         return abs(self.goal_at - self.closed_at) * self.per_unit
 
     def opened(self, a: float) -> float:
-        """How far it is open at a configuration [rad or m]."""
+        """How far it is open at a configuration of the model [its unit]."""
         return self.sign * (a - self.closed_at)
+
+    def said(self, a: float) -> float:
+        """How far it is open at a configuration [rad, or m of what slides for all that can be told]."""
+        return self.opened(a) if self.turns else self.opened(a) * self.per_unit
 
     def tangent(self) -> Array:
         """The direction (3,) in which it opens, seen from the expected tool."""

@@ -24,6 +24,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.wrench import LowPass
 
+_HARDLY = 0.05  # of the full speed: by then nearly the most force is on it
 _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 
 
@@ -36,8 +37,8 @@ class GovernorSettings:
     with the expected pose ``max_lead`` [m] ahead [s]. give_up_s: or under any force.
     """
 
-    slowdown: tuple[float, float] = (15.0, 6.0)
-    stop: tuple[float, float] = (35.0, 14.0)
+    slowdown: tuple[float, float] = (30.0, 6.0)
+    stop: tuple[float, float] = (47.5, 14.0)
     max_force: float = 50.0
     contact_stiffness: float = 15e3
     still_m: float = 0.002
@@ -113,5 +114,5 @@ class SpeedGovernor:
         if not math.isfinite(since) or abs(way - mark) > self.settings.still_m:
             self._mark = now, way
             return False
-        pushed = self.settings.share(F) < 0.25 or lead > self.settings.max_lead
+        pushed = self.settings.share(F) < _HARDLY or lead > self.settings.max_lead
         return now - since > (self.settings.still_s if pushed else self.settings.give_up_s)

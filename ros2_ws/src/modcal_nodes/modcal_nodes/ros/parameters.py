@@ -178,6 +178,11 @@ SIMULATED_FURNITURE = {
     "stop": Parameter(
         -1.0, "Position at which it jams [rad; m]; 0: locked; below zero: only at its own end.", -1.0, 3.0
     ),
+    "resistance": Parameter(
+        "",
+        "What holds it back besides, and its force at the handle [N]: closer, magnet, gasket, stick_slip, detents, "
+        "over_centre or soft_end, as in 'closer 25'; empty: nothing.",
+    ),
     "servo_stiffness": Parameter(4000.0, "Stiffness of the joints' servos [N m/rad].", 100.0, 1e5),
     "servo_lag_s": Parameter(0.03, "Lag behind a steadily moving reference [s].", 0.005, 0.2),
     "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
@@ -215,9 +220,11 @@ IMPEDANCE_SETPOINT = {
         [3000.0, 200.0], "Stiffness requested from a stiff controller, translation and rotation [N/m; N m/rad]."
     ),
     "blend_s": Parameter(0.5, "Time over which new gains are blended in [s].", 0.0, 10.0),
-    "slowdown_force_n": Parameter(15.0, "Force above which the speed is reduced [N].", 0.1, 500.0),
+    "slowdown_force_n": Parameter(
+        0.0, "Force above which the speed is reduced [N]; 0: 60 % of max_force_n.", 0.0, 500.0
+    ),
     "slowdown_moment_nm": Parameter(6.0, "The same for the moment [N m].", 0.01, 100.0),
-    "stop_force_n": Parameter(35.0, "Force at which the speed is zero [N].", 0.2, 500.0),
+    "stop_force_n": Parameter(0.0, "Force at which the speed is zero [N]; 0: 95 % of max_force_n.", 0.0, 500.0),
     "stop_moment_nm": Parameter(14.0, "The same for the moment [N m].", 0.02, 100.0),
     "max_force_n": Parameter(50.0, "Force at which the pull is aborted [N].", 1.0, 500.0),
     "max_moment_nm": Parameter(20.0, "The same for the moment [N m].", 0.1, 100.0),

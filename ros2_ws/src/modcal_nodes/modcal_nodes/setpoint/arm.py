@@ -18,6 +18,9 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 
+_SLOWS, _STANDS = 0.6, 0.95  # of the most force: what needs less than that is opened
+_LEAD, _LEAD_SHARE = 0.08, 1.3  # m by which the expected pose may lead; of what the most force takes of the impedance
+
 
 @dataclass(frozen=True)
 class SensedArm:
@@ -64,6 +67,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
+    chosen = {**chosen, **_forces(chosen)}
     for what in ("force_n", "moment_nm"):
         names = [f"{name}_{what}" for name in ("slowdown", "stop", "max")]
         slow, stop, most = (chosen[name] for name in names)
@@ -95,6 +99,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
             stop=(chosen["stop_force_n"], chosen["stop_moment_nm"]),
             max_force=chosen["max_force_n"],
             contact_stiffness=chosen["contact_stiffness_n_m"],
+            max_lead=max(_LEAD, _LEAD_SHARE * chosen["max_force_n"] / _three("stiffness", chosen)[0]),
         ),
         input_timeout_s=chosen["patience_s"],
         arm_stiffness=chosen["arm_stiffness_n_m"],
@@ -103,6 +108,12 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     if out.mode == "admittance":
         _require_damping(out)
     return out
+
+
+def _forces(chosen: dict[str, Any]) -> dict[str, float]:
+    """From which force on the pull slows down, and at which it stands [N]: as asked, or shares of the most."""
+    shares = {"slowdown_force_n": _SLOWS, "stop_force_n": _STANDS}
+    return {name: chosen[name] or share * chosen["max_force_n"] for name, share in shares.items()}
 
 
 def _require_damping(asked: ImpedanceTask) -> None:

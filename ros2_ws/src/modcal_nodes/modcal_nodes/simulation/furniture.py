@@ -18,6 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inverse import inverse
 from modcal_core.robots.kinematics import body_jacobian
+from modcal_nodes.simulation.resistance import Resistance, resistance
 
 KINDS = ("door", "drawer", "screw", "folding")
 GRASPS = ("weld", "ball")
@@ -46,6 +47,7 @@ class Furniture:
     T_base_handle: the closed handle, which is where the tool is. q: the arm's posture then (n,).
     friction: dry [N m; a drawer's N], damping [N m s/rad; N s/m], spring: that closes it [N m/rad; N/m].
     mass: of what moves [kg]. stop: where it jams for good [rad; m], 0 where it is locked, -1 nowhere.
+    resistance: what holds it back besides, None where nothing does.
     tool_mass [kg], tool_com (3,) [m, in the tool]: beyond the wrist sensor. tool_bias (6,): the sensor's zero [N, N m].
     """
 
@@ -64,6 +66,7 @@ class Furniture:
     tool_mass: float
     tool_com: Array
     tool_bias: Array
+    resistance: Resistance | None = None
 
     @property
     def turns(self) -> bool:
@@ -105,7 +108,7 @@ def draw(chain: Chain, rng: np.random.Generator, chosen: Mapping[str, Any] | Non
     """A scene whose handle the arm can follow to the goal, found by drawing again and again.
 
     chosen: what is not left to chance: ``kind``, ``grasp``, ``radius_m``, ``friction``, ``damping``, ``spring``,
-    ``mass_kg``, ``stop``; an empty text, and a number below zero, leave it to chance. Raises BadTable.
+    ``mass_kg``, ``stop``, ``resistance``; an empty text, and a number below zero, leave it to chance. Raises BadTable.
     """
     wish = dict(chosen or {})
     for name, known in (("kind", KINDS), ("grasp", GRASPS)):
@@ -173,6 +176,7 @@ def _place(
         spring=made["spring"],
         mass=made["mass_kg"],
         stop=float(wish.get("stop", FREE)),
+        resistance=resistance(str(wish.get("resistance", ""))),
         tool_mass=float(rng.uniform(0.3, 1.0)),
         tool_com=rng.uniform(-0.02, 0.02, 3) - np.array([0.0, 0.0, 0.06]),
         tool_bias=np.concatenate([rng.uniform(-3.0, 3.0, 3), rng.uniform(-0.2, 0.2, 3)]),

@@ -51,6 +51,7 @@ class Pulling:
         self._object_v = [self.model.joint(name).dofadr[0] for name in self.object_joints]
         self._tool, self._handle = self.model.site("tool").id, self.model.site("handle").id
         self._wrist, self._grasp = self._sensor("force"), self._sensor("grasp_force")
+        self._resistance, self._lever = scene.resistance, scene.radius if scene.turns else 1.0
         self._way: tuple[Array, Array] | None = None
         self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
         self.data.qpos[self._arm] = scene.q
@@ -90,6 +91,7 @@ class Pulling:
             if self._way is not None:
                 times, postures = self._way
                 self.data.ctrl[:] = [np.interp(self.data.time, times, column) for column in postures.T]
+            self._resist()
             mujoco.mj_step(self.model, self.data)
             force = self.data.sensordata[self._grasp : self._grasp + 3]
             size = math.sqrt(float(force @ force))
@@ -97,6 +99,14 @@ class Pulling:
                 self._peak, self._peak_size = self.contact(), size
             self._sum += size
             self._steps += 1
+
+    def _resist(self) -> None:
+        """Hold the object back by the law of its scene, which is one of the handle's way."""
+        if self._resistance is None:
+            return
+        at, moved, lever = self._object[0], self._object_v[0], self._lever
+        force = self._resistance.force(lever * self.data.qpos[at], lever * self.data.qvel[moved])
+        self.data.qfrc_applied[moved] = -lever * force
 
     # what it is told
 

@@ -219,7 +219,8 @@ class Revolute(AxisModel):
         """The circle through the two samples that lie farthest apart and one between, or between their poses."""
         first, between, last = far_apart(track)
         p, R = track.positions, track.rotations
-        of_poses = None if R is None or turn % 2 else _of_poses(p[first], R[first], p[last], R[last])
+        # guesses of hinges come every other turn, so that half of them are of points
+        of_poses = None if R is None or (turn // 2) % 2 else _of_poses(p[first], R[first], p[last], R[last])
         found = of_poses or _of_points(p[first], p[between], p[last], None if R is None else R[between])
         # three on a line lie on no circle, but on many that are wide
         return found or line(RevoluteMotion, track)
