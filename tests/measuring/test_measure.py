@@ -263,3 +263,18 @@ def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) 
     assert advice.refitted is not None
     e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
     assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))
+
+
+def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the stations in a bag as few are used as prove the goal, and none of them twice."""
+    out = tmp_path / "replayed"
+    assert (
+        run(["measure", str(URDF), "--goal-mm", "0.1", "--replay", str(ROOT / "bags" / "ur10_cell"), "--out", str(out)])
+        == 0
+    )
+    assert "0.1 mm is proven" in capsys.readouterr().out
+    stations = read_yaml(out / "session.yaml")["stations"]
+    rows = [s["row"] for s in stations]
+    assert len(set(rows)) == len(rows) < 40
+    report = json.loads((out / "report.json").read_text())
+    assert report["recording"]["stations"] == sum(s["role"] == PROOF for s in stations)

@@ -27,7 +27,7 @@ from modcal_core.geometry.so3 import Array
 _FIRST = 2.0 / 3.0  # of α for the first model that is tried, the same of what is left for each further one
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
 _LARGER = np.array([1.0, 1.3, 1.7])  # times what is expected: fits of few stations expect too little more often
-_WEIGHTS = np.array([0.5, 0.3, 0.2])
+_WEIGHTS = np.array([0.5, 0.3, 0.2])  # of these: what the fit expects is mostly right
 _LEAST_RATIO = 1.05  # goal over expected error; nearer to 1 a proof takes hundreds of stations
 
 
