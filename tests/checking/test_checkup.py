@@ -131,8 +131,26 @@ def test_a_zero_about_the_base_axis_may_as_well_be_the_base(cell: tuple[Recorded
     assert found.status == "changed"  # the repaired poses are the same
 
 
-def test_a_gear_is_named_and_stations_along_it_are_asked_for(cell: tuple[Recorded, Calibration]) -> None:
-    found, q, _ = checked(cell, lambda q, world: world(q + np.outer(5e-4 * np.sin(101 * q[:, 3]), np.eye(6)[3])))
+def test_a_gear_is_named_and_its_wave_found(cell: tuple[Recorded, Calibration]) -> None:
+    def seen(q: Array, world: Poses) -> Array:
+        return world(q + np.outer(1e-3 * np.sin(101 * q[:, 3] + 0.4), np.eye(6)[3]))
+
+    found, _, _ = checked(cell, seen)
+    assert names(found) == {("gear", "wrist_1_joint")}
+    assert found.repaired is not None
+    (wave,) = found.repaired.calibrated.effects
+    assert wave.shape.settings["cycles"] == pytest.approx(101.0, abs=0.3)
+    q = np.random.default_rng(78).uniform(-2.5, 2.5, (100, 6))
+    truth = seen(q, cell[0].world.tool_in_tracker)
+    assert rms(found.repaired.predict(q), truth) < 0.5 * rms(cell[1].predict(q), truth)
+
+
+def test_a_curve_without_a_form_asks_for_stations_along_it(cell: tuple[Recorded, Calibration]) -> None:
+    wander = np.random.default_rng(5)  # another error at every posture
+
+    found, q, _ = checked(
+        cell, lambda q, world: world(q + np.outer(8e-4 * wander.standard_normal(len(q)), np.eye(6)[3]))
+    )
     assert names(found) == {("gear", "wrist_1_joint")}
     assert found.advice.action == "add_stations"
     assert found.repaired is None

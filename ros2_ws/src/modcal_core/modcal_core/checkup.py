@@ -21,6 +21,7 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.notes import unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import applicable
 
@@ -123,7 +124,7 @@ def checkup(
         report=report,
         joints=samples.names,
         convention=convention,
-        notes=(*_notes(begin, samples, part, found), *applied.notes),
+        notes=(*_notes(begin, samples, part, found), *unseen_note(found.samples, calibration), *applied.notes),
         station_errors=(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
