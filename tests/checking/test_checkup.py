@@ -11,6 +11,8 @@ from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
 
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.checkup import Checked
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -248,3 +250,17 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: tuple[Record
     assert again.uncertainty is not None
     assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
+
+
+def test_stations_where_a_learned_curve_was_not_seen_are_left_out(cell: tuple[Recorded, Calibration]) -> None:
+    shape = Shape("spline", {"low": -1.0, "high": 1.0, "count": 7.0})
+    curve = Effect("unknown", "elbow_joint", "axis", "position:elbow_joint", shape, np.zeros(7), np.full(7, 1e-5))
+    seen = np.array(cell[1].seen)
+    seen[:, 2] = -1.0, 1.0
+    narrow = replace(
+        cell[1], calibrated=cell[1].calibrated.with_effects((curve,)), seen=seen, uncertainty=None, rivals=((),)
+    )
+    found, q, _ = checked((cell[0], narrow), lambda q, world: world(q), count=30)
+    assert found.stations == int((np.abs(q[:, 2]) < 1.05).sum()) < 30
+    assert any("learned curves have not been seen" in note for note in found.notes)
+    assert any("keeps no covariance" in note for note in found.notes)
